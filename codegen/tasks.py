@@ -8,7 +8,9 @@ slow, and parts of any floor may use it. What tasks have each in its own way is 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 
@@ -21,7 +23,13 @@ class Home:
 
     def __call__(self, *positional: Any, **named: Any) -> Any:
         """Import the file where that has not happened, and call the function."""
-        return getattr(import_module(f"codegen.{self.file}"), self.name)(*positional, **named)
+        return getattr(_imported(self.file), self.name)(*positional, **named)
+
+
+@cache
+def _imported(file: str) -> ModuleType:
+    """A file below `codegen`; to ask the import system each time takes longer than some of the functions."""
+    return import_module(f"codegen.{file}")
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,7 +40,9 @@ def sweep(
     keep: Annotated[
         str,
         typer.Option(
-            metavar="NAMES", help="Of t,q,p,u,multipliers,energy; or none. [default: t,q,u]", show_default=False
+            metavar="NAMES",
+            help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: t,q,u]",
+            show_default=False,
         ),
     ] = "",
     workers: Annotated[
@@ -68,12 +71,20 @@ def sweep(
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")] = None,
     scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve.")] = "auto",
+    sensitivities: Annotated[
+        bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
+    ] = False,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
+    pareto: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="The picture is the Pareto front of two numbers of each case; -A: large."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.author.problem_file import parse_arguments
     from codegen.cli.pictures import PLOTS
+    from codegen.plots.objectives import objectives_of
     from codegen.solutions.output import require_writable
     from codegen.sweeping.cases import assigned, axis_of
     from codegen.sweeping.layout import KEPT
@@ -84,6 +95,10 @@ def sweep(
         raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
     if plot is not None:
         require_writable(plot, PLOTS, "--plot")
+    elif pareto is not None:
+        raise ArgumentError("--pareto without --plot", "name the file of the picture, as --plot front.png")
+    if pareto is not None:
+        objectives_of(pareto)
     request = sweep_request(
         problem,
         _once("--vary", [axis_of(item) for item in vary]),
@@ -94,22 +109,31 @@ def sweep(
         warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
         scheme=scheme, formulation=formulation, controls=controls.value, steps=steps, every=every,
         tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
+        sensitivities=sensitivities,
     )  # fmt: skip
-    outcome = outcome_of(request, working, progress)
+    outcome = outcome_of(request, working, progress, partial(_require_front, pareto))
     if plot is not None:
         with working("Drawing"):
-            _draw(outcome, plot)
+            _draw(outcome, plot, pareto)
     _tell(outcome, json)
     if outcome.tally.failed:
         raise typer.Exit(1)
 
 
-def _draw(outcome: Any, path: Path) -> None:
+def _require_front(pareto: str | None, outlined: Any) -> None:
+    """Refuse objectives that the sweep will not have."""
+    if pareto is not None:
+        from codegen.plots.objectives import objectives_of, require_objectives
+
+        require_objectives(objectives_of(pareto), outlined)
+
+
+def _draw(outcome: Any, path: Path, pareto: str | None) -> None:
     from codegen import plots
     from codegen.files import replacing
 
     with replacing(path) as temporary:
-        plots.save_sweep(outcome.dataset(), temporary)
+        plots.save_sweep(outcome.dataset(), temporary, pareto)
 
 
 def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

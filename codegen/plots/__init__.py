@@ -12,6 +12,8 @@ from codegen.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
+from codegen.plots.objectives import Objective, objectives_of, require_objectives
+from codegen.plots.pareto import pareto_figure
 from codegen.plots.simulation import simulation_figure
 from codegen.plots.style import STYLE, label
 from codegen.plots.sweep import sweep_figure
@@ -25,6 +27,7 @@ __all__ = [
     "connect_figure",
     "control_figure",
     "label",
+    "pareto_figure",
     "save",
     "save_sweep",
     "simulation_figure",
@@ -48,10 +51,18 @@ def save(
         _write(figure, path)
 
 
-def save_sweep(data: Dataset, path: Path) -> None:
-    """Draw a sweep into a file whose ending matplotlib knows."""
+def save_sweep(data: Dataset, path: Path, pareto: str | None = None) -> None:
+    """Draw a sweep into a file whose ending matplotlib knows, or its front in two objectives, as "cost,duration".
+
+    Raises ArgumentError for objectives that the data set does not have.
+    """
     with matplotlib.rc_context(STYLE):
-        _write(sweep_figure(data), path)
+        _write(sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto)), path)
+
+
+def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
+    require_objectives(objectives, data)
+    return pareto_figure(data, objectives)
 
 
 def _write(figure: Figure, path: Path) -> None:

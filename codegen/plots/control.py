@@ -14,12 +14,13 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from codegen.drawing import Scene
 from codegen.loading import ControlModule, Matrix, time_grid
-from codegen.plots import measured, panels, shapes
+from codegen.plots import measured, panels, shapes, tornado
 from codegen.plots.measured import Measured
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.segments import inequalities, quantities
 from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
 from codegen.solutions.result import Result
+from codegen.solutions.sensitivities import quantity_values
 
 WIDTH = 12.0
 """Of the figure, in inches."""
@@ -72,6 +73,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     samples, bodies = measured.measured(module, result), int(module.metadata["bodies"])
     states = _state_rows(groups, samples, measured.bands(module, result) if samples else {})
     others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
+    others += _of_sensitivities(module, result)
     others.sort(key=lambda panel: not panel.over_time)
     shape = _shape(drawings)
     beside = 0.0 < shape.left < 1.0 and len(others) <= _MOST_BESIDE
@@ -174,6 +176,13 @@ def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], resu
         log = result.log
         found.append(Panel("", lambda axes: panels.iterations(axes, log), over_time=False))
     return found
+
+
+def _of_sensitivities(module: ControlModule, result: Result) -> list[Panel]:
+    """By how much the cost follows quantities, where there are sensitivities."""
+    found = result.sensitivity
+    shown = tornado.changes(found, quantity_values(module, result)) if found is not None else {}
+    return [Panel("", lambda axes: tornado.tornado(axes, shown), over_time=False)] if shown else []
 
 
 def _in_rows(found: Sequence[Panel], columns: int) -> list[Row]:

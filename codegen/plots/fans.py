@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from codegen.plots.first_order import NORMAL_90, Prediction
 from codegen.plots.panels import KINDS
-from codegen.plots.style import BLUE, DARK, body_map, label, statuses
+from codegen.plots.style import AMBER, BLUE, DARK, body_map, label, statuses
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -73,8 +75,8 @@ def _over_time(axes: Any, what: str, group: tuple[str, str]) -> None:
     axes.margins(x=0)
 
 
-def fan(axes: Any, data: Dataset, group: tuple[str, str]) -> None:
-    """Quantiles of a quantity over time: the median, and bands between others."""
+def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | None = None) -> None:
+    """Quantiles of a quantity over time: the median, and bands between others; and what is predicted of the widest."""
     t, values, _ = _curves(data, group, MOST_CASES)
     colour = KINDS[_COLUMNS[group[0]][1]]
     if not t.size:
@@ -89,12 +91,34 @@ def fan(axes: Any, data: Dataset, group: tuple[str, str]) -> None:
         axes.fill_between(times[seen], *edges, color=colour, alpha=strength, linewidth=0)
     axes.plot(times[seen], np.nanmedian(values[:, seen], axis=0), color=colour)
     _over_time(axes, "time" if same else "time in parts of the duration", group)
-    handles = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
+    handles: list[Any] = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
+    if linear is not None and f"d_{group[0]}" in data:
+        mean, deviation = (_column(table, data, group) for table in linear.of(data, group[0]))
+        for sign in (-1.0, 1.0):
+            edge = mean + sign * NORMAL_90 * deviation
+            axes.plot(times[seen], edge[seen], color=DARK, linestyle="--", linewidth=1.0)
+        handles.append(Line2D([], [], color=DARK, linestyle="--", linewidth=1.0, label="90 %, first order"))
     axes.legend(handles=handles, loc="best", ncols=2, handlelength=1.2)
 
 
-def histogram(axes: Any, name: str, values: NDArray[np.float64], is_wide: bool) -> None:
-    """How often values occur, with the median and the quantiles of 5 and 95 %."""
+def _column(table: NDArray[np.float64], data: Dataset, group: tuple[str, str]) -> NDArray[np.float64]:
+    """One column of the array of a case, (times,); the means of stages."""
+    columns = data[_COLUMNS[group[0]][0]].values.tolist()
+    own = table[..., columns.index(group[1])]
+    return own if own.ndim == 1 else own.mean(axis=1)
+
+
+def histogram(
+    axes: Any,
+    name: str,
+    values: NDArray[np.float64],
+    is_wide: bool,
+    linear: tuple[float, float] = (np.nan, np.nan),
+) -> None:
+    """How often values occur, with the median and the quantiles of 5 and 95 %.
+
+    `linear` are the mean and the standard deviation that are predicted to first order, beside those of the samples.
+    """
     finite = values[np.isfinite(values)]
     axes.set_xlabel(name)
     axes.set_ylabel("cases")
@@ -110,6 +134,15 @@ def histogram(axes: Any, name: str, values: NDArray[np.float64], is_wide: bool) 
         value = float(np.quantile(finite, share))
         words = "median" if share == 0.5 else f"{100 * share:.0f} %"
         axes.axvline(value, color=DARK, linestyle=style, linewidth=1.1, label=f"{words}: {value:.4g}")
+    if linear[1] > 0.0:
+        mean, deviation = linear
+        if not is_wide:
+            low, high = axes.get_xlim()
+            x = np.linspace(low, high, 200)
+            height = finite.size * np.ptp(finite) / number / (deviation * np.sqrt(2.0 * np.pi))
+            axes.plot(x, height * np.exp(-0.5 * ((x - mean) / deviation) ** 2), color=AMBER)
+        axes.plot([], [], color=AMBER, label=f"first order: {mean:.4g} ± {deviation:.2g}")
+        axes.plot([], [], " ", label=f"samples: {finite.mean():.4g} ± {finite.std():.2g}")
     axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
-    axes.margins(y=0.3)
+    axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for what the legend says
     axes.grid(visible=False, axis="x")

@@ -13,6 +13,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from codegen.plots import fans
+from codegen.plots.first_order import prediction
 from codegen.plots.style import (
     BLUE,
     CRIMSON,
@@ -271,13 +272,17 @@ def _crowd(cells: int) -> float:
 
 
 def _samples(data: Dataset) -> Figure:
-    """The distribution of each measure with quantiles, the measure over quantities, fans of trajectories."""
+    """The distribution of each measure with quantiles, the measure over quantities, fans of trajectories.
+
+    With sensitivities, what those of one case predict stands beside.
+    """
     stride = max(1, -(-data.sizes["case"] // _MOST_POINTS))
     data = data.isel(case=slice(None, None, stride))
     measures, groups = _measures(data), fans.groups_of(data)
     own = {"status", "message", *map(str, data.sizes)}
     varied = [str(name) for name, values in data.coords.items() if values.dims == ("case",) and str(name) not in own]
-    varied = [name for name in varied if data[name].dtype.kind in "fiub"][:_MOST_SCATTERS]
+    varied = [name for name in varied if data[name].dtype.kind in "fiub"]
+    every, varied = varied, varied[:_MOST_SCATTERS]
     columns = max(2, min(4, 1 + len(varied)))
     blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
     blocks.append([f"g{i}" for i in range(len(groups))])
@@ -287,15 +292,16 @@ def _samples(data: Dataset) -> Figure:
     ]  # fmt: skip
     figure = Figure(figsize=(3.6 * columns, 1.0 + 2.9 * len(rows)), layout="constrained")
     panels = figure.subplot_mosaic(rows)
-    failed = _is_failed(data)
+    failed, linear = _is_failed(data), prediction(data, every)
     for i, (name, values) in enumerate(measures.items()):
-        fans.histogram(panels[f"m{i}"], name, values, _is_wide(values))
+        mean, deviation = linear.of(data, "cost") if linear is not None else (np.nan, np.nan)
+        fans.histogram(panels[f"m{i}"], name, values, _is_wide(values), (float(mean), float(deviation)))
         for j, varied_one in enumerate(varied):
             _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, failed)
             panels[f"s{i},{j}"].set_xlabel(quantity(varied_one))
             panels[f"s{i},{j}"].set_ylabel(name)
     for i, group in enumerate(groups):
-        fans.fan(panels[f"g{i}"], data, group)
+        fans.fan(panels[f"g{i}"], data, group, linear)
     heading(figure, data)
     return figure
 

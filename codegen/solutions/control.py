@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -98,12 +98,14 @@ def control_result(
 def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
     """The verdict on an attempt, and its trajectories; those of segments put together."""
     if segments_of(module.metadata) is not None:
-        return outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
+        outline = outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
+        return replace(outline, free=_free_parameters(module, attempt.unknowns))
     grid = time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
     names = ("t", "q", "p", "u", "multipliers")
     arrays = dict(zip(names, attempt.trajectories or module.unpack(grid, attempt.unknowns), strict=True))
-    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns)
+    free = _free_parameters(module, attempt.unknowns) if module.metadata["free_parameters"] else {}
+    return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns, free)
 
 
 def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:
@@ -189,21 +191,21 @@ class _Conditions:
     """
 
     def __init__(self, module: ControlModule, scaled: Grid, unknowns: Vector) -> None:
-        grid = module.plain_grid(scaled)
+        grid = module.plain_grid(scaled) if scaled.sizes.size else scaled
         self.point = module.evaluate(grid, unknowns)
-        gradient = self.point.gradient
-        self._primal, self._dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-        self._equations, self._slopes = gradient[self._dual], gradient[self._primal]
+        self._module, self._grid = module, grid
         self._misses = _misses(module, grid, unknowns)
         self._distances = bound_distances(module, scaled, unknowns) if module.metadata["inequalities"] else None
 
     def norms(self, sizes: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
         """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes, if given."""
         if sizes is None and self._distances is None:  # the most frequent case, and one of many in a sweep
-            return max(max_norm(self._equations), max_norm(self._misses)), max_norm(self._slopes)
-        own = np.ones(self._misses.size) if sizes is None else sizes
-        primal, dual = own[self._primal], own[self._dual]
-        wrong, slopes = [weight * dual * self._equations, self._misses / own], self._slopes
+            # What is pinned has no entry in the gradient, so that the norms of all of it are those of what is free.
+            return max(self.point.residual, max_norm(self._misses)), self.point.stationarity
+        own, gradient = np.ones(self._misses.size) if sizes is None else sizes, self.point.gradient
+        rows, columns = self._module.multiplier_unknowns(self._grid), self._module.primal_unknowns(self._grid)
+        primal, slopes = own[columns], gradient[columns]
+        wrong = [weight * own[rows] * gradient[rows], self._misses / own]
         if self._distances is not None:
             wrong.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
             slopes = _unbalanced(slopes, self._distances, primal)
@@ -234,6 +236,8 @@ def _unbalanced(slopes: Vector, distances: tuple[Vector, Vector], sizes: Vector)
 def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
     """By how much the unknowns that a boundary condition fixes differ from their values, (n,); zero for others."""
     misses = unknowns - module.with_pinned_values(grid, unknowns)
+    if not misses.any():  # as for the generated solver, which pins what is given
+        return misses
     misses[module.primal_unknowns(grid)] = 0.0
     misses[module.multiplier_unknowns(grid)] = 0.0
     return misses

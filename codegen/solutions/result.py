@@ -113,7 +113,7 @@ class SimulateAttempt:
 class Outline:
     """What many solves keep of each: the verdict and the arrays of a Result by their names, and where to start from.
 
-    A cost or a vector of unknowns is None where a task has none.
+    A cost or a vector of unknowns is None where a task has none; `free` are values of free parameters by name.
     """
 
     status: str
@@ -122,6 +122,7 @@ class Outline:
     residual: float
     arrays: dict[str, Matrix]
     unknowns: Vector | None
+    free: Mapping[str, float] = field(default_factory=dict)
 
 
 def outline_of(result: Result) -> Outline:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import ArgumentError
-from codegen.loading import Grid, Vector, time_grid
+from codegen.loading import Grid, Vector, few_steps, time_grid
 from codegen.solutions.derivatives import Derivatives, Sensitivities
 from codegen.solutions.result import Result
 from codegen.solutions.segments import put_together, segments_of
 
 SHARP = 1e-12
 """The tolerance to which solutions are found again that have no sensitivities."""
+UNSOLVED = "the problem was not solved"
 
 
 def require_sensitive(module: Any) -> None:
@@ -25,54 +27,94 @@ def require_sensitive(module: Any) -> None:
         raise ArgumentError(finding, "build it with --sensitivities, or give the problem file")
 
 
+@dataclass(frozen=True)
+class Rates:
+    """What a module finds of sensitivities at the unknowns (n,) of a solution, on a grid; `told` has no arrays yet."""
+
+    module: Any
+    grid: Grid
+    unknowns: Vector
+    found: Any
+    told: Sensitivities
+
+    @property
+    def free(self) -> dict[str, Vector]:
+        """Derivatives (m,) of free parameters by all quantities."""
+        names, last = self.module.metadata["free_parameters"], self.found.unknowns.shape[1] - self.module.COUPLINGS
+        columns = self.found.unknowns[:, last - len(names) : last].T
+        return dict(zip(names, columns, strict=True))
+
+    def derivatives(self, result: Result) -> list[Derivatives]:
+        """Those of a result, not yet put together of segments, by each quantity."""
+        there = replace(result, unknowns=self.unknowns)
+        return [_derivatives(there, self, i) for i, _ in enumerate(self.told.names)]
+
+
+def rates_at(
+    module: Any, steps: int, unknowns: Vector, given: Sequence[str] = (), fractions: Vector | None = None
+) -> Rates:
+    """The sensitivities of a solution on so many intervals, which may last `fractions` of the duration.
+
+    Quantities that are `given` by name follow no others.
+    """
+    names, grid = tuple(module.metadata["sensitivities"]), time_grid(module, steps, fractions)
+    found = module.sensitivities(grid, unknowns, given)
+    if found.failure:
+        unknowns = _sharpened(module, steps, unknowns, fractions)
+        found = module.sensitivities(grid, unknowns, given)
+    doubtful = tuple(_place(module, grid, int(index)) for index in found.doubtful)
+    costs, left = (np.full(len(names), np.nan), np.nan) if found.failure else (found.cost, found.inaccuracy)
+    return Rates(module, grid, unknowns, found, Sensitivities(names, costs, found.failure, doubtful, left, {}))
+
+
 def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ()) -> Result:
     """The result of a module, not yet put together of segments, with its sensitivities.
 
     Quantities that are `given` by name follow no others.
     """
-    names = tuple(module.metadata["sensitivities"])
-    none = np.full(len(names), np.nan)
     if not result.solved or result.unknowns is None:
-        missing = Sensitivities(names, none, "the problem was not solved", (), np.nan, {})
+        names = tuple(module.metadata["sensitivities"])
+        missing = Sensitivities(names, np.full(len(names), np.nan), UNSOLVED, (), np.nan, {})
         return replace(result, sensitivity=missing)
-    grid, unknowns = time_grid(module, result.steps, result.grid), result.unknowns
-    found = module.sensitivities(grid, unknowns, given)
-    if found.failure:
-        unknowns = _sharpened(module, result)
-        found = module.sensitivities(grid, unknowns, given)
-    doubtful = tuple(_place(module, grid, int(index)) for index in found.doubtful)
-    if found.failure:
-        return replace(result, sensitivity=Sensitivities(names, none, found.failure, doubtful, np.nan, {}))
-    there = replace(result, unknowns=unknowns)
-    by_name = {name: _derivatives(there, module, grid, found, i) for i, name in enumerate(names)}
-    return replace(result, sensitivity=Sensitivities(names, found.cost, "", doubtful, found.inaccuracy, by_name))
+    rates = rates_at(module, result.steps, result.unknowns, given, result.grid)
+    told = rates.told
+    if told.reason:
+        return replace(result, sensitivity=told)
+    by_name = dict(zip(told.names, rates.derivatives(result), strict=True))
+    whole = Sensitivities(told.names, told.costs, "", told.doubtful, told.inaccuracy, by_name)
+    return replace(result, sensitivity=whole)
 
 
-def _sharpened(module: Any, result: Result) -> Vector:
+def quantity_values(module: Any, result: Result) -> dict[str, Vector]:
+    """The values (bodies,) of what there are derivatives by, in a solution with the module's own numbers."""
+    names, parameters = module.metadata["sensitivities"], module.make_grid(few_steps(module, 4)).parameters
+    found = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
+    return found | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
+
+
+def _sharpened(module: Any, steps: int, unknowns: Vector, fractions: Vector | None) -> Vector:
     """The unknowns of the solution to a lower tolerance, where that is reached.
 
     Where curvatures are small, multipliers that are known to the tolerance may leave no minimum.
     """
-    given = {} if result.grid is None else {"grid": result.grid}
-    found = module.solve(result.steps, guess=result.unknowns, warm=True, tolerance=SHARP, **given)
-    return np.asarray(found.unknowns if found.status == "solved" else result.unknowns)
+    given = {} if fractions is None else {"grid": fractions}
+    found = module.solve(steps, guess=unknowns, warm=True, tolerance=SHARP, **given)
+    return np.asarray(found.unknowns if found.status == "solved" else unknowns)
 
 
-def _derivatives(result: Result, module: Any, grid: Grid, found: Any, i: int) -> Derivatives:
+def _derivatives(result: Result, rates: Rates, i: int) -> Derivatives:
     """Those by quantity i, put together where the problem was cut into segments."""
-    arrays = dict(zip(("t", "q", "p", "u", "multipliers"), module.unpacked_rates(grid, result.unknowns, found, i)))
+    module, found = rates.module, rates.found
+    unpacked = module.unpacked_rates(rates.grid, result.unknowns, found, i)
+    arrays = dict(zip(("t", "q", "p", "u", "multipliers"), unpacked))
     durations = found.durations[i]
     if segments := segments_of(module.metadata):
         bare = replace(result, **arrays, levels=(), accuracy=None, grid=None, message="")
         whole = put_together(bare, module.metadata)
         arrays = {name: getattr(whole, name) for name in arrays}
         durations = segments.number * durations
-    free, last = module.metadata["free_parameters"], found.unknowns.shape[1] - module.COUPLINGS
-    values = map(float, found.unknowns[i, last - len(free) : last])
-    return Derivatives(
-        cost=float(found.cost[i]), durations=durations, free=dict(zip(free, values, strict=True)),
-        unknowns=found.unknowns[i], **arrays,
-    )  # fmt: skip
+    free = {name: float(values[i]) for name, values in rates.free.items()}
+    return Derivatives(cost=float(found.cost[i]), durations=durations, free=free, unknowns=found.unknowns[i], **arrays)
 
 
 def _place(module: Any, grid: Grid, index: int) -> str:

@@ -29,22 +29,28 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
 
     - `out`: a zarr store (.zarr), written chunk by chunk, or a file of netCDF (.nc); what is there already is never
       overwritten. `resume` goes on with a store that was begun by the same sweep;
-    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said;
+    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said; with
+      `sensitivities` also of d_t, d_q, d_p, d_u and d_multipliers, their derivatives;
     - `workers`: how many processes share the work, unless said as many as there are processors. Results do not depend
       on it. With `spawn` as the only way to start a process, a script needs its `if __name__ == "__main__"`;
     - `cluster`: the address of a scheduler of dask, a `distributed.Client`, or "local", for workers of a cluster;
     - `warm_starts`: whether an optimisation begins from its last solved neighbour, which takes fewer iterations where
       solutions change little, but stays with its local optimum. Otherwise it begins from the problem's own guess, and
-      only where that fails from neighbours;
+      only where that fails from neighbours. With `sensitivities` the start follows the tangent at that neighbour, else
+      the secant through the last two on a straight part of the path;
+    - `sensitivities`: whether derivatives of the cost by all parameters, prescribed values and a given duration are
+      kept, as `codegen.solve` finds them; those that vary follow no others;
     - `chunk`: how many cases are solved and written together, unless said about a second of work;
     - `driver`, `arguments`, `scheme`, `formulation` (the `method` of a solve), `controls`, `steps`, `every`,
       `tolerance`, `max_iterations`, `time_limit` and `scaling`: as for `codegen.solve`, the same for all cases.
 
     The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with NaN
     where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all attempts at a
-    case, status and message; of optimisations on a grid `improvement`, what a case has won by a start from beyond a
-    jump of the cost, and `jump`, 1 where a better neighbour is left. A case that fails is a row with these, and NaN in
-    cost and arrays. All quantities are in the units of the problem file.
+    case, status and message; free parameters by their names; with sensitivities d_cost (..., by), likewise d_T of a
+    free parameter T, and d_q (..., by, node, names), NaN where d_message says why there are none; of optimisations on a
+    grid `improvement`, what a case has won by a start from beyond a jump of the cost, and `jump`, 1 where a better
+    neighbour is left. A case that fails is a row with these, and NaN in cost and arrays. All quantities are in the
+    units of the problem file.
 
     Raises ArgumentError for names and options that do not exist or do not apply, ExtraError without xarray and zarr, or
     dask for a cluster, ClusterError when its scheduler does not answer, has no workers or is lost, and what

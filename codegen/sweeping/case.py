@@ -6,9 +6,11 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from codegen.drivers import find
 from codegen.errors import CodegenError, one_line
@@ -20,6 +22,7 @@ from codegen.solving.refinement import transferred
 from codegen.sweeping.continuation import Start
 from codegen.sweeping.layout import Shapes
 from codegen.sweeping.quantities import STEPS, Quantity, given_to
+from codegen.sweeping.rates import CaseRates, Wanted
 from codegen.sweeping.statuses import NOT_BUILT, SOLVED, UNUSABLE
 from codegen.tasks import task_of
 
@@ -38,18 +41,27 @@ class Variant:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One solve of a case, on so many intervals of each phase or segment."""
+    """One solve of a case, on so many intervals of each phase or segment; its derivatives, where they are wanted."""
 
     outline: Outline
     steps: int
     iterations: int
     seconds: float
+    rates: CaseRates | None = None
 
     def without_arrays(self) -> Attempt:
-        """The same, with no more numbers than others need to start from it."""
-        own = self.outline
-        outline = Outline(own.status, own.message, own.cost, own.residual, {}, own.unknowns)
-        return Attempt(outline, self.steps, self.iterations, self.seconds)
+        """The same, which lets go of its arrays and keeps what others need to start from it."""
+        self.outline.arrays.clear()  # a copy without them would take a hundredth of a solve
+        return self if self.rates is None else replace(self, rates=CaseRates(tangent=self.rates.tangent))
+
+    def without_tangent(self) -> Attempt:
+        """The same, of which nobody will begin along its tangent."""
+        return replace(self, rates=None) if self.has_tangent else self
+
+    @property
+    def has_tangent(self) -> bool:
+        """Whether neighbours may start along a tangent."""
+        return self.rates is not None and self.rates.tangent is not None
 
     @property
     def is_solved(self) -> bool:
@@ -78,10 +90,13 @@ def not_built(variant: Variant) -> Attempt:
 
 
 class Varied:
-    """A module whose parameters have other values from case to case, and the run of a driver that all cases share."""
+    """A module whose parameters have other values from case to case, and the run of a driver that all cases share.
 
-    def __init__(self, module: Any, driver: str, run: Run) -> None:
-        self.module, self.driver, self.run = module, driver, run
+    `wanted` are derivatives, if there are to be some.
+    """
+
+    def __init__(self, module: Any, driver: str, run: Run, wanted: Wanted | None = None) -> None:
+        self.module, self.driver, self.run, self.wanted = module, driver, run, wanted
         self.task = task_of(module)
         self.function = find(driver).function(self.task.name)
         self._own = with_arguments(module)
@@ -89,9 +104,25 @@ class Varied:
     def given(self, values: Mapping[Quantity, float]) -> Any:
         """The module with the values of a case, until those of the next one are given."""
         given = given_to(values)
-        self._own.make_grid = lru_cache(1)(partial(self.module.make_grid, **given))  # the guess and the verdict ask
+        self._own.make_grid = _Remembered(partial(self.module.make_grid, **given))  # the guess and the verdict ask
         self._own.solve = partial(self.module.solve, **given)
         return self._own
+
+
+class _Remembered:
+    """A function of hashable arguments that remembers its last value: made for each case, and cheaper than a cache."""
+
+    __slots__ = ("_arguments", "_function", "_value")
+
+    def __init__(self, function: Any) -> None:
+        self._function, self._value = function, None
+        self._arguments: tuple[Any, Any] | None = None
+
+    def __call__(self, *positional: Any, **named: Any) -> Any:
+        """The value, computed where the arguments are not those of the last call."""
+        if self._arguments != (positional, named):
+            self._arguments, self._value = (positional, named), self._function(*positional, **named)
+        return self._value
 
 
 def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[Attempt] | None) -> Attempt:
@@ -104,35 +135,42 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
     assert outline is not None, "what cannot be swept was refused"
     try:
         begin = time.perf_counter()
-        run = _run(varied, own, steps, start)
+        run = _run(varied, own, steps, start, values)
         attempt = varied.function(own, run)
         seconds = time.perf_counter() - begin
-        return Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)
+        found = Attempt(outline(own, varied.driver, run, attempt), steps, attempt.iterations, seconds)
     except CodegenError as error:
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
         return failed(UNUSABLE, f"{UNUSABLE}: {error.args[-1] if error.args else type(error).__name__}")
+    if varied.wanted is None or not found.is_solved:
+        return found
+    return replace(found, rates=varied.wanted.of_solution(own, varied.driver, run, attempt, values))
 
 
-def _run(varied: Varied, own: Any, steps: int, start: Start[Attempt] | None) -> Run:
+def _run(varied: Varied, own: Any, steps: int, start: Start[Attempt] | None, values: Mapping[Quantity, float]) -> Run:
     """The run of a case; of an optimisation the guess is made here, for the driver and the verdict."""
     if start is not None:
-        return replace(varied.run, steps=steps, guess=_unknowns(own, steps, start))
+        return replace(varied.run, steps=steps, guess=_unknowns(own, steps, start, values))
     if varied.task.name != "control":
         return replace(varied.run, steps=steps)
     return replace(varied.run, steps=steps, guess=own.initial_guess(own.make_grid(steps)), near=False)
 
 
-def _unknowns(module: Any, steps: int, start: Start[Attempt]) -> Vector:
-    """The vector of unknowns to start from, on so many intervals."""
-    unknowns = start.solution.outline.unknowns
+def _unknowns(module: Any, steps: int, start: Start[Attempt], values: Mapping[Quantity, float]) -> Vector:
+    """The vector of unknowns to start from, on so many intervals; see `codegen.sweeping.continuation`."""
+    unknowns, rates = start.solution.outline.unknowns, start.solution.rates
     assert unknowns is not None, "only solutions with unknowns are starts"
     if start.solution.steps != steps:
         return transferred(module, unknowns, steps)
+    move = rates.tangent.move(values) if start.is_along_tangent and rates is not None and rates.tangent else None
     if start.before is None or start.before.steps != steps:
-        return unknowns
+        return unknowns if move is None else np.asarray(unknowns + move)
     assert start.before.outline.unknowns is not None, "only solutions with unknowns are starts"
-    return unknowns + start.factor * (unknowns - start.before.outline.unknowns)
+    difference, factor = unknowns - start.before.outline.unknowns, start.factor
+    if move is None:
+        return unknowns + factor * difference
+    return np.asarray(unknowns + (1.0 + factor) * move - factor**2 * difference)
 
 
 def steps_of(module: Any, steps: int) -> int:

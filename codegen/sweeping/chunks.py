@@ -23,6 +23,8 @@ OVERHEAD = 3e-4
 """Seconds that a case takes beside its iterations."""
 CONTROL_RATE, SIMULATE_RATE = 1.6e-8, 3e-7
 """Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state."""
+RATES = 5
+"""As many iterations take as long as the sensitivities of a case."""
 SLOWER = 50.0
 """How many times as long drivers take that are no generated solver."""
 
@@ -95,8 +97,8 @@ def blocks_of(shape: Sequence[int], size: int, whole: Sequence[bool]) -> Chunks:
     return Chunks(tuple(shape), tuple(block))
 
 
-def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: int) -> int:
-    """How many cases like one that took so many iterations are about a second of work.
+def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: int, has_rates: bool = False) -> int:
+    """How many cases like one that took so many iterations, with sensitivities or not, are about a second of work.
 
     Counted, and not measured, so that the same sweep has the same chunks, and so the same results, on any day.
     """
@@ -104,7 +106,7 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
     if task.name == "control":
         width = len(metadata["node"]) + len(metadata["interval"])
         intervals = run.steps * metadata["bodies"] * metadata.get("phases", 1)
-        seconds = CONTROL_RATE * iterations * intervals * width**2
+        seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
     else:
         seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata["coordinates"])
     return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if driver == "newton" else SLOWER)))))

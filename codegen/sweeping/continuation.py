@@ -1,7 +1,9 @@
 """Starts along a path through cases: where one from a case's own guess fails, or before it, from solved neighbours.
 
-On a straight part of the path a start follows the secant through the last two solutions: on a grid of cases it is then
-off by the square of their distance. Source: Allgower and Georg (1990), Numerical continuation methods, chapter 6.
+On a straight part of the path a start follows the secant through the last two solutions, and where derivatives of the
+last one are known the parabola that has its tangent there; elsewhere it follows this tangent. On a grid of cases secant
+and tangent are off by the square of their distance, the parabola by its cube. Source: Allgower and Georg (1990),
+Numerical continuation methods, chapters 2 and 6.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ STRAIGHT = 1e-6
 """What part of a move may lie beside the direction of the one before."""
 
 
+Found = TypeVar("Found", bound="Attempted")
+
+
 class Attempted(Protocol):
     """What an attempt leaves: whether it is a solution that others may start from."""
 
@@ -30,17 +35,27 @@ class Attempted(Protocol):
     def is_start(self) -> bool:
         """Whether it is."""
 
+    @property
+    def has_tangent(self) -> bool:
+        """Whether it is known how it follows what varies."""
 
-Found = TypeVar("Found", bound=Attempted)
+    def without_tangent(self: Found) -> Found:
+        """The same without this knowledge, which takes memory."""
 
 
 @dataclass(frozen=True)
 class Start(Generic[Found]):
-    """A solution to start from, moved by so many times its difference from another one, if there is one."""
+    """A solution to start from, moved by so many times its difference from another one, along its tangent, or both."""
 
     solution: Found
     before: Found | None = None
     factor: float = 0.0
+    is_along_tangent: bool = False
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether it is not the solution itself."""
+        return self.is_along_tangent or self.before is not None
 
 
 class Continuation(Generic[Found]):
@@ -68,9 +83,12 @@ class Continuation(Generic[Found]):
             found = attempt(start)
             attempts.append(found)
             if found.is_start:
+                path = self._path.setdefault(int(self._families[place]), [])
+                if path:
+                    self._solved[path[-1]] = self._solved[path[-1]].without_tangent()
+                path.append(place)
                 self._solved[place] = found
-                self._path.setdefault(int(self._families[place]), []).append(place)
-                return attempts
+                return [*attempts[:-1], found.without_tangent()]
             own = found if start is None else own
         assert own is not None, "a case is tried from its own guess in any case"
         return [*(found for found in attempts if found is not own), own]
@@ -82,17 +100,17 @@ class Continuation(Generic[Found]):
         if first is not None:
             yield first
         yield None
-        others = path[:-1] if first is not None and first.before is None else path
+        others = path[:-1] if first is not None and not first.is_moved else path
         for other in self._nearest(place, others):
             yield Start(self._solved[other])
 
     def _first(self, place: int, path: Sequence[int]) -> Start[Found] | None:
-        """The last solution, moved along the secant through the last two if the case lies there."""
+        """The last solution, moved along its tangent, and by the secant through the last two if the case lies there."""
         if not path:
             return None
         last = self._solved[path[-1]]
         if len(path) == 1:
-            return Start(last)
+            return Start(last, is_along_tangent=last.has_tangent)
         began, ended, wanted = (self._coordinates[k] for k in (path[-2], path[-1], place))
         one = [b - a for a, b in zip(began, ended, strict=True)]
         two = [b - a for a, b in zip(ended, wanted, strict=True)]
@@ -100,8 +118,8 @@ class Continuation(Generic[Found]):
         factor = sum(a * b for a, b in zip(one, two, strict=True)) / square if square > 0.0 else 0.0
         beside = sum((b - factor * a) ** 2 for a, b in zip(one, two, strict=True))
         if abs(factor) > FARTHEST or not beside <= STRAIGHT**2 * sum(b * b for b in two):
-            return Start(last)
-        return Start(last, self._solved[path[-2]], factor)
+            return Start(last, is_along_tangent=last.has_tangent)
+        return Start(last, self._solved[path[-2]], factor, last.has_tangent)
 
     def _nearest(self, place: int, others: Sequence[int]) -> list[int]:
         if not others:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from codegen.errors import ExtraError
 from codegen.files import replacing
 from codegen.sweeping.cases import Cases
-from codegen.sweeping.layout import RESERVED, WORDS, Layout
+from codegen.sweeping.layout import RESERVED, Layout
 from codegen.sweeping.work import Rows
 
 if TYPE_CHECKING:
@@ -41,7 +41,8 @@ class Frame:
     @property
     def labels(self) -> dict[str, str]:
         """What varied quantities are called: those that have the name of a variable, with an underscore."""
-        return {name: f"{name}_" if name in RESERVED else name for name in self.cases.columns}
+        taken = {*RESERVED, *self.layout.numbers, *self.layout.dims}
+        return {name: f"{name}_" if name in taken else name for name in self.cases.columns}
 
     @property
     def case_dims(self) -> tuple[str, ...]:
@@ -68,7 +69,18 @@ class Frame:
             for name in self.layout.dims
         }
         found |= {name: (dims, shape, kind) for name, kind in self.layout.numbers.items()}
-        return found | dict.fromkeys(WORDS, (dims, shape, "str"))
+        return found | dict.fromkeys(self.layout.words, (dims, shape, "str"))
+
+    def outlined(self) -> Dataset:
+        """The data set without its numbers, which takes no memory."""
+        import xarray
+
+        fills: dict[str, Any] = {"str": "", "i4": 0, "f8": np.nan}
+        empty = {
+            name: (dims, np.broadcast_to(np.array(fills[kind]), shape))
+            for name, (dims, shape, kind) in self.variables.items()
+        }
+        return xarray.Dataset(empty, self.coordinates, dict(self.attributes))
 
 
 class Memory:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
 from codegen.loading import Matrix, few_steps
@@ -28,7 +29,18 @@ WORDS = ("status", "message")
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control", "multipliers": "multiplier"}
 """The dimension of the columns of an array; others have none."""
 _ALL = ("t", "q", "p", "u", "multipliers", "energy")
-RESERVED = frozenset((*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"))
+RATE = "d_"
+"""What names of derivatives begin with, before that of what they are of."""
+BY = "by"
+"""The dimension of the quantities by which there are derivatives."""
+_RATES = ("t", "q", "p", "u", "multipliers")
+"""Arrays that have derivatives."""
+RESERVED = frozenset(
+    (
+        *(*_ALL, *NUMBERS, *JUMPS, *WORDS, *_COLUMNS.values(), "node", "interval", "stage", "case"),
+        *(BY, f"{RATE}cost", f"{RATE}message", *(f"{RATE}{name}" for name in _RATES)),
+    )
+)
 """Names of variables and dimensions, which no varied quantity may have."""
 
 
@@ -38,7 +50,7 @@ class Shapes:
 
     `rows` maps an array to `node`, or to the number of its rows on an interval; `parts` is the number of phases, each
     of which has all intervals that are asked for, and `segments` that of segments, which share them; `steps` are those
-    of the problem itself.
+    of the problem itself. `free` are free parameters, and `by` is what there are derivatives by, if they are wanted.
     """
 
     rows: Mapping[str, str | int]
@@ -47,6 +59,8 @@ class Shapes:
     segments: int
     every: int
     steps: int
+    free: tuple[str, ...] = ()
+    by: tuple[str, ...] = ()
 
     def intervals(self, steps: int) -> int:
         """The number of intervals between the nodes that are stored."""
@@ -55,8 +69,8 @@ class Shapes:
         return self.parts * (steps // self.every)
 
 
-def shapes_of(module: Any, every: int) -> Shapes:
-    """The arrays of a module, read from it without solving."""
+def shapes_of(module: Any, every: int, sensitivities: bool = False) -> Shapes:
+    """The arrays of a module, read from it without solving; with derivatives, if `sensitivities` are wanted."""
     metadata, task = module.metadata, task_of(module)
     names, segments = component_names(metadata), segments_of(metadata)
     rows: dict[str, str | int] = {"t": "node", "q": "node", "p": "node"}
@@ -74,22 +88,44 @@ def shapes_of(module: Any, every: int) -> Shapes:
     if segments is not None:
         columns = {name: segments.columns(own)[0] for name, own in columns.items()}
     number = segments.number if segments else 0
-    return Shapes(rows, columns, metadata.get("phases", 1), number, 1, metadata["steps"] * max(1, number))
+    return Shapes(
+        rows, columns, metadata.get("phases", 1), number, 1, metadata["steps"] * max(1, number),
+        tuple(metadata["free_parameters"]), tuple(metadata["sensitivities"]) if sensitivities else (),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The arrays of all cases: their dimensions beside those of cases, the sizes of these, and the names of columns."""
+    """The arrays of all cases: their dimensions beside those of cases, the sizes of these, and the names of columns.
+
+    `free` are free parameters, which are numbers of each case.
+    """
 
     dims: Mapping[str, tuple[str, ...]]
     sizes: Mapping[str, int]
     names: Mapping[str, tuple[str, ...]]
     has_jumps: bool = False
+    free: tuple[str, ...] = ()
 
     @property
     def numbers(self) -> dict[str, str]:
         """The numbers of each case and their kinds."""
-        return {**NUMBERS, **JUMPS} if self.has_jumps else NUMBERS
+        return {**NUMBERS, **(JUMPS if self.has_jumps else {}), **{free_label(name): "f8" for name in self.free}}
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The texts of each case."""
+        return (*WORDS, f"{RATE}message") if self.has_rates else WORDS
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether there are derivatives."""
+        return BY in self.names
+
+    @property
+    def rates(self) -> tuple[str, ...]:
+        """The arrays of which derivatives are kept."""
+        return tuple(name for name in _RATES if f"{RATE}{name}" in self.dims)
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -101,7 +137,7 @@ class Layout:
         dims = self.dims[name]
         if "stage" in dims:
             array = array.reshape(-1, self.sizes["stage"], array.shape[1])
-        if array.shape == self.shapes[name] and (array.ndim == 1 or tuple(columns) == self.names[dims[-1]]):
+        if array.shape == self.shapes[name] and (array.ndim == 1 or columns == self.names[dims[-1]]):
             return array
         whole = np.full(self.shapes[name], np.nan)
         if array.ndim == 1:
@@ -111,6 +147,21 @@ class Layout:
             whole[: len(array), ..., own] = array
         return whole
 
+    def placed_rates(self, name: str, rates: NDArray[np.float64], shapes: Shapes) -> NDArray[np.float64]:
+        """Derivatives (m, ...) of a case by the quantities of its module in the shape of their array."""
+        whole = np.full(self.shapes[name], np.nan)
+        of = name.removeprefix(RATE)
+        columns = shapes.columns.get(of, ())
+        for quantity, row in zip(shapes.by, rates, strict=True):
+            place = self.names[BY].index(quantity)
+            whole[place] = self.placed(of, row, columns) if of in self.dims else row
+        return whole
+
+
+def free_label(name: str) -> str:
+    """What the variable of a free parameter is called: with an underscore, if it has the name of another one."""
+    return f"{name}_" if name in RESERVED else name
+
 
 def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) -> Layout:
     """The arrays that are kept of cases of some modules, of at most so many intervals, or of each module's own.
@@ -119,14 +170,15 @@ def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) 
     """
     shapes = tuple(shapes)
     have = [name for name in _ALL if any(name in own.rows and _has(own, name) for own in shapes)]
-    for name in keep:
-        if name not in have and not (keep is KEPT and name in _ALL):
-            raise ArgumentError(clause(f"--keep {name}: there is no such array"), f"keep some of {', '.join(have)}")
+    by = tuple(dict.fromkeys(name for own in shapes for name in own.by))
+    free = tuple(dict.fromkeys(name for own in shapes for name in own.free))
+    rates = [name for name in _RATES if by and name in have and f"{RATE}{name}" in keep]
+    keep = _required(keep, [*have, *(f"{RATE}{name}" for name in _RATES if by and name in have)], by)
     dims: dict[str, tuple[str, ...]] = {}
     names: dict[str, tuple[str, ...]] = {}
     intervals = max(own.intervals(steps or own.steps) for own in shapes)
     sizes = {"node": intervals + 1, "interval": intervals}
-    for name in (name for name in have if name in keep):
+    for name in (name for name in have if name in keep or name in rates):
         rows = {own.rows[name] for own in shapes if name in own.rows and _has(own, name)}
         if len(rows) > 1:
             raise ArgumentError(f"--keep {name}: some of the modules have it elsewhere than others", "leave it out")
@@ -139,8 +191,23 @@ def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) 
             dims[name] = (*own_dims, column)
             names[column] = tuple(dict.fromkeys(word for own in shapes for word in own.columns.get(name, ())))
             sizes[column] = len(names[column])
+    if by:
+        names[BY], sizes[BY] = by, len(by)
+        dims |= {f"{RATE}{name}": (BY,) for name in ("cost", *map(free_label, free))}
+        dims |= {f"{RATE}{name}": (BY, *dims[name]) for name in rates}
     used = {dim for own_dims in dims.values() for dim in own_dims}
-    return Layout(dims, {dim: size for dim, size in sizes.items() if dim in used}, names)
+    return Layout(dims, {dim: size for dim, size in sizes.items() if dim in used}, names, free=free)
+
+
+def _required(keep: Sequence[str], have: Sequence[str], by: Sequence[str]) -> Sequence[str]:
+    """The names of arrays to be kept; ArgumentError where one is none."""
+    for name in keep:
+        if name in have or (keep is KEPT and name in _ALL):
+            continue
+        if name.startswith(RATE) and name.removeprefix(RATE) in _RATES and not by:
+            raise ArgumentError(clause(f"--keep {name}: there are no derivatives"), "give --sensitivities as well")
+        raise ArgumentError(clause(f"--keep {name}: there is no such array"), f"keep some of {', '.join(have)}")
+    return keep
 
 
 def _has(own: Shapes, name: str) -> bool:

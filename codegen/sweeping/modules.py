@@ -13,6 +13,7 @@ from codegen import compiler, loading
 from codegen.author.problem_file import argument_names
 from codegen.errors import ArgumentError, CodegenError
 from codegen.machine_code import ahead_of_time
+from codegen.solutions.sensitivities import require_sensitive
 from codegen.solving.request import Request
 from codegen.sweeping.case import Variant
 from codegen.sweeping.cases import Cases
@@ -82,7 +83,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
         if request.driver == "newton":
             said += ahead_of_time.require(made.path, module, made.written, working)[1]
     variants = {
-        key: Variant(derived[key][1].path, shapes_of(derived[key][0], request.every))
+        key: Variant(derived[key][1].path, shapes_of(derived[key][0], request.every, request.sensitivities))
         if key in derived
         else Variant(None, None, str(errors[key]))
         for key in combinations
@@ -95,7 +96,7 @@ def _derived(request: Request, arguments: dict[str, str]) -> tuple[Any, compiler
     assert isinstance(request.problem, str | Path), "what is not built is a file"
     made = compiler.build(
         request.problem, {**request.arguments, **arguments}, scheme=request.scheme, method=request.method,
-        controls=request.controls,
+        controls=request.controls, sensitivities=request.sensitivities,
     )  # fmt: skip
     return loading.load(made.path), made
 
@@ -106,6 +107,8 @@ def _fitting(request: Request, cases: Cases, module: Any, arguments: Sequence[st
         remedy = "sweep a simulation or an optimisation; codegen warp registers many pairs of images"
         raise ArgumentError(f"particles that are connected cannot be swept ({module.metadata['problem']})", remedy)
     request.driver_for(module)
+    if request.sensitivities:
+        require_sensitive(module)
     varied = quantities(cases.columns, module, arguments)
     require_fitting(varied, cases.columns)
     if request.steps is not None and any(quantity.kind == STEPS for quantity in varied):
@@ -120,7 +123,7 @@ def _built(request: Request, cases: Cases) -> Modules:
         module = loading.load(request.problem)
     varied = _fitting(request, cases, module, ())
     file = getattr(module, "__file__", None)
-    variant = Variant(Path(file) if file else None, shapes_of(module, request.every))
+    variant = Variant(Path(file) if file else None, shapes_of(module, request.every, request.sensitivities))
     return Modules((), varied, {(): variant}, module, ())
 
 

@@ -69,13 +69,22 @@ def _silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
     yield lambda done, text: None
 
 
-def outcome_of(request: SweepRequest, working: Working = nullcontext, progress: Progress = _silent) -> SweepOutcome:
-    """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long."""
+def outcome_of(
+    request: SweepRequest,
+    working: Working = nullcontext,
+    progress: Progress = _silent,
+    require: Callable[[Dataset], None] = lambda outlined: None,
+) -> SweepOutcome:
+    """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long.
+
+    `require` is given the data set as it is before anything is solved, and may refuse it.
+    """
     begin = time.perf_counter()
     require_xarray()
     with connected(request.cluster) as cluster:
         modules = modules_of(request.solve, request.cases, working)
         work, frame = _planned(request, modules)
+        require(frame.outlined())
         finish = _into_store if request.is_store else _into_memory
         team = Team(request.workers, cluster, working, progress, {})
         tally, dataset = finish(request, modules, work, frame, team)
@@ -192,7 +201,7 @@ def _chunks(request: SweepRequest, modules: Modules, work: Work, tried: Attempt)
     arguments = {cases.axes[name] for name in modules.arguments}
     whole = [axis not in arguments or not cases.is_grid for axis in range(len(cases.shape))]
     run = replace(work.run, steps=tried.steps or work.run.steps)
-    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations)
+    size = request.chunk or about_a_second(modules.first, work.driver, run, tried.iterations, work.layout.has_rates)
     return blocks_of(cases.shape, size, whole)
 
 

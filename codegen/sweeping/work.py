@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 
 from codegen import loading
 from codegen.solutions.result import Run
+from codegen.solutions.sensitivities import UNSOLVED
 from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
 from codegen.sweeping.cases import Cases, rows_of
 from codegen.sweeping.chunks import Chunks, Piece
 from codegen.sweeping.continuation import Continuation, Start
 from codegen.sweeping.jumps import along_dimensions, improved, jumps_of
-from codegen.sweeping.layout import JUMPS, WORDS, Layout
+from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import Quantity, as_argument
+from codegen.sweeping.rates import CaseRates, Wanted
 from codegen.sweeping.statuses import LOST, Tally
 
 Rows = dict[str, NDArray[Any]]
@@ -185,7 +187,13 @@ class Work:
         if variant.shapes is None:
             return None
         run = replace(self.run, steps=self.steps or variant.shapes.steps)
-        return Varied(self._module(variant), self.driver, run)
+        return Varied(self._module(variant), self.driver, run, self._wanted(variant))
+
+    def _wanted(self, variant: Variant) -> Wanted | None:
+        if variant.shapes is None or not variant.shapes.by:
+            return None
+        varied = tuple(own for own in self.quantities if own.kind != "argument")
+        return Wanted(varied, self.layout.rates, self.warm_starts)
 
     def _order(self, piece: Piece, families: NDArray[np.intp]) -> NDArray[np.intp]:
         if piece.is_grid:
@@ -207,11 +215,23 @@ class Work:
         """Put the arrays of a solution into its row."""
         if not outcome.is_solved:
             return
-        assert variant.shapes is not None, "what is solved has a module"
+        shapes, outline = variant.shapes, outcome.outline
+        assert shapes is not None, "what is solved has a module"
         for name in self.layout.dims:
-            if name in outcome.outline.arrays:
-                columns = variant.shapes.columns.get(name, ())
-                rows[name][place] = self.layout.placed(name, outcome.outline.arrays[name], columns)
+            if name in outline.arrays:
+                rows[name][place] = self.layout.placed(name, outline.arrays[name], shapes.columns.get(name, ()))
+        for name, value in outline.free.items():
+            rows[free_label(name)][place] = value
+        if outcome.rates is not None:
+            self._place_rates(rows, place, shapes, outcome.rates)
+
+    def _place_rates(self, rows: Rows, place: int, shapes: Shapes, found: CaseRates) -> None:
+        """Put the derivatives of a solution into its row, where there are some, and what is to be said of them."""
+        rows[f"{RATE}message"][place] = found.message
+        for name in self.layout.dims:
+            if name.startswith(RATE):
+                array = found.arrays.get(name)
+                rows[name][place] = np.nan if array is None else self.layout.placed_rates(name, array, shapes)
 
     def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
         """A chunk whose rows are where they belong."""
@@ -231,4 +251,7 @@ class Work:
         rows: Rows = {name: np.full((number, *self.layout.shapes[name]), np.nan) for name in self.layout.dims}
         for name, kind in self.layout.numbers.items():
             rows[name] = np.full(number, -1 if kind == "i4" else np.nan, kind)
-        return rows | {name: np.full(number, "", object) for name in WORDS}
+        rows |= {name: np.full(number, "", object) for name in self.layout.words}
+        if self.layout.has_rates:
+            rows[f"{RATE}message"][:] = f"no sensitivities: {UNSOLVED}"
+        return rows

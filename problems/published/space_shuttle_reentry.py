@@ -2,13 +2,14 @@
 
 Feet, slugs, seconds and radians; the altitude is in units of 1e5 ft, the speed in units of 1e4 ft/s. The angle of
 attack alpha and the bank angle are the controls, the flight time is free. With `heat_limit` the heating of the wing's
-leading edge stays below that many BTU per square foot and second, 70 in the source. Source: Betts, Practical Methods
-for Optimal Control, 3rd ed., example 6.1; PSOPT, example "shuttle_reentry"; dymos, example "reentry".
+leading edge stays below that many BTU per square foot and second, 70 in the source; sweeps vary it by the parameter
+heat_max of the module. Source: Betts, Practical Methods for Optimal Control, 3rd ed., example 6.1; PSOPT, example
+"shuttle_reentry"; dymos, example "reentry".
 """
 
 from sympy import Expr, cos, exp, pi, rad, sin, sqrt
 
-from codegen import Control, controls, free_parameter, states
+from codegen import Control, controls, free_parameter, parameter, states
 
 
 def problem(heat_limit: float = 0) -> Control:
@@ -46,7 +47,7 @@ def problem(heat_limit: float = 0) -> Control:
             alpha: (-pi / 2, pi / 2),
             bank: (rad(-89), rad(1)),
         },
-        path=[heating(density, v, degrees) <= heat_limit] if heat_limit else [],
+        path=[heating(density, v, degrees) <= parameter("heat_max", heat_limit)] if heat_limit else [],
         guess={alpha: 0, bank: rad(1)},
         steps=200,
     )

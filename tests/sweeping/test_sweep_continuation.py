@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from codegen.sweeping.continuation import OTHERS, Continuation
 class Found:
     name: str
     is_start: bool
+    has_tangent: bool = False
+
+    def without_tangent(self):
+        return replace(self, has_tangent=False)
 
 
 def continuation(places, families=None, warm=True):
@@ -52,6 +56,37 @@ def test_on_a_straight_part_of_the_path_along_the_secant():
     chain = Continuation(points, np.zeros(5, int), True)
     starts = [recorded(chain, place)[0] for place in range(5)]
     assert starts == [[None], ["case 0"], ["case 0 through case 1 by 1"], ["case 2"], ["case 3"]]
+
+
+def test_along_the_tangent_where_it_is_known_and_along_both_on_a_straight_part():
+    chain, starts = continuation([0, 1, 2, 9]), []
+
+    def attempt(start):
+        starts.append(start)
+        return Found(f"case {len(starts) - 1}", True, has_tangent=True)
+
+    for place in range(4):
+        (found,) = chain.solve(place, attempt)
+        assert not found.has_tangent  # what is kept takes no memory for it
+    assert starts[0] is None
+    assert [(s.solution.name, s.is_along_tangent, s.factor) for s in starts[1:]] == [
+        ("case 0", True, 0.0), ("case 1", True, 1.0), ("case 2", True, 0.0),
+    ]  # fmt: skip
+    assert [s.before and s.before.name for s in starts[1:]] == [None, "case 0", None]
+    assert all(s.solution.has_tangent for s in starts[1:])
+
+
+def test_where_a_tangent_is_no_help_its_solution_is_tried_after_the_own_guess():
+    chain = continuation([0, 1.0])
+    chain.solve(0, lambda start: Found("case 0", True, has_tangent=True))
+    starts = []
+
+    def attempt(start):
+        starts.append(start)
+        return Found("case 1", len(starts) == 3)
+
+    chain.solve(1, attempt)
+    assert [start and start.is_along_tangent for start in starts] == [True, None, False]
 
 
 def test_where_a_secant_is_no_help_its_end_is_tried_after_the_own_guess():

@@ -13,6 +13,7 @@ WORDS = {
     "map": (ORBIT, "--vary", "r1=5.9:6.1:9", "--vary", "m=90:100:8"),
     "prescribed": (ORBIT, "--vary", "start.r=4.9:5.1:4"),
     "samples": (ORBIT, "--sample", "m=normal(100, 5)", "--cases", "20"),
+    "front": (ORBIT, "--vary", "duration=120:140:5", "--vary", "end.phi=6,6.3", "--pareto", "cost,duration"),
     "simulation": (PENDULUM, "--vary", "duration=1,2,3"),
     "simulations": (PENDULUM, "--sample", "duration=uniform(1, 2)", "--cases", "10"),
     "modules": (PENDULUM, "--vary", "form=hamiltonian,lagrangian", "--scheme", "stormer-verlet"),

@@ -54,6 +54,11 @@ LINES = {
     "argument-of-wrong-type": ("sweep P --vary form=newtonian --out s.zarr", "hamiltonian or lagrangian"),
     "too-many-modules": ("sweep O --vary revolutions=1:2:1001 --out s.zarr", "1001 modules"),
     "beyond-memory": ("sweep O --vary r1=5:6:3 --steps 900000000000 --out s.zarr", "GB of memory"),
+    "pareto-no-plot": ("sweep O --vary r1=5:6:3 --out s.zarr --pareto cost,duration", "--pareto without --plot"),
+    "pareto-one": ("sweep O --vary r1=5:6:3 --out s.zarr --plot s.png --pareto cost", "two objectives"),
+    "pareto-unknown": ("sweep O --vary r1=5:6:3 --out s.zarr --plot s.png --pareto cost,time", "--pareto time"),
+    "sensitivities-of-simulation": ("sweep P --vary duration=1,2 --sensitivities --out s.zarr", "sensitivities are"),
+    "keep-derivatives-of-nothing": ("sweep O --vary r1=5:6:3 --keep q,d_q --out s.zarr", "give --sensitivities"),
     "no-problem": ("sweep nothing.py --vary r1=5:6:3 --out s.zarr", "nothing.py: no such file"),
 }  # fmt: skip
 
