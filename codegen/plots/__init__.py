@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
+from codegen.plots.closed_loop import ClosedLoopData, closed_loop_figure
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.simulation import simulation_figure
@@ -22,10 +23,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Drawings",
+    "closed_loop_figure",
     "connect_figure",
     "control_figure",
     "label",
     "save",
+    "save_closed_loop",
     "save_sweep",
     "simulation_figure",
     "sweep_figure",
@@ -52,6 +55,12 @@ def save_sweep(data: Dataset, path: Path) -> None:
     """Draw a sweep into a file whose ending matplotlib knows."""
     with matplotlib.rc_context(STYLE):
         _write(sweep_figure(data), path)
+
+
+def save_closed_loop(loop: ClosedLoopData, path: Path) -> None:
+    """Draw what came of a closed loop into a file whose ending matplotlib knows."""
+    with matplotlib.rc_context(STYLE):
+        _write(closed_loop_figure(loop), path)
 
 
 def _write(figure: Figure, path: Path) -> None:
