@@ -1,4 +1,4 @@
-"""Keep the pole of a cart upright: the problem that a controller solves anew at every sampling time.
+"""Keep the pole of a cart upright, as a controller does that solves this problem at every sampling time.
 
 Cart (1 kg), pole (0.3 kg on a massless rod of 0.5 m) and the limit of 20 N are those of `cart_pole`, but the angle
 counts from the upright position. From the present state on, over the next 2 s, the cart is to be at `place` with the
@@ -8,7 +8,7 @@ pole upright. `push` is a force on the bob along the rail, where it is known. So
 With `plant=True` it is the system alone, for `codegen.close_loop`: u and push are numbers, and time is a sampling time.
 """
 
-from sympy import cos, sin
+from sympy import cos
 
 from codegen import Control, Simulate, control, coordinates, parameter, parameters
 

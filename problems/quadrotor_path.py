@@ -1,4 +1,4 @@
-"""Fly a quadrotor along a figure of eight in space: what a controller solves at every sampling time.
+"""Fly a quadrotor along a figure of eight, as a controller does that solves this problem at every sampling time.
 
 The state is the place, the velocity and the attitude (roll, pitch and yaw, x-y-z Euler angles); the inputs are the
 thrust for each kg and the rates of the body, which a loop inside the vehicle follows. Over the next 1.5 s place and

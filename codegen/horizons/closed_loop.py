@@ -37,10 +37,11 @@ def close_loop(
     cost. Or it is a function (state, inputs, t, seconds) of arrays (states,) and (controls,) that returns the state
     after so many seconds. `start` is the first state, (states,) or by name, by default the problem's own.
 
-    `disturbances` are parameters of the plant by name, numbers or functions of time, which the controller does not know;
-    what it is to know are its own `parameters`. To what it measures, `noise` adds normally distributed errors of that
-    standard deviation, a number, an array (states,) or a mapping by name, from the random `seed`. With a `delay` of n
-    sampling times inputs act so much later than they should; before, `inputs` (controls,) act, zero unless given.
+    `disturbances` are parameters of the plant by name, numbers or functions of time, of which the controller does not
+    know; what it is to know are its own `parameters`. To what it measures, `noise` adds normally distributed errors of
+    that standard deviation, a number, an array (states,) or a mapping by name, from the random `seed`. With a `delay`
+    of n sampling times inputs act so much later than they should; before, `inputs` (controls,) act, zero unless
+    given.
 
     A plant that runs away ends the loop; `message` of the result says so. Raises ArgumentError for a plant that does
     not fit the controller, NumericsError for unusable numbers, and what `codegen.build` does for a problem file.

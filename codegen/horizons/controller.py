@@ -17,7 +17,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.horizons.interface import Interface, interface_of, module_of, number
-from codegen.horizons.judgement import Candidate, better, candidate, is_solution
+from codegen.horizons.judgement import better, candidate, is_solution
 from codegen.horizons.options import Options
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
@@ -25,6 +25,8 @@ from codegen.loading import Grid, Matrix, Vector
 from codegen.solutions.result import Run
 
 UNFINISHED = ("iteration limit", "time limit")
+MOST = 3000
+"""Iterations at most, as for every solve."""
 WARM_UPS = 5
 """Solves before the first sampling time, by which one iteration is timed."""
 
@@ -152,68 +154,71 @@ class Controller:
         """Solve, judge what was found, and keep as the plan what is applied."""
         module, deadline = self.module, self.options.deadline
         grid = self._grid(given)
-        shifted = None if self._plan is None else self._shift(self._plan)
+        is_first = self._plan is None
+        guess = module.initial_guess(grid) if self._plan is None else self._shifted(grid, self._plan)
         limit = math.inf if deadline is None else deadline - self._reserve - (perf_counter() - begin)
+        found, status, iterations = None, "time limit", 0
+        message = f"{status}: there was no time for an iteration"
         if limit > 0.0:
-            solution = self._solve(given, shifted, limit)
-            status, message, iterations = solution.status, solution.message, solution.iterations
-            best = found = candidate(module, grid, solution.unknowns)
-            run = Run(self.steps, guess=shifted, scaling=self._scaling)
-            if status == "solved" and not is_solution(module, grid, found, run, solution, self.options.tolerance):
+            most = None if is_first else self.options.newton_steps
+            status, message, unknowns, iterations = self._solve(grid, guess, not is_first, limit, most)
+            best = found = candidate(module, grid, unknowns)
+            run = Run(self.steps, guess=guess, scaling=self._scaling)
+            if status == "solved" and not is_solution(module, grid, found, run, iterations, self.options.tolerance):
                 status = "inaccurate"
                 message = f"{status}: the solver reported success, but the equations have residual {found.residual:.1e}"
-        else:
-            found, status, iterations = None, "time limit", 0
-            message = f"{status}: there was no time for an iteration"
-        fell_back = False
         if status != "solved":
-            best = self._applied(grid, status, found, shifted)
-            fell_back = best is not found
-            origin = "shifted plan before" if shifted is not None else "problem's guess"
-            where = f"{origin}" if fell_back else "last iterate"
-            message = f"{message}; applied: the {where}, whose equations hold to {best.residual:.1e}"
+            before = candidate(module, grid, guess)
+            best = before
+            if found is not None and status in UNFINISHED:
+                best = better(found, before, math.sqrt(self.options.tolerance))
+            plan = "problem's own guess" if is_first else "plan before, shifted"
+            origin = plan if best is before else "last iterate"
+            message = f"{message}; applied is the {origin}, whose equations hold to {best.residual:.1e}"
         self._plan = best.unknowns
         seconds = perf_counter() - begin
-        in_time = deadline is None or seconds <= deadline
         return Feedback(
-            t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds, in_time,
-            fell_back,
+            t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds,
+            deadline is None or seconds <= deadline, best is not found,
         )  # fmt: skip
 
-    def _applied(self, grid: Grid, status: str, found: Candidate | None, shifted: Vector | None) -> Candidate:
-        """What is applied where there is no solution: what was found, or the plan before, of which there is one."""
-        unknowns = self.module.initial_guess(grid) if shifted is None else shifted
-        before = candidate(self.module, grid, self.module.with_pinned_values(grid, unknowns))
-        if found is None or status not in UNFINISHED:
-            return before
-        return better(found, before, math.sqrt(self.options.tolerance))
+    def _shifted(self, grid: Grid, plan: Vector) -> Vector:
+        """A plan of one sampling time before, with the state that was measured."""
+        unknowns = self._shift(plan)
+        self.module.pin_values(grid, unknowns, self.module.views(grid, unknowns)[0])
+        return unknowns
 
-    def _solve(self, given: dict[str, Any], guess: Vector | None, limit: float, newton_steps: int | None = None) -> Any:
-        most = self.options.newton_steps if newton_steps is None else newton_steps
-        stops = {} if most is None or guess is None else {"max_iterations": most}
-        return self.module.solve(
-            self.steps, guess=guess, warm=guess is not None, tolerance=self.options.tolerance, time_limit=limit,
-            scaling=self._scaling, **stops, **given,
-        )  # fmt: skip
+    def _solve(
+        self, grid: Grid, guess: Vector, is_warm: bool, limit: float, most: int | None
+    ) -> tuple[str, str, Vector, int]:
+        """(status, message, unknowns, iterations), as the module's `solve`, which makes more of its solution."""
+        module, options = self.module, self.options
+        with module.packed_operations():
+            status, message, point, iterations = module.optimise(
+                grid, guess, options.tolerance, MOST if most is None else most, is_warm, self._scaling,
+                module.Log(limit),
+            )  # fmt: skip
+        return status, message, point.unknowns, iterations
 
     def _grid(self, given: dict[str, Any]) -> Grid:
+        """The grid with all values of a sampling time, and with its bounds, which are asked for several times."""
         try:
-            grid: Grid = self.module.make_grid(self.steps, **given)
+            grid: Any = self.module.make_grid(self.steps, **given)
         except ValueError as error:  # modules know nothing of errors of this package
             raise NumericsError(str(error), "correct the run-time values") from error
-        return grid
+        if self.module.metadata["inequalities"]:
+            grid = grid._replace(bounds=self.module.variable_bounds(grid))
+        return grid  # type: ignore[no-any-return]
 
     def _warm_up(self, grid: Grid) -> None:
         """Solve the problem as it stands: that compiles, decides on sizes, and tells how long an iteration takes."""
-        given = self._values.given(0.0)
-        first = self._solve(given, None, math.inf)
-        if self._scaling == "auto" and first.status == "solved":
-            is_ordinary = not self.module.scaled_grid(grid, first.unknowns).sizes.size
+        status, _, unknowns, _ = self._solve(grid, self.module.initial_guess(grid), False, math.inf, None)
+        if self._scaling == "auto" and status == "solved":
+            is_ordinary = not self.module.scaled_grid(grid, unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
         seconds = []
         for _ in range(WARM_UPS):
             begin = perf_counter()
-            solution = self._solve(given, first.unknowns, math.inf, newton_steps=1)
-            candidate(self.module, grid, solution.unknowns)
+            candidate(self.module, grid, self._solve(grid, self._shifted(grid, unknowns), True, math.inf, 1)[2])
             seconds.append(perf_counter() - begin)
         self._reserve = min(seconds)

@@ -108,9 +108,7 @@ def interface_of(module: Any) -> Interface:
     inputs = component_names(metadata)["u"]
     if not inputs:
         raise ArgumentError(f"{problem} has no controls", "give a problem with codegen.control(...)")
-    return Interface(
-        states, inputs, keys_of(module), tuple(name for end, name in ends if end == "end")
-    )
+    return Interface(states, inputs, keys_of(module), tuple(name for end, name in ends if end == "end"))
 
 
 def keys_of(module: Any) -> dict[str, str]:

@@ -137,4 +137,3 @@ class ModulePlant:
             mass = np.column_stack([momenta(v + unit) - momenta(v) for unit in np.eye(q.size)])
             v = v + np.linalg.solve(mass, missing)
         return v
-

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.errors import ArgumentError, clause
 from codegen.horizons.controller import Controller, Feedback
 from codegen.loading import Matrix, Vector
 
@@ -20,8 +22,8 @@ class ClosedLoop:
     `times` (M + 1,) and the plant's `states` (M + 1, states) begin with the start; `measured` (M, states) is what the
     controller was told, `inputs` (M, controls) what acted from each time on. Of each sampling time there are `statuses`
     (M,), `iterations` (M,), `residuals` (M,) and `costs` (M,) of what was planned, `latencies` (M,), the seconds from
-    the call to the inputs, `in_time` (M,) and `fell_back` (M,), as in Feedback. `message` says why the loop ended early,
-    and is empty where it did not.
+    the call to the inputs, `in_time` (M,) and `fell_back` (M,), as in Feedback. `message` says why the loop ended
+    early, and is empty where it did not.
     """
 
     title: str
@@ -43,6 +45,11 @@ class ClosedLoop:
     fell_back: NDArray[np.bool_] = field(repr=False)
 
     @property
+    def names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Those of states and of inputs, in the order of columns."""
+        return self.state_names, self.input_names
+
+    @property
     def counts(self) -> dict[str, int]:
         """How many sampling times ended with each status."""
         return dict(Counter(self.statuses.tolist()))
@@ -56,11 +63,18 @@ class ClosedLoop:
         """The seconds within which so many per cent of the sampling times had their inputs."""
         return float(np.percentile(self.latencies, percent)) if self.latencies.size else float("nan")
 
-    def plot(self, path: Path | str) -> None:
-        """Draw states, inputs and latencies into a file whose ending matplotlib knows."""
+    def plot(self, path: Path | str, references: Mapping[str, Callable[[float], float]] | None = None) -> None:
+        """Draw states, inputs and latencies into a file whose ending matplotlib knows.
+
+        `references` are functions of time that states or inputs were to follow, by name. Raises ArgumentError for
+        another name.
+        """
         from codegen.plots import save_closed_loop
 
-        save_closed_loop(self, Path(path))
+        wanted, known = references or {}, (*self.state_names, *self.input_names)
+        if unknown := [name for name in wanted if name not in known]:
+            raise ArgumentError(clause(f"a reference of {unknown[0]!r}"), clause(f"use {', '.join(known)}"))
+        save_closed_loop(self, Path(path), wanted)
 
 
 class Recording:
@@ -86,10 +100,11 @@ class Recording:
         """The result; `message` says why it ended early."""
         controller, n = self.controller, self.count
         iterations, residuals, costs, latencies = self.numbers[:n].T
+        times = np.asarray(controller.sample * np.arange(n + 1.0))
         statuses, in_time, fell_back = zip(*self.feedback, strict=True) if n else ((), (), ())
         return ClosedLoop(
             controller.module.metadata["title"], controller.states, controller.inputs, controller.sample,
-            controller.options.deadline, message, controller.sample * np.arange(n + 1), self.states[: n + 1],
-            self.measured[:n], self.inputs[:n], np.array(statuses, dtype=np.str_), iterations.astype(np.intp),
+            controller.options.deadline, message, times, self.states[: n + 1], self.measured[:n],
+            self.inputs[:n], np.array(statuses, dtype=np.str_), iterations.astype(np.intp),
             residuals, costs, latencies, np.array(in_time, dtype=bool), np.array(fell_back, dtype=bool),
         )  # fmt: skip

@@ -33,8 +33,8 @@ class Shift:
 def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
     """The shift by so many intervals of a grid, a number that need not be whole; intervals are equally long.
 
-    What only the ends have, such as their velocities, stays where it is, since it is zero at inner nodes; so do unknowns
-    that no node has.
+    What only the ends have, such as their velocities, stays where it is, since it is zero at inner nodes; so do
+    unknowns that no node has.
     """
     size = grid.is_multiplier.size
     numbers = np.arange(size, dtype=float)

@@ -20,10 +20,15 @@ class Values:
     """
 
     def __init__(
-        self, interface: Interface, values: Mapping[str, Moving], of_solves: Mapping[str, Any], what: str = "the problem"
+        self,
+        interface: Interface,
+        values: Mapping[str, Moving],
+        of_solves: Mapping[str, Any],
+        what: str = "the problem",
     ) -> None:
         if not isinstance(values, Mapping):
-            raise ArgumentError(clause(f"run-time values of {what} are {values!r}"), 'give names and values, such as {"place": 1.0}')
+            finding = clause(f"run-time values of {what} are {values!r}")
+            raise ArgumentError(finding, 'give names and values, such as {"place": 1.0}')
         self._interface, self._of_solves, self._what = interface, dict(of_solves), what
         interface.require_known(values, what)
         self._constants = {n: number(v, f"parameter {n}") for n, v in values.items() if not callable(v)}

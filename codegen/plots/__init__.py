@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
-from codegen.plots.closed_loop import ClosedLoopData, closed_loop_figure
+from codegen.plots.closed_loop import ClosedLoopData, References, closed_loop_figure
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.simulation import simulation_figure
@@ -57,10 +57,10 @@ def save_sweep(data: Dataset, path: Path) -> None:
         _write(sweep_figure(data), path)
 
 
-def save_closed_loop(loop: ClosedLoopData, path: Path) -> None:
-    """Draw what came of a closed loop into a file whose ending matplotlib knows."""
+def save_closed_loop(loop: ClosedLoopData, path: Path, references: References) -> None:
+    """Draw what came of a closed loop, and what it was to follow, into a file whose ending matplotlib knows."""
     with matplotlib.rc_context(STYLE):
-        _write(closed_loop_figure(loop), path)
+        _write(closed_loop_figure(loop, references), path)
 
 
 def _write(figure: Figure, path: Path) -> None:

@@ -1,8 +1,8 @@
 """The program of a moving horizon in CasADi, with the state and the present time as its parameters.
 
 It is that of `casadi_gallery.py`, but the first node is no unknown. Unknowns are in the order of time, u_0, q_1, u_1,
-..., q_N, and at last the velocity at the end where there is one. A solve begins from the last solution, primal and dual,
-shifted by one interval. IPOPT starts with the options that it has for that, and the active-set method needs none.
+..., q_N, and at last the velocity at the end where there is one. A solve begins from the last solution, primal and
+dual, shifted by one interval. IPOPT starts with the options that it has for that; the active-set method needs none.
 """
 
 import subprocess
@@ -110,7 +110,7 @@ class MovingHorizon:
         n, m = problem.dimension, problem.controls
         rates = 0 if problem.dynamics else n
         tables = [np.full((steps, n + m), value) for value in (-np.inf, np.inf, 0.0)]
-        for (first, bounds) in ((0, problem.control_bounds), (m, problem.bounds)):
+        for first, bounds in ((0, problem.control_bounds), (m, problem.bounds)):
             for i, (least, greatest) in bounds.items():
                 tables[0][:, first + i], tables[1][:, first + i] = least, greatest
         for k in range(steps):

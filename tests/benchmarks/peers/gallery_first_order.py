@@ -155,9 +155,7 @@ def quadrotor_path() -> GalleryProblem:
     return GalleryProblem(
         controls=4,
         dynamics=dynamics,
-        cost=lambda q, v, u, t: (
-            track(q, t) + 0.001 * (u[0] - g) ** 2 + 0.01 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2)
-        ),
+        cost=lambda q, v, u, t: track(q, t) + 0.001 * (u[0] - g) ** 2 + 0.01 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2),
         terminal_cost=lambda q, v, p: track(q, p[0] if p else 1.5),
         duration=lambda p: 1.5,
         start=(0.0, 0.0, 1.5, *[0.0] * 6),
