@@ -54,7 +54,9 @@ def close_loop(
     acts_on = plant_of(plant, arguments or {}, names, disturbances or {})
     state = controller.first_state() if start is None else vector(start, controller.states, "the start")
     deviations = _deviations(controller, noise)
-    first = np.zeros(len(controller.inputs)) if inputs is None else vector(inputs, controller.inputs, "the inputs")
+    first = (
+        np.zeros(len(controller.inputs)) if inputs is None else vector(inputs, controller.inputs, "the array of inputs")
+    )
     waiting = [first] * delay
     random, recording = np.random.default_rng(seed), Recording(controller, samples, state)
     for k in range(samples):

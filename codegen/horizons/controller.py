@@ -65,9 +65,10 @@ class Controller:
 
     A solve begins from the last plan, shifted by a sampling time, in which the state is the measured one: its first
     Newton step is the tangential predictor. It ends at the `tolerance`, or after `newton_steps` of them (real-time
-    iteration), or before the `deadline`, in seconds from the call. Then the last iterate is applied, or the plan before
-    where that is better: where its equations hold and those of the iterate do not, or both do and it is cheaper. A
-    solve that fails falls back on the plan before. `scaling` is "auto", which decides once, at a first solution,
+    iteration; a single one ends at the first bound that it meets, so that with bounds three are better), or before the
+    `deadline`, in seconds from the call. Then the last iterate is applied, or the plan before where that is better:
+    where its equations hold and those of the iterate do not, or both do and it is cheaper. A solve that fails falls
+    back on the plan before. `scaling` is "auto", which decides once, at a first solution,
     whether the solver works in parts of sizes, or "none".
 
     `states` and `inputs` are names in the order of arrays. `last` is the Feedback of the last step. Nothing is kept of

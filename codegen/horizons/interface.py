@@ -21,6 +21,7 @@ from codegen.machine_code import ahead_of_time
 from codegen.solutions.result import component_names
 from codegen.solving.request import Request
 
+_SITES = {"nodal": "nodes", "stages": "stages"}
 WHOLE_STATE = "write the state that is measured into start={...}"
 
 
@@ -126,10 +127,10 @@ def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
         (metadata["bodies"] > 1, "has several bodies", "write each as states and controls of its own"),
         (metadata.get("phases", 1) > 1, "has several phases", "give a problem of one phase"),
         ("segments" in metadata, "has values of the past", "write them as states of their own"),
-        (bool(metadata.get("inner_times", 0)), "has conditions at inner times", "write them as path= or as a cost"),
+        (bool(metadata.get("inner_times", 0)), "has conditions at inner times", "write them as path=, or as a cost"),
         ("duration" not in keywords, "has a free duration", "give duration= a number, or solve it once"),
         (
-            metadata["controls"] != "interval", f"has controls on {metadata['controls']}s",
+            metadata["controls"] != "interval", f"has controls at {_SITES.get(metadata['controls'], 'other places')}",
             "build it with controls='interval'",
         ),
     )  # fmt: skip

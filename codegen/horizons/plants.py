@@ -54,6 +54,8 @@ def plant_of(
     if missing := [name for name in inputs if name not in parameters]:
         finding = f"the plant has no parameter {missing[0]}, which is an input of the controller"
         raise ArgumentError(finding, f'declare it there, as in {missing[0]} = parameter("{missing[0]}", 0)')
+    if both := [name for name in inputs if name in disturbances]:
+        raise ArgumentError(f"{both[0]} is an input of the plant", "disturb another parameter")
     return ModulePlant(module, states, inputs, disturbances)
 
 
