@@ -39,7 +39,8 @@ FAST = frozenset(
     " pairwise orders legendre specialise set_values relations model problem_file phase_checks nonsmooth_costs"
     " path_modes damage damage_beyond_kernels phase_solutions newton filter import_graph batch solver refinement"
     " limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities sweep_cases"
-    " sweep_continuation sweep_processes sweep_jumps sweep_figure".split()
+    " sweep_continuation sweep_processes sweep_jumps sweep_figure shift controller closed_loop"
+    " refused_controllers".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 

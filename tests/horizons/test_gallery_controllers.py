@@ -61,6 +61,19 @@ def test_few_newton_steps_keep_it_upright_as_well(cart_pole, newton_steps, push)
     assert np.abs(loop.states[-1]).max() < 0.2
 
 
+def test_the_example_of_the_readme(cart_pole, tmp_path, monkeypatch, capsys):
+    """What stands there word for word, with the problem files of this checkout."""
+    text = (PROBLEMS.parent / "README.md").read_text(encoding="utf-8").split("## Moving horizons")[1]
+    code = text.split("```python\n")[1].split("```")[0].replace('"problems/', f'"{PROBLEMS}/')
+    monkeypatch.chdir(tmp_path)
+    found = {"codegen": codegen}
+    exec(code, found)
+    assert "{'solved': 160}" in capsys.readouterr().out
+    assert (tmp_path / "loop.png").stat().st_size > 10_000
+    assert abs(found["loop"].states[-1, 0] - 1.0) < 0.1  # at the place that it was led to
+    assert np.abs(found["loop"].states[:, 1]).max() < 0.8
+
+
 def test_a_thousand_steps_leave_no_more_than_a_hundred(cart_pole):
     controller = codegen.Controller(cart_pole)
     states = 0.05 * np.random.default_rng(0).standard_normal((1000, 4))
