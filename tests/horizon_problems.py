@@ -33,6 +33,15 @@ def regulator(is_bounded: bool = False):
 
 
 @cache
+def walled():
+    """A unit mass that has to stay on one side of a wall."""
+    x, v = states("x v")
+    u = control("u")
+    problem = {"dynamics": {x: v, v: u}, "cost": (x - 0.9) ** 2 + u**2, "bounds": {x: (None, 1)}}
+    return of_problem(Control(**problem, duration=HORIZON, start={x: 0, v: 0}, steps=STEPS))
+
+
+@cache
 def carried():
     """The same mass with a Lagrangian, a free end and a cubic spring."""
     x, dx = coordinate("x")

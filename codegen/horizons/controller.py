@@ -17,7 +17,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.horizons.interface import Interface, interface_of, module_of, number
-from codegen.horizons.judgement import better, candidate, is_solution
+from codegen.horizons.judgement import BestIterate, better, candidate, is_solution
 from codegen.horizons.options import Options
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
@@ -66,10 +66,10 @@ class Controller:
     A solve begins from the last plan, shifted by a sampling time, in which the state is the measured one: its first
     Newton step is the tangential predictor. It ends at the `tolerance`, or after `newton_steps` of them (real-time
     iteration; a single one ends at the first bound that it meets, so that with bounds three are better), or before the
-    `deadline`, in seconds from the call. Then the last iterate is applied, or the plan before where that is better:
-    where its equations hold and those of the iterate do not, or both do and it is cheaper. A solve that fails falls
-    back on the plan before. `scaling` is "auto", which decides once, at a first solution,
-    whether the solver works in parts of sizes, or "none".
+    `deadline`, in seconds from the call. Then the best feasible iterate is applied, the cheapest whose equations hold
+    to the root of the tolerance; where there is none the last iterate, or the plan before where its residual is
+    smaller. A solve that fails falls back on the plan before. `scaling` is "auto", which decides once, at a first
+    solution, whether the solver works in parts of sizes (then the best feasible iterate is the last one), or "none".
 
     `states` and `inputs` are names in the order of arrays. `last` is the Feedback of the last step. Nothing is kept of
     earlier ones. A controller may be called from any thread; calls take turns.
@@ -110,7 +110,8 @@ class Controller:
         self._of_inputs = self.module.unpack(grid, numbers)[3][0].astype(np.intp)
         self.last: Feedback | None = None
         self._plan: Vector | None = None
-        self._lock, self._scaling, self._reserve = Lock(), scaling, 0.0
+        self._feasible = math.sqrt(tolerance)
+        self._lock, self._scaling, self._reserve, self._is_plain = Lock(), scaling, 0.0, False
         self._warm_up(grid)
 
     def step(self, state: Any, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
@@ -160,9 +161,10 @@ class Controller:
         limit = math.inf if deadline is None else deadline - self._reserve - (perf_counter() - begin)
         found, status, iterations = None, "time limit", 0
         message = f"{status}: there was no time for an iteration"
+        log = BestIterate(limit, self._feasible)
         if limit > 0.0:
             most = None if is_first else self.options.newton_steps
-            status, message, unknowns, iterations = self._solve(grid, guess, not is_first, limit, most)
+            status, message, unknowns, iterations = self._solve(grid, guess, not is_first, log, most)
             best = found = candidate(module, grid, unknowns)
             run = Run(self.steps, guess=guess, scaling=self._scaling)
             if status == "solved" and not is_solution(module, grid, found, run, iterations, self.options.tolerance):
@@ -172,9 +174,12 @@ class Controller:
             before = candidate(module, grid, guess)
             best = before
             if found is not None and status in UNFINISHED:
-                best = better(found, before, math.sqrt(self.options.tolerance))
+                if log.unknowns is not None:
+                    found = better(found, candidate(module, grid, log.unknowns), self._feasible)
+                best = better(found, before, self._feasible)
             plan = "problem's own guess" if is_first else "plan before, shifted"
-            origin = plan if best is before else "last iterate"
+            iterate = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
+            origin = plan if best is before else iterate
             message = f"{message}; applied is the {origin}, whose equations hold to {best.residual:.1e}"
         self._plan = best.unknowns
         seconds = perf_counter() - begin
@@ -190,16 +195,25 @@ class Controller:
         return unknowns
 
     def _solve(
-        self, grid: Grid, guess: Vector, is_warm: bool, limit: float, most: int | None
+        self, grid: Grid, guess: Vector, is_warm: bool, log: BestIterate, most: int | None
     ) -> tuple[str, str, Vector, int]:
-        """(status, message, unknowns, iterations), as the module's `solve`, which makes more of its solution."""
-        module, options = self.module, self.options
+        """(status, message, unknowns, iterations), as the module's `solve`, which makes more of its solution.
+
+        Where sizes are ordinary, and no table has a range, that is the search alone. Then a measured state may be
+        beyond a bound, too, which `solve` would refuse: bounds hold from the first node on that can still be chosen.
+        """
+        module = self.module
+        how = self.options.tolerance, MOST if most is None else most, is_warm
         with module.packed_operations():
-            status, message, point, iterations = module.optimise(
-                grid, guess, options.tolerance, MOST if most is None else most, is_warm, self._scaling,
-                module.Log(limit),
-            )  # fmt: skip
-        return status, message, point.unknowns, iterations
+            if not self._is_plain:
+                status, message, point, iterations = module.optimise(grid, guess, *how, self._scaling, log)
+                log.unknowns = None  # which is in parts of sizes
+                return status, message, point.unknowns, iterations
+            status, point, iterations = module.minimise(grid, guess, *how, log)
+            if status == "solved":
+                return status, f"all equations hold to {point.error:.1e}", point.unknowns, iterations
+            status = module.final_status(grid, guess, point, status)
+            return status, module.describe(grid, guess, point, status)[1], point.unknowns, iterations
 
     def _grid(self, given: dict[str, Any]) -> Grid:
         """The grid with all values of a sampling time, and with its bounds, which are asked for several times."""
@@ -213,13 +227,15 @@ class Controller:
 
     def _warm_up(self, grid: Grid) -> None:
         """Solve the problem as it stands: that compiles, decides on sizes, and tells how long an iteration takes."""
-        status, _, unknowns, _ = self._solve(grid, self.module.initial_guess(grid), False, math.inf, None)
+        unlimited = BestIterate(math.inf, 0.0)
+        status, _, unknowns, _ = self._solve(grid, self.module.initial_guess(grid), False, unlimited, None)
         if self._scaling == "auto" and status == "solved":
             is_ordinary = not self.module.scaled_grid(grid, unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
+        self._is_plain = self._scaling == "none" and not hasattr(self.module, "tables_beyond")
         seconds = []
         for _ in range(WARM_UPS):
             begin = perf_counter()
-            candidate(self.module, grid, self._solve(grid, self._shifted(grid, unknowns), True, math.inf, 1)[2])
+            candidate(self.module, grid, self._solve(grid, self._shifted(grid, unknowns), True, unlimited, 1)[2])
             seconds.append(perf_counter() - begin)
         self._reserve = min(seconds)
