@@ -27,8 +27,10 @@ from codegen.solutions.result import Run
 UNFINISHED = ("iteration limit", "time limit")
 MOST = 3000
 """Iterations at most, as for every solve."""
-WARM_UPS = 5
-"""Solves before the first sampling time, by which one iteration is timed."""
+WARM_UPS = 10
+"""Solves of one iteration before the first sampling time, which are timed."""
+RESERVE = 0.6
+"""Time before a deadline in which no iteration begins, in parts of a solve of one iteration, which factors twice."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -212,6 +214,8 @@ class Controller:
             status, point, iterations = module.minimise(grid, guess, *how, log)
             if status == "solved":
                 return status, f"all equations hold to {point.error:.1e}", point.unknowns, iterations
+            if status in UNFINISHED:  # what is worst is not looked for: there is no time
+                return status, f"{status} after {iterations} iterations", point.unknowns, iterations
             status = module.final_status(grid, guess, point, status)
             return status, module.describe(grid, guess, point, status)[1], point.unknowns, iterations
 
@@ -227,8 +231,8 @@ class Controller:
 
     def _warm_up(self, grid: Grid) -> None:
         """Solve the problem as it stands: that compiles, decides on sizes, and tells how long an iteration takes."""
-        unlimited = BestIterate(math.inf, 0.0)
-        status, _, unknowns, _ = self._solve(grid, self.module.initial_guess(grid), False, unlimited, None)
+        guess = self.module.initial_guess(grid)
+        status, _, unknowns, _ = self._solve(grid, guess, False, BestIterate(math.inf, 0.0), None)
         if self._scaling == "auto" and status == "solved":
             is_ordinary = not self.module.scaled_grid(grid, unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
@@ -236,6 +240,7 @@ class Controller:
         seconds = []
         for _ in range(WARM_UPS):
             begin = perf_counter()
-            candidate(self.module, grid, self._solve(grid, self._shifted(grid, unknowns), True, unlimited, 1)[2])
+            again = self._solve(grid, self._shifted(grid, unknowns), True, BestIterate(math.inf, 0.0), 1)[2]
+            candidate(self.module, grid, again)
             seconds.append(perf_counter() - begin)
-        self._reserve = min(seconds)
+        self._reserve = RESERVE * min(seconds)
