@@ -32,6 +32,8 @@ def close_loop(
 ) -> ClosedLoop:
     """Let a controller act upon a plant for so many sampling times, and return the ClosedLoop that came of it.
 
+    The controller begins without a plan, whatever it did before.
+
     `plant` is a problem file (with `arguments` of its problem()), a generated module or its file, with the controller's
     states in its start and a parameter for each input: a `Simulate`, or for `dynamics` a `Control` without controls and
     cost. Or it is a function (state, inputs, t, seconds) of arrays (states,) and (controls,) that returns the state
@@ -54,11 +56,10 @@ def close_loop(
     acts_on = plant_of(plant, arguments or {}, names, disturbances or {})
     state = controller.first_state() if start is None else vector(start, controller.states, "the start")
     deviations = _deviations(controller, noise)
-    first = (
-        np.zeros(len(controller.inputs)) if inputs is None else vector(inputs, controller.inputs, "the array of inputs")
-    )
-    waiting = [first] * delay
+    inputs = np.zeros(len(controller.inputs)) if inputs is None else inputs
+    waiting = [vector(inputs, controller.inputs, "the array of inputs")] * delay
     random, recording = np.random.default_rng(seed), Recording(controller, samples, state)
+    controller.reset()
     for k in range(samples):
         t = k * controller.sample
         measured = state + deviations * random.standard_normal(state.size)

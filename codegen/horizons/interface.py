@@ -136,13 +136,7 @@ def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
     )  # fmt: skip
 
 
-def module_of(
-    problem: Any,
-    arguments: Mapping[str, Any],
-    scheme: str | None,
-    method: str | None,
-    sensitivities: bool = False,
-) -> ControlModule:
+def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, method: str | None) -> ControlModule:
     """A module, loaded, with machine code: from a problem file, from the file of a module, or as it is given.
 
     Raises what `codegen.solve` does for a problem that cannot be read, derived or stored.
@@ -152,7 +146,7 @@ def module_of(
         return problem  # type: ignore[no-any-return]
     path, is_new = Path(problem), False
     if not request.is_built:
-        made = compiler.build(path, arguments, scheme=scheme, method=method, sensitivities=sensitivities)
+        made = compiler.build(path, arguments, scheme=scheme, method=method)
         path, is_new = made.path, made.written
     module: Any = loading.load(path)
     ahead_of_time.require(path, module, is_new, nullcontext)

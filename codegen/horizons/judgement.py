@@ -72,7 +72,7 @@ def _is_flat(module: Any, grid: Grid, found: Candidate, most: float) -> bool:
     slopes, unknowns = found.gradient[steep], found.unknowns[steep]
     lower, upper = module.bounds_of(grid)
     distances = np.where(slopes > 0.0, unknowns - lower[steep], upper[steep] - unknowns)
-    return bool((np.abs(slopes) * np.maximum(distances, 0.0) <= most).all())
+    return bool((np.abs(slopes) * np.clip(distances, 0.0, 1.0) <= most).all())
 
 
 def better(one: Candidate, other: Candidate, feasible: float) -> Candidate:

@@ -68,7 +68,12 @@ class FunctionPlant:
 
     def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
         """The next state; NumericsError for what is none, PlantFailed where it is not finite."""
-        found = np.array(self.function(state.copy(), inputs.copy(), t, seconds), dtype=float)
+        returned = self.function(state.copy(), inputs.copy(), t, seconds)
+        try:
+            found = np.array(returned, dtype=float)
+        except (TypeError, ValueError):
+            finding = clause(f"the plant returned {returned!r}")
+            raise NumericsError(finding, f"return {', '.join(self.states)}") from None
         if found.shape != state.shape:
             finding = f"the plant returned an array of shape {found.shape}, expected {state.shape}"
             raise NumericsError(finding, f"return {', '.join(self.states)}")

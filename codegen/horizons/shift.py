@@ -36,27 +36,27 @@ def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
     What only the ends have, such as their velocities, stays where it is, since it is zero at inner nodes; so do
     unknowns that no node has.
     """
-    size = grid.is_multiplier.size
-    numbers = np.arange(size, dtype=float)
-    one, two = numbers.copy(), numbers.copy()
-    weights = np.ones(size), np.zeros(size)
-    last = grid.steps
-    own = [module.views(grid, numbers), module.views(grid, one), module.views(grid, two)]
-    shares = [module.views(grid, weight) for weight in weights]
-    # Nodes: on the line through two neighbours, which beyond the end is that of the last interval.
-    places = np.arange(last + 1) + intervals
-    left = np.minimum(places.astype(int), last - 1)
-    own[1][0][:], own[2][0][:] = own[0][0][:, left], own[0][0][:, left + 1]
-    shares[0][0][:], shares[1][0][:] = (1.0 - (places - left))[:, None], (places - left)[:, None]
-    # Intervals: the mean of what two of them have.
-    places = np.arange(last) + intervals
+    numbers = np.arange(grid.is_multiplier.size, dtype=float)
+    of_nodes, of_intervals = module.views(grid, numbers)
+    one, two, first, second = numbers.copy(), numbers.copy(), np.ones(numbers.size), np.zeros(numbers.size)
+    (one_node, one_interval), (two_node, two_interval) = (module.views(grid, indices) for indices in (one, two))
+    (node_first, interval_first), (node_second, interval_second) = (
+        module.views(grid, weights) for weights in (first, second)
+    )
+    # Nodes lie on the line through two neighbours, which beyond the end is that of the last interval.
+    places, last = np.arange(grid.steps + 1) + intervals, grid.steps - 1
+    left = np.minimum(places.astype(int), last)
+    one_node[:], two_node[:] = of_nodes[:, left], of_nodes[:, left + 1]
+    node_second[:] = (places - left)[:, None]
+    node_first[:] = 1.0 - node_second
+    # Intervals have the mean of what two of them have.
+    places = places[:-1]
     left = places.astype(int)
-    part = np.where(left < last - 1, places - left, 0.0)[:, None]
-    own[1][1][:] = own[0][1][:, np.minimum(left, last - 1)]
-    own[2][1][:] = own[0][1][:, np.minimum(left + 1, last - 1)]
-    shares[0][1][:], shares[1][1][:] = 1.0 - part, part
+    one_interval[:], two_interval[:] = (of_intervals[:, np.minimum(which, last)] for which in (left, left + 1))
+    interval_second[:] = np.where(left < last, places - left, 0.0)[:, None]
+    interval_first[:] = 1.0 - interval_second
     for only in getattr(module, "ONLY_AT_ENDS", ()):
-        own[1][0][:, :, only] = own[0][0][:, :, only]
-        shares[0][0][:, :, only], shares[1][0][:, :, only] = 0.0, 0.0
-        shares[0][0][:, [0, -1], only] = 1.0
-    return Shift(one.astype(np.intp), two.astype(np.intp), *weights)
+        one_node[:, :, only] = of_nodes[:, :, only]
+        node_first[:, :, only] = node_second[:, :, only] = 0.0
+        node_first[:, [0, -1], only] = 1.0
+    return Shift(one.astype(np.intp), two.astype(np.intp), first, second)

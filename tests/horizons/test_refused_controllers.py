@@ -160,6 +160,8 @@ LOOP_TABLE = [
     ({"start": [1.0, np.inf]}, "the start is not finite: v is inf"),
     ({"inputs": [1.0, 2.0]}, "the array of inputs has shape (2,), expected (1,)"),
     ({"plant": lambda: lambda *_: [1.0]}, "the plant returned an array of shape (1,), expected (2,); return x, v"),
+    ({"plant": lambda: lambda *_: "there"}, "the plant returned 'there'; return x, v"),
+    ({"inputs": [1.0, np.nan]}, "the array of inputs has shape (2,)"),
     ({"plant": lambda: PROBLEMS / "nowhere.py"}, f"{PROBLEMS / 'nowhere.py'}: no such file"),
 ]  # fmt: skip
 
