@@ -3,8 +3,8 @@
 The state is the place, the velocity and the attitude (roll, pitch and yaw, x-y-z Euler angles); the inputs are the
 thrust for each kg and the rates of the body, which a loop inside the vehicle follows. Over the next 1.5 s place and
 velocity are to be those of a path, at the present time `now` and after it; once around takes `period`. Source of the
-model: Falanga, Foehn, Lu and Scaramuzza, PAMPC: Perception-aware model predictive control for
-quadrotors, IROS 2018, equations (1) and (10).
+model: Falanga, Foehn, Lu and Scaramuzza, PAMPC: Perception-aware model predictive control for quadrotors, IROS 2018,
+where attitudes are quaternions.
 
 With `plant=True` it is the vehicle alone, for `codegen.close_loop`: inputs and wind are numbers, and time is a sampling
 time.

@@ -61,9 +61,10 @@ class Controller:
 
     `problem` is a problem file, a generated module or its file: an optimisation with all that is measured in `start`.
     `arguments`, `scheme` and `method` are those of a build. The horizon lasts `horizon`, by default the problem's
-    duration (whose parameter, if it stands in other formulas as well, is given instead), and has `steps` intervals; `sample` is the sampling time, by default one interval. `parameters` are
-    run-time values by name: numbers, or functions of the present time, for references that move and disturbances that
-    are known; `end.x` is a prescribed value at the end.
+    duration (whose parameter, if it stands in other formulas as well, is given instead), and has `steps` intervals;
+    `sample` is the sampling time, by default one interval. `parameters` are run-time values by name: numbers, or
+    functions of the present time, for references that move and disturbances that are known; `end.x` is a prescribed
+    value at the end.
 
     A solve begins from the last plan, shifted by a sampling time, in which the state is the measured one: its first
     Newton step is the tangential predictor. It ends at the `tolerance`, or after `newton_steps` of them (real-time

@@ -3,7 +3,7 @@
 By a whole number of intervals values move to earlier nodes and intervals; by another, they are interpolated, linearly
 between nodes, and in the mean where controls are constant. Beyond the end nodes follow the last interval's straight
 line, and controls stay. Source: Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear
-optimization in optimal feedback control, SIAM J. Control Optim. 43, section 4.
+optimization in optimal feedback control, SIAM J. Control Optim. 43.
 """
 
 from __future__ import annotations
