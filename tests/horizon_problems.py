@@ -33,6 +33,24 @@ def regulator(is_bounded: bool = False):
 
 
 @cache
+def in_micrometres():
+    """A mass with a cubic drag and a limited force, in units in which its numbers are a million times as large."""
+    x, v = states("x v")
+    u = control("u")
+    unit = 1e6
+    return of_problem(
+        Control(
+            dynamics={x: v, v: u - v**3 / unit**2},
+            cost=(x**2 + v**2 / 2 + u**2 / 4) / unit**2,
+            duration=HORIZON,
+            start={x: unit, v: 0},
+            bounds={u: (-unit, unit)},
+            steps=STEPS,
+        )
+    )
+
+
+@cache
 def walled():
     """A unit mass that has to stay on one side of a wall."""
     x, v = states("x v")

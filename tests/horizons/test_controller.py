@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from horizon_problems import HORIZON, STEPS, carried, exactly, regulator, walled
+from horizon_problems import HORIZON, STEPS, carried, exactly, in_micrometres, regulator, walled
 from scipy.linalg import solve_discrete_are
 
 import codegen
@@ -81,6 +81,21 @@ def test_warm_steps_agree_with_solves_from_the_problems_own_guess(make, sample):
         np.testing.assert_allclose(inputs, whole.u[0], atol=1e-7)
         assert controller.last.cost == pytest.approx(whole.cost, abs=1e-8)
         state = exactly(state, inputs, 0.0, sample) + 0.05 * generator.standard_normal(2)
+
+
+def test_numbers_a_million_times_as_large_are_solved_in_parts_of_sizes():
+    module = in_micrometres()
+    grid = module.make_grid(STEPS)
+    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size, "the problem is chosen for them"
+    controller, hurried = codegen.Controller(module), codegen.Controller(module, newton_steps=2)
+    for state in ([1e6, 0.0], [0.8e6, -0.3e6], [0.7e6, -0.2e6]):
+        inputs = controller.step(state)
+        whole = module.solve(STEPS, start=dict(zip(controller.states, state, strict=True)))
+        assert controller.last.status == "solved"
+        np.testing.assert_allclose(inputs, whole.u[0], atol=1.0)  # of a million
+        hurried.step(state)
+    assert hurried.last.status in ("iteration limit", "solved")
+    np.testing.assert_allclose(hurried.last.inputs, inputs, atol=1e4)
 
 
 def test_a_plan_begins_with_the_measured_state_and_the_inputs():
