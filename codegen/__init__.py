@@ -21,6 +21,8 @@ _HOMES = {
     **dict.fromkeys(["together"], "codegen.author.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["CodegenError"], "codegen.errors"),
+    **dict.fromkeys(["Controller"], "codegen.horizons.controller"),
+    **dict.fromkeys(["close_loop"], "codegen.horizons.closed_loop"),
     **dict.fromkeys(["load"], "codegen.loading"),
     **dict.fromkeys(["solve"], "codegen.solving"),
     **dict.fromkeys(["sweep"], "codegen.sweeping"),
@@ -30,6 +32,7 @@ __all__ = [
     "CodegenError",
     "Connect",
     "Control",
+    "Controller",
     "Measurements",
     "Pairwise",
     "Phases",
@@ -42,6 +45,7 @@ __all__ = [
     "build",
     "canonical_pair",
     "canonical_pairs",
+    "close_loop",
     "control",
     "controls",
     "coordinate",
@@ -86,6 +90,8 @@ if TYPE_CHECKING:
     from codegen.author.tables import Table, Trajectory
     from codegen.compiler import build
     from codegen.errors import CodegenError
+    from codegen.horizons.closed_loop import close_loop
+    from codegen.horizons.controller import Controller
     from codegen.loading import load
     from codegen.solving import solve
     from codegen.sweeping import sweep

@@ -73,6 +73,14 @@ REFERENCES = (
         limit=58.80767,
     ),
     Reference(
+        "cart_pole_balance",
+        {20: 0.132563972099, 40: 0.133140267601, 80: 0.135240053331},
+        value=0.1359377669,
+        error=0.001,
+        source=GAUSS,
+        limit=0.1359377669,
+    ),
+    Reference(
         "pendulum_swing_up",
         {20: 15.447613163, 50: 10.1050275598, 100: 9.50872107898, 200: 9.36248004886},
         value=9.31395,
@@ -159,6 +167,14 @@ REFERENCES = (
         error=0.001,
         source="COPS 3.0 (2004), robot arm, 200 intervals; dymos, test_robot_arm.py, compared there to 1e-3",
         limit=9.1409,
+    ),
+    Reference(
+        "quadrotor_path",
+        {15: 0.550829531962, 30: 0.546272031804, 60: 0.549049938804},
+        value=0.549375967,
+        error=0.0006,
+        source=f"{GAUSS}, 30 intervals",
+        limit=0.5494,
     ),
     Reference(
         "low_thrust",

@@ -26,7 +26,7 @@ FLOORS = (
     ("cache",),
     ("compiler",),
     ("solving",),
-    ("sweeping",),
+    ("horizons", "sweeping"),
     ("checks", "registration", "report", "stress"),
     ("cli",),
     ("__main__",),

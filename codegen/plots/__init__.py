@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
 from codegen.loading import GeneratedModule, is_connect, is_control
+from codegen.plots.closed_loop import ClosedLoopData, References, closed_loop_figure
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.objectives import Objective, objectives_of, require_objectives
@@ -24,11 +25,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Drawings",
+    "closed_loop_figure",
     "connect_figure",
     "control_figure",
     "label",
     "pareto_figure",
     "save",
+    "save_closed_loop",
     "save_sweep",
     "simulation_figure",
     "sweep_figure",
@@ -63,6 +66,12 @@ def save_sweep(data: Dataset, path: Path, pareto: str | None = None) -> None:
 def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
     require_objectives(objectives, data)
     return pareto_figure(data, objectives)
+
+
+def save_closed_loop(loop: ClosedLoopData, path: Path, references: References) -> None:
+    """Draw what came of a closed loop, and what it was to follow, into a file whose ending matplotlib knows."""
+    with matplotlib.rc_context(STYLE):
+        _write(closed_loop_figure(loop, references), path)
 
 
 def _write(figure: Figure, path: Path) -> None:

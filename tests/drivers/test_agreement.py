@@ -38,9 +38,9 @@ PLAIN = (
     "linear_pendulum n_link_pendulum orbital_transfer orbital_transfer_hamiltonian spherical_pendulum"
 ).split()
 BOUNDED = (
-    "acrobot bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole convoy crane double_integrator "
-    "drone_gates goddard_rocket low_thrust pendulum_swing_up quadrotor robot_arm two_link_arm two_stage_rocket "
-    "van_der_pol"
+    "acrobot bouncing_ball brachistochrone bryson_denham cart_pendulum cart_pole cart_pole_balance convoy crane "
+    "double_integrator drone_gates goddard_rocket low_thrust pendulum_swing_up quadrotor quadrotor_path robot_arm "
+    "two_link_arm two_stage_rocket van_der_pol"
 ).split()
 
 ELSEWHERE = {

@@ -34,6 +34,9 @@ from numpy.typing import NDArray
 from .casadi_control import COMPILER, IPOPT_OPTIONS
 from .gallery_problem import GalleryProblem, nothing
 
+if hasattr(ca.GlobalOptions, "setNumpyMode"):
+    ca.GlobalOptions.setNumpyMode(-1)  # numpy's sine of a symbol is CasADi's, as it always was, and nothing is said
+
 Array = NDArray[np.float64]
 OPTIONS = IPOPT_OPTIONS | {"error_on_fail": False}
 

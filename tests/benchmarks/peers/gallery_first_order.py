@@ -3,6 +3,8 @@
 from math import inf, pi
 from typing import Any
 
+from numpy import cos, sin  # which take CasADi's symbols as well: a cost is given no functions
+
 from .gallery_problem import GalleryProblem, Vector, line
 
 
@@ -120,4 +122,44 @@ def robot_arm() -> GalleryProblem:
         end=last,
         control_bounds=dict.fromkeys(range(3), (-1.0, 1.0)),
         guess=line(first, last, 0, 0, 0),
+    )
+
+
+def quadrotor_path() -> GalleryProblem:
+    """A quadrotor with thrust and rates for inputs on a figure of eight, as a controller has it."""
+    g, period = 9.81, 8.0
+
+    def path(t: Any) -> tuple[list[Any], list[Any]]:
+        w = 2 * pi / period
+        place = [3 * sin(w * t), 1.5 * sin(2 * w * t), 1.5 + 0.3 * sin(w * t)]
+        return place, [3 * w * cos(w * t), 3 * w * cos(2 * w * t), 0.3 * w * cos(w * t)]
+
+    def track(q: Vector, t: Any) -> Any:
+        place, velocity = path(t)
+        away = sum((q[i] - place[i]) ** 2 + 0.1 * (q[3 + i] - velocity[i]) ** 2 for i in range(3))
+        return away + 0.1 * q[8] ** 2
+
+    def dynamics(F: Any, q: Vector, u: Vector, t: Any, p: Vector) -> list[Any]:
+        (sr, cr), (sp, cp), (sy, cy) = ((F.sin(a), F.cos(a)) for a in (q[6], q[7], q[8]))
+        turn = u[2] * sr + u[3] * cr
+        return [
+            *(q[3], q[4], q[5]),
+            u[0] * (cy * sp * cr + sy * sr),
+            u[0] * (sy * sp * cr - cy * sr),
+            u[0] * cp * cr - g,
+            u[1] + sp / cp * turn,
+            u[2] * cr - u[3] * sr,
+            turn / cp,
+        ]
+
+    return GalleryProblem(
+        controls=4,
+        dynamics=dynamics,
+        cost=lambda q, v, u, t: track(q, t) + 0.001 * (u[0] - g) ** 2 + 0.01 * (u[1] ** 2 + u[2] ** 2 + u[3] ** 2),
+        terminal_cost=lambda q, v, p: track(q, p[0] if p else 1.5),
+        duration=lambda p: 1.5,
+        start=(0.0, 0.0, 1.5, *[0.0] * 6),
+        end=(None,) * 9,
+        control_bounds={0: (2.0, 20.0), 1: (-3.0, 3.0), 2: (-3.0, 3.0), 3: (-3.0, 3.0)},
+        guess=lambda F, s: ([*path(1.5 * s)[0], *[0] * 6], [g, 0, 0, 0]),
     )

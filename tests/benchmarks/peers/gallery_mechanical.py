@@ -80,6 +80,35 @@ def cart_pole() -> GalleryProblem:
     )
 
 
+def cart_pole_balance() -> GalleryProblem:
+    """The cart-pole near its upright position, as a controller has it."""
+    m1, m2, rod, g = 1.0, 0.3, 0.5, 9.81
+
+    def away(q: Vector, v: Vector) -> Any:
+        return q[0] ** 2 + 10 * q[1] ** 2 + 0.1 * v[0] ** 2 + 0.1 * v[1] ** 2
+
+    return GalleryProblem(
+        controls=1,
+        lagrangian=lambda F, q, v, t: (
+            (m1 + m2) / 2 * v[0] ** 2
+            + m2 * rod * F.cos(q[1]) * v[0] * v[1]
+            + m2 * rod**2 / 2 * v[1] ** 2
+            - m2 * g * rod * F.cos(q[1])
+        ),
+        force=lambda F, q, v, u, t: [u[0], 0],
+        cost=lambda q, v, u, t: away(q, v) + 0.001 * u[0] ** 2,
+        terminal_cost=lambda q, v, p: away(q, v),
+        duration=lambda p: 2.0,
+        start=(0.0, 0.2),
+        start_rate=(0.0, 0.0),
+        end=(None, None),
+        end_rate=(None, None),
+        bounds={0: (-2.0, 2.0)},
+        control_bounds={0: (-20.0, 20.0)},
+        guess=line([0, 0.2], [0, 0.2], 0),
+    )
+
+
 def pendulum_swing_up() -> GalleryProblem:
     """opty's pendulum with at most 2 N m, in 10 s."""
     return GalleryProblem(

@@ -1,0 +1,153 @@
+"""What a controller needs of a module: the names of states, inputs and run-time values, and what it cannot control."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codegen import compiler, loading
+from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.loading import ControlModule, Grid, Vector
+from codegen.machine_code import ahead_of_time
+from codegen.solutions.result import component_names
+from codegen.solving.request import Request
+
+_SITES = {"nodal": "nodes", "stages": "stages"}
+WHOLE_STATE = "write the state that is measured into start={...}"
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The names by which a module is given values: states at the start, inputs (controls), and parameters.
+
+    `keys` maps parameters to arguments of the module's functions, which are called otherwise where Python has a word of
+    that name; `ends` are prescribed values at the end, given as `end.x`.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    keys: Mapping[str, str]
+    ends: tuple[str, ...]
+
+    def place(self, given: dict[str, Any], name: str, value: float) -> None:
+        """Put a run-time value among the arguments of the module's functions."""
+        if name in self.keys:
+            given[self.keys[name]] = value
+        else:
+            given.setdefault("end", {})[name.removeprefix("end.")] = value
+
+    def require_known(self, names: Iterable[str], what: str) -> None:
+        """Refuse names that are no run-time values; ArgumentError tells which are close."""
+        known = (*self.keys, *(f"end.{name}" for name in self.ends))
+        for name in names:
+            if name not in known:
+                close = difflib.get_close_matches(str(name), known, 1)
+                remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(known) or 'none'}"
+                raise ArgumentError(clause(f"{what} has no parameter {name!r}"), clause(remedy))
+
+    def start_of(self, grid: Grid) -> Vector:
+        """The values (states,) at the start of a grid, which stand behind its parameters, before those at the end."""
+        first = len(self.keys)
+        return np.array(grid.parameters[0, first : first + len(self.states)])
+
+    def state_vector(self, state: Any, what: str = "the state") -> Vector:
+        """A state as an array (states,), from one or from a mapping by names; NumericsError for another one."""
+        return vector(state, self.states, what)
+
+
+def vector(values: Any, names: tuple[str, ...], what: str) -> Vector:
+    """Numbers in the order of names as an array, from one or from a mapping; NumericsError where they are none."""
+    remedy = f"give {', '.join(names)}, in this order or by name"
+    if isinstance(values, Mapping):
+        if values.keys() != set(names):
+            wrong = sorted({*values} ^ {*names}, key=str)[0]
+            raise NumericsError(clause(f"{what} {'lacks' if wrong in names else 'has no'} {wrong}"), clause(remedy))
+        values = [values[name] for name in names]
+    try:
+        found = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise NumericsError(clause(f"{what} is {values!r}"), clause(remedy)) from None
+    if found.shape != (len(names),):
+        raise NumericsError(f"{what} has shape {found.shape}, expected ({len(names)},)", clause(remedy))
+    if not np.isfinite(found).all():
+        wrong = names[int(np.flatnonzero(~np.isfinite(found))[0])]
+        raise NumericsError(f"{what} is not finite: {wrong} is {found[names.index(wrong)]}", "give finite numbers")
+    return found
+
+
+def number(value: Any, what: str) -> float:
+    """A finite number; NumericsError for what is none."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value):
+        raise NumericsError(clause(f"{what} is {value!r}"), "give a finite number")
+    return float(value)
+
+
+def interface_of(module: Any) -> Interface:
+    """The interface of a module of an optimisation over a horizon of given length; ArgumentError for another one."""
+    metadata = getattr(module, "metadata", {})
+    problem = metadata.get("problem", "it")
+    if metadata.get("task") != "control":
+        what = f"{problem} is a {metadata['task']} problem" if metadata else f"{type(module).__name__} is no module"
+        raise ArgumentError(f"{what}, and a controller needs an optimisation", "give a problem that returns Control")
+    for is_there, what, remedy in _unfit(module):
+        if is_there:
+            raise ArgumentError(f"{problem} {what}, which a controller cannot shift in time", remedy)
+    ends = [name.split(" ", 1) for name in metadata.get("boundary", ())]
+    states = tuple(name for end, name in ends if end == "start")
+    if not states:
+        raise ArgumentError(f"{problem} prescribes nothing at the start", WHOLE_STATE)
+    inputs = component_names(metadata)["u"]
+    if not inputs:
+        raise ArgumentError(f"{problem} has no controls", "give a problem with codegen.control(...)")
+    return Interface(states, inputs, keys_of(module), tuple(name for end, name in ends if end == "end"))
+
+
+def keys_of(module: Any) -> dict[str, str]:
+    """The arguments of a module's functions by the names of parameters, which they may not have in Python."""
+    arguments = inspect.signature(module.make_grid).parameters.values()
+    keywords = [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]
+    return dict(zip(module.metadata["parameters"], keywords, strict=False))
+
+
+def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
+    """What a controller has no notion of, and what to do about it."""
+    metadata = module.metadata
+    keywords = inspect.signature(module.make_grid).parameters
+    return (
+        (metadata["bodies"] > 1, "has several bodies", "write each as states and controls of its own"),
+        (metadata.get("phases", 1) > 1, "has several phases", "give a problem of one phase"),
+        ("segments" in metadata, "has values of the past", "write them as states of their own"),
+        (bool(metadata.get("inner_times", 0)), "has conditions at inner times", "write them as path=, or as a cost"),
+        ("duration" not in keywords, "has a free duration", "give duration= a number, or solve it once"),
+        (
+            metadata["controls"] != "interval", f"has controls at {_SITES.get(metadata['controls'], 'other places')}",
+            "build it with controls='interval'",
+        ),
+    )  # fmt: skip
+
+
+def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, method: str | None) -> ControlModule:
+    """A module, loaded, with machine code: from a problem file, from the file of a module, or as it is given.
+
+    Raises what `codegen.solve` does for a problem that cannot be read, derived or stored.
+    """
+    request = Request(problem, arguments=arguments, scheme=scheme, method=method)
+    if not isinstance(problem, Path | str):
+        return problem  # type: ignore[no-any-return]
+    path, is_new = Path(problem), False
+    if not request.is_built:
+        made = compiler.build(path, arguments, scheme=scheme, method=method)
+        path, is_new = made.path, made.written
+    module: Any = loading.load(path)
+    ahead_of_time.require(path, module, is_new, nullcontext)
+    return module  # type: ignore[no-any-return]

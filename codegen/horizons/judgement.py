@@ -1,0 +1,87 @@
+"""What a solve is worth within a sampling time: its equations evaluated again, and which of two plans is applied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from codegen.loading import Grid, Vector
+from codegen.solutions.control import control_verdict
+from codegen.solutions.result import ControlAttempt, Run
+
+ALLOWED = 10.0
+"""Times the tolerance that residual and slopes of a solution may be, as in `control_verdict`."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Candidate:
+    """A plan, `unknowns` (n,), with what is evaluated there outside the solver: gradient, cost, and residual."""
+
+    unknowns: Vector
+    gradient: Vector
+    cost: float
+    residual: float
+
+
+class BestIterate:
+    """The log of a search that keeps one iterate, the cheapest whose equations hold to `feasible`, and the time.
+
+    It takes the place of a module's own log, which keeps a row for each; points are in the problem's own units.
+    """
+
+    def __init__(self, limit: float, feasible: float) -> None:
+        self._end, self._feasible = perf_counter() + limit, feasible
+        self.cost, self.unknowns = np.inf, None
+
+    def append(self, _grid: Grid, point: Any, *_others: float) -> None:
+        """Look at an iterate."""
+        if point.residual <= self._feasible and point.cost < self.cost:
+            self.cost, self.unknowns = point.cost, point.unknowns
+
+    def is_late(self) -> bool:
+        """Whether the time is up."""
+        return perf_counter() > self._end
+
+
+def candidate(module: Any, grid: Grid, unknowns: Vector) -> Candidate:
+    """A plan with its equations evaluated."""
+    point = module.evaluate(grid, unknowns)
+    return Candidate(unknowns, point.gradient, float(point.cost), float(point.residual))
+
+
+def is_solution(module: Any, grid: Grid, found: Candidate, run: Run, iterations: int, tolerance: float) -> bool:
+    """Whether all equations hold at what a solver calls solved.
+
+    Most often residual and slopes are within the tolerance as they stand. Else sizes, rounding and large multipliers
+    decide, as they do for every driver, which takes ten times as long.
+    """
+    if found.residual <= ALLOWED * tolerance and _is_flat(module, grid, found, ALLOWED * tolerance):
+        return True
+    claim = ControlAttempt("solved", "", iterations, found.unknowns, tolerance)
+    return control_verdict(module, "newton", run, claim, grid).status == "solved"
+
+
+def _is_flat(module: Any, grid: Grid, found: Candidate, most: float) -> bool:
+    """Whether slopes of the Lagrangian are small, each times the distance to the bound that it leads to, one if far."""
+    (steep,) = ((np.abs(found.gradient) > most) & ~grid.is_multiplier).nonzero()
+    if not steep.size or not module.metadata["inequalities"]:
+        return not steep.size
+    slopes, unknowns = found.gradient[steep], found.unknowns[steep]
+    lower, upper = module.bounds_of(grid)
+    distances = np.where(slopes > 0.0, unknowns - lower[steep], upper[steep] - unknowns)
+    return bool((np.abs(slopes) * np.clip(distances, 0.0, 1.0) <= most).all())
+
+
+def better(one: Candidate, other: Candidate, feasible: float) -> Candidate:
+    """The first of two plans unless the other is better.
+
+    That is one whose equations hold to `feasible` where those of the first do not; of two that do, the cheaper one; of
+    two that do not, the one with the smaller residual.
+    """
+    violations = max(one.residual, feasible), max(other.residual, feasible)
+    if not violations[0] < np.inf or violations[1] < violations[0]:
+        return other
+    return other if violations[1] == violations[0] and other.cost < one.cost else one

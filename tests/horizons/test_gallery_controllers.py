@@ -1,0 +1,119 @@
+"""The controllers of the gallery by machine code, with plants that are integrated by scipy: pushes, a path, memory."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+from compiled_modules import compiled
+from conftest import PROBLEMS
+from scipy.integrate import solve_ivp
+
+import codegen
+
+
+@pytest.fixture(scope="module")
+def cart_pole(cache_folder):
+    return compiled(codegen.build(PROBLEMS / "cart_pole_balance.py").path)
+
+
+def cart_pole_motion(t, state, force, push, mass=0.33, rod=0.5, gravity=9.81):
+    """The equations of motion by hand, of a pole that is a tenth heavier than the controller believes."""
+    _, theta, dx, dtheta = state
+    across = mass * rod * np.cos(theta)
+    matrix = np.array([[1.0 + mass, across], [across, mass * rod**2]])
+    right = np.array([force + mass * rod * np.sin(theta) * dtheta**2, mass * gravity * rod * np.sin(theta)])
+    pushed = push if 1.0 <= t < 1.1 else -push if 3.0 <= t < 3.1 else 0.0
+    return [dx, dtheta, *np.linalg.solve(matrix, right + pushed * np.array([1.0, rod * np.cos(theta)]))]
+
+
+def cart_pole_plant(push):
+    """A plant whose bob is pushed by so many newtons for a tenth of a second, twice."""
+
+    def plant(state, inputs, t, seconds):
+        given = {"args": (inputs[0], push), "rtol": 1e-8, "max_step": 0.02}
+        return solve_ivp(cart_pole_motion, (t, t + seconds), state, **given).y[:, -1]
+
+    return plant
+
+
+def test_a_pole_is_kept_upright_under_pushes(cart_pole):
+    controller = codegen.Controller(cart_pole)
+    loop = codegen.close_loop(controller, cart_pole_plant(6.0), samples=120, start=[0, 0, 0, 0], noise=2e-3)
+    assert loop.counts == {"solved": 120}
+    assert 0.05 < np.abs(loop.states[:, 1]).max() < 0.7
+    assert np.abs(loop.states[-1]).max() < 0.2
+    assert np.abs(loop.inputs).max() <= 20.0 + 1e-6
+    left_alone = solve_ivp(cart_pole_motion, (0.0, 6.0), np.zeros(4), args=(0.0, 6.0), max_step=0.02)
+    assert np.abs(left_alone.y[1]).max() > 1.0  # without a controller it falls
+
+
+@pytest.mark.parametrize(("newton_steps", "push"), [(1, 4.0), (3, 6.0)])
+def test_few_newton_steps_keep_it_upright_as_well(cart_pole, newton_steps, push):
+    """A single one ends at the bounds that it meets, and is not enough where the force has to change to its limit."""
+    controller = codegen.Controller(cart_pole, newton_steps=newton_steps)
+    loop = codegen.close_loop(controller, cart_pole_plant(push), samples=120, start=[0, 0, 0, 0])
+    assert loop.iterations[1:].max() == newton_steps
+    assert set(loop.counts) == {"solved", "iteration limit"}
+    assert np.abs(loop.states[:, 1]).max() < 0.7
+    assert np.abs(loop.states[-1]).max() < 0.2
+
+
+def test_the_example_of_the_readme(cart_pole, tmp_path, monkeypatch, capsys):
+    """What stands there word for word, with the problem files of this checkout."""
+    text = (PROBLEMS.parent / "README.md").read_text(encoding="utf-8").split("## Moving horizons")[1]
+    code = text.split("```python\n")[1].split("```")[0].replace('"problems/', f'"{PROBLEMS}/')
+    monkeypatch.chdir(tmp_path)
+    found = {"codegen": codegen}
+    exec(code, found)
+    assert "{'solved': 160}" in capsys.readouterr().out
+    assert (tmp_path / "loop.png").stat().st_size > 10_000
+    assert abs(found["loop"].states[-1, 0] - 1.0) < 0.1  # at the place that it was led to
+    assert np.abs(found["loop"].states[:, 1]).max() < 0.8
+
+
+def test_a_thousand_steps_leave_no_more_than_a_hundred(cart_pole):
+    controller = codegen.Controller(cart_pole)
+    states = 0.05 * np.random.default_rng(0).standard_normal((1000, 4))
+    tracemalloc.start()
+    try:
+        held = []
+        for count in (100, 1000):
+            for k, state in enumerate(states[:count]):
+                controller.step(state, 0.1 * k)
+            gc.collect()
+            held.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert held[1] - held[0] < 2000  # bytes: two a step
+
+
+def quadrotor_motion(_, state, inputs):
+    """The equations of motion by rotation matrices, which the problem does not have."""
+    thrust, *rates = inputs
+    (sr, sp, sy), (cr, cp, cy) = np.sin(state[6:]), np.cos(state[6:])
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    force = about_z @ about_y @ about_x @ [0, 0, thrust]
+    # The rates of the body are those of roll, of pitch in the frame before it, and of yaw before that.
+    of_angles = np.column_stack([[1, 0, 0], about_x.T @ [0, 1, 0], about_x.T @ about_y.T @ [0, 0, 1]])
+    return [*state[3:6], *(force - [0, 0, 9.81]), *np.linalg.solve(of_angles, rates)]
+
+
+def test_a_quadrotor_follows_its_path():
+    module = compiled(codegen.build(PROBLEMS / "quadrotor_path.py").path)
+    controller = codegen.Controller(module, parameters={"now": lambda t: t})
+
+    def plant(state, inputs, t, seconds):
+        return solve_ivp(quadrotor_motion, (t, t + seconds), state, args=(inputs,), rtol=1e-8).y[:, -1]
+
+    loop = codegen.close_loop(controller, plant, samples=160)
+    assert loop.counts == {"solved": 160}
+    phase = 2 * np.pi * loop.times / 8
+    path = np.column_stack([3 * np.sin(phase), 1.5 * np.sin(2 * phase), 1.5 + 0.3 * np.sin(phase)])
+    distance = np.linalg.norm(loop.states[:, :3] - path, axis=1)
+    assert distance[loop.times >= 2.0].max() < 0.06  # from a start at rest, while the path moves at 3.3 m/s
+    assert distance.max() < 1.5
