@@ -11,6 +11,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 from pathlib import Path
 
+import machine_coded
 import numpy as np
 import pytest
 from compiled_modules import compiled
@@ -50,6 +51,11 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if is_other and config.option.markexpr == "fast" else None
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile nothing where only fast tests are asked for."""
+    machine_coded.Switch.on = config.option.markexpr != "fast"
+
+
 def pytest_collection_finish() -> None:
     """Look for cyclic garbage less often, as builds do, and not among what has been imported and collected."""
     gc.freeze()
@@ -59,7 +65,7 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that `pytest -m fast` runs."""
     for item in items:
-        if item.path.stem.removeprefix("test_") in FAST:
+        if item.path.stem.removeprefix("test_") in FAST and not item.get_closest_marker("slow"):
             item.add_marker("fast")
 
 
@@ -73,6 +79,7 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     own = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "build-cache"
     folder = Path(os.environ.get("CODEGEN_TEST_CACHE") or own)
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
+    os.chdir(tmp_path_factory.mktemp("elsewhere"))  # beside ./generated a module would be compiled once more
     return folder
 
 
