@@ -1,4 +1,4 @@
-"""What every generated module has alike, the elimination of dense rows, as machine code for modules that are interpreted.
+"""What all generated modules have alike, the elimination of dense rows, as machine code where the rest is interpreted.
 
 More than half of the time of interpreted solves is spent in it. It is the text of the module itself that is compiled,
 once for all modules and all processes of a run; a module in which it reads otherwise keeps its own, interpreted.

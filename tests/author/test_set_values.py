@@ -145,6 +145,7 @@ def test_arguments_that_do_not_fit_their_types(name: str, text: str, fragment: s
 words = st.text(st.characters(exclude_characters="=", exclude_categories=["Cs"]), min_size=1).map(str.strip)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(words.filter(bool), st.text()))
 def test_parse_arguments_inverts_joining(arguments: dict[str, str]) -> None:
     assert parse_arguments([f"{name}={value}" for name, value in arguments.items()]) == arguments

@@ -108,6 +108,7 @@ def test_curvature_by_a_free_duration(prepared, damaged):
 # ---- Ends ----
 
 
+@pytest.mark.slow
 def test_terminal_cost(prepared, damaged):
     context = prepared("low_thrust")
     line = re.search(r"    return .*", text_from(context, "end_gradient"))[0]

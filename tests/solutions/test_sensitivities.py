@@ -174,6 +174,7 @@ def test_samples_in_times_that_follow_parameters_are_refused(tmp_path):
         codegen.build(path, sensitivities=True)
 
 
+@pytest.mark.slow
 def test_delays_are_put_together(solved):
     result = solved("delayed_oscillator", steps=20)
     found = result.sensitivities()

@@ -43,6 +43,7 @@ def test_the_time_runs_out(interpreted, monkeypatch, name):
     assert "raise time_limit" in stopped.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["circles-that-do-not-meet", "thrust-too-small"])
 def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
     """Both solvers lower the violation of equations without a solution, and stop at the first step after the time."""
@@ -88,6 +89,7 @@ def test_times_that_are_none(interpreted, limit):
         interpreted("cart_pole").solve(5, time_limit=limit)
 
 
+@pytest.mark.slow
 def test_tasks_and_drivers_without_a_time_limit(interpreted, pendulum):
     with pytest.raises(ArgumentError, match=r"driver slsqp takes no --time-limit .* newton, ipopt"):
         solving.solve(interpreted("cart_pole"), "slsqp", steps=5, time_limit=1.0)

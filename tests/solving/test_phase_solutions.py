@@ -222,6 +222,7 @@ def mixed_reference() -> tuple[float, dict[str, np.ndarray]]:
     return least_cost, parts(z)
 
 
+@pytest.mark.slow
 def test_first_order_phases_against_an_independent_program(mixed_module):
     cost, found = mixed_reference()
     solution = mixed_module.solve()
