@@ -185,11 +185,13 @@ def echo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.mark.slow
 @given(number=st.floats(-30, 30))
 def test_floats_survive_the_command_line(number: float, echo: Path) -> None:
     assert load_problem(echo, {"mass": repr(number)}).defaults == (number,)
 
 
+@pytest.mark.slow
 @given(number=st.integers(-(10**300), 10**300))
 def test_integers_survive_the_command_line(number: int, echo: Path) -> None:
     assert load_problem(echo, {"count": str(number)}).start.positions == (number,)

@@ -117,6 +117,7 @@ def test_terminal_cost(prepared, damaged):
     assert "cost at the end differs" in failure.detail
 
 
+@pytest.mark.slow
 def test_condition_at_the_end(prepared, damaged):
     context = prepared("low_thrust")
     text = text_from(context, "end_hessian")

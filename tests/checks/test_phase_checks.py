@@ -27,7 +27,8 @@ def contexts(tmp_path_factory) -> dict[str, Context]:
     return made
 
 
-@pytest.mark.parametrize("problem", [pytest.param("two_stage_rocket", marks=pytest.mark.slow), "bouncing_ball"])
+@pytest.mark.slow
+@pytest.mark.parametrize("problem", ["two_stage_rocket", "bouncing_ball"])
 def test_all_checks_pass(contexts, problem):
     findings = [finding for name in checks.CHECKS for finding in checks.apply(name, contexts[problem])]
     assert [finding for finding in findings if not finding.passed] == []

@@ -196,6 +196,7 @@ def test_models_are_equal_when_their_problems_read_alike() -> None:
 ORDINARY = st.floats(-5, 5, allow_subnormal=False)  # numbers that have not all digits are refused as such
 
 
+@pytest.mark.slow
 @given(ORDINARY, ORDINARY, ORDINARY)
 def test_a_value_is_within_its_bounds_or_refused(lower: float, upper: float, value: float) -> None:
     refused = False

@@ -107,6 +107,7 @@ def test_vertex_has_no_derivatives(solved):
     assert record["reason"] == found.reason
 
 
+@pytest.mark.slow
 def test_orbits_in_other_units(solved):
     """Lengths, times and masses may be measured in any units: Euler's theorem on homogeneous functions, thrice."""
     result = solved("orbital_transfer")
