@@ -283,7 +283,7 @@ def test_constants_that_double_precision_cannot_hold_are_refused(number):
         scalar_code(number * sympy.Symbol("x"))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, 3])  # deriving that of 2 takes ten seconds
 def test_random_problems_with_flat_terms_and_constants_of_all_sizes(seed, compared):
     """`tests/benchmarks/random_derivatives.py` runs a thousand of them."""
     problem, choices = random_problem(seed)
