@@ -8,11 +8,15 @@ import os
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
 # CODEGEN_TEST_THREADS=2 tries them all the same: no result may depend on it.
-THREADS = os.environ.get("CODEGEN_TEST_THREADS", "1")
-os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), THREADS))
+os.environ.update(
+    dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), os.environ.get("CODEGEN_TEST_THREADS", "1")
+    )
+)
 
 from pathlib import Path
 
+import machine_coded
 import numpy as np
 import pytest
 from compiled_modules import compiled
@@ -38,11 +42,11 @@ FAST = frozenset(
     "convergence_test newton_steps terms sample_points shapes printer termination phase_programs images"
     " landmark_formats quantities pairs_and_frame first_order_programs inequalities output dense_assembly zeros"
     " bodies least_action packing drawing large_constants general ends_and_bodies holonomic_constraints copies"
-    " pairwise orders legendre specialise set_values relations model problem_file phase_checks nonsmooth_costs"
-    " path_modes damage damage_beyond_kernels phase_solutions newton filter import_graph batch solver refinement"
-    " limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities sweep_cases"
-    " sweep_continuation sweep_processes sweep_jumps sweep_figure sweep_sensitivities pareto first_order"
-    " tornado shift controller closed_loop refused_controllers".split()
+    " pairwise orders legendre specialise set_values relations model model_of_bodies problem_file phase_checks"
+    " nonsmooth_costs path_modes damage damage_beyond_kernels phase_solutions newton filter import_graph batch solver"
+    " refinement limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities"
+    " sweep_cases sweep_continuation sweep_processes sweep_jumps sweep_figure sweep_sensitivities pareto"
+    " first_order tornado shift controller closed_loop refused_controllers".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 
@@ -51,6 +55,11 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Import no other files of tests where `-m fast` is all that is asked for."""
     is_other = collection_path.suffix == ".py" and collection_path.stem.removeprefix("test_") not in FAST
     return True if is_other and config.option.markexpr == "fast" else None
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile nothing where only fast tests are asked for."""
+    machine_coded.Switch.on = config.option.markexpr != "fast"
 
 
 def pytest_collection_finish() -> None:
@@ -62,7 +71,7 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that `pytest -m fast` runs."""
     for item in items:
-        if item.path.stem.removeprefix("test_") in FAST:
+        if item.path.stem.removeprefix("test_") in FAST and not item.get_closest_marker("slow"):
             item.add_marker("fast")
 
 
@@ -76,6 +85,7 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     own = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "build-cache"
     folder = Path(os.environ.get("CODEGEN_TEST_CACHE") or own)
     os.environ["CODEGEN_CACHE_DIR"] = str(folder)
+    os.chdir(tmp_path_factory.mktemp("elsewhere"))  # beside ./generated a module would be compiled once more
     return folder
 
 

@@ -1,10 +1,14 @@
-"""Generated modules run by the Python interpreter, uncompiled: what tests on many variants and few intervals need."""
+"""Generated modules run by the Python interpreter, uncompiled: what tests on many variants and few intervals need.
+
+Only the elimination of dense rows, which is the same text in all of them, is machine code (`machine_coded.py`).
+"""
 
 import math
 import types
 from pathlib import Path
 
 import numpy as np
+from machine_coded import for_module
 
 from codegen.author.problem import Control, Phases
 from codegen.compiler import build, generate_from_model
@@ -16,9 +20,10 @@ from codegen.naming import Choices
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
     """Execute the text of a generated module with numba's decorator replaced by one that does nothing."""
     assert text.count("\nfrom numba import ") == 1
-    text = text.replace("\nfrom numba import ", "\nfrom interpreted import ")
     module = types.ModuleType(name)
-    exec(compile(text, f"<{name}>", "exec"), module.__dict__)
+    inner = text.replace("\nfrom numba import ", "\nfrom interpreted import ")
+    exec(compile(inner, f"<{name}>", "exec"), module.__dict__)
+    module.__dict__.update(for_module(text))
     return module
 
 
@@ -28,19 +33,23 @@ def as_machine_code(text: str, name: str = "interpreted") -> types.ModuleType:
     return without_compilation(text.replace("import math\n", "from interpreted import silent_math as math\n"), name)
 
 
-def _silent(function):
-    """A function of floats that never raises, from one of numpy."""
+def _silent(name):
+    """A function of floats that never raises: that of `math`, and where it would, that of numpy, which takes longer."""
+    ordinary, function = getattr(math, name), getattr(np, name)
 
     def called(*arguments):
-        with np.errstate(all="ignore"):
-            return np.float64(function(*map(np.float64, arguments)))
+        try:
+            return np.float64(ordinary(*arguments))
+        except (ValueError, OverflowError):
+            with np.errstate(all="ignore"):
+                return np.float64(function(*map(np.float64, arguments)))
 
     return called
 
 
 silent_math = types.SimpleNamespace(
     **{name: value for name, value in vars(math).items() if not name.startswith("_")}
-    | {name: _silent(getattr(np, name)) for name in "sin cos tan sinh cosh tanh exp log log1p expm1 sqrt".split()}
+    | {name: _silent(name) for name in "sin cos tan sinh cosh tanh exp log log1p expm1 sqrt".split()}
 )
 """The functions of `math` that kernels call most, without errors."""
 

@@ -4,6 +4,7 @@ import ast
 import graphlib
 import subprocess
 import sys
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -41,16 +42,25 @@ SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "deri
 """What may import it, or what leads there; of the author's files that of points is about numbers alone."""
 
 
-@cache
 def imported(path: Path, with_types: bool = False) -> frozenset[str]:
     """Absolute names of the codegen modules that a file imports at run time, or for annotations as well."""
+    at_run_time, for_types = imports(path)
+    return at_run_time | for_types if with_types else at_run_time
+
+
+@cache
+def imports(path: Path) -> tuple[frozenset[str], frozenset[str]]:
+    """What a file imports at run time, and what where types are checked."""
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    guarded = [node for node in nodes if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)]
+    skipped = {node for guard in guarded for node in ast.walk(guard)}
+    return names_in(node for node in nodes if node not in skipped), names_in(skipped)
+
+
+def names_in(nodes: Iterable[ast.AST]) -> frozenset[str]:
+    """The names that some statements import."""
     names = set()
-    tree = ast.parse(path.read_text())
-    skipped = {id(n) for node in ast.walk(tree) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-               and not with_types for n in ast.walk(node)}  # fmt: skip
-    for node in ast.walk(tree):
-        if id(node) in skipped:
-            continue
+    for node in nodes:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -135,8 +145,12 @@ def test_after_lowering_there_is_no_sympy():
         ("import codegen.loading, codegen.drivers", ("sympy",)),
         ("import codegen.solving.outcome", ("sympy", "scipy.interpolate")),
         ("import codegen.registration", ("sympy", "numba", "nibabel", "SimpleITK", "skimage")),
-        ("import codegen.registration.app.server", ("sympy", "numba")),
-        ("import codegen.report.study, codegen.report.page, codegen.report.gallery", ("sympy",)),
+        pytest.param("import codegen.registration.app.server", ("sympy", "numba"), marks=pytest.mark.slow),
+        pytest.param(
+            "import codegen.report.study, codegen.report.page, codegen.report.gallery",
+            ("sympy",),
+            marks=pytest.mark.slow,
+        ),
         ("from generated import orbital_transfer", ("sympy", "codegen", "matplotlib")),  # numba itself imports scipy
     ],
 )

@@ -93,6 +93,7 @@ def test_the_model_is_that_of_bodies_written_by_hand():
     assert normalise(discs()) == normalise(by_hand())
 
 
+@pytest.mark.slow
 def test_discs_keep_their_distance():
     """Head-on, two discs must give way, which costs; the optimum touches the least distance."""
     (x, y), (vx, vy) = coordinates("x y")

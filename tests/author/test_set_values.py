@@ -145,6 +145,7 @@ def test_arguments_that_do_not_fit_their_types(name: str, text: str, fragment: s
 words = st.text(st.characters(exclude_characters="=", exclude_categories=["Cs"]), min_size=1).map(str.strip)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(words.filter(bool), st.text()))
 def test_parse_arguments_inverts_joining(arguments: dict[str, str]) -> None:
     assert parse_arguments([f"{name}={value}" for name, value in arguments.items()]) == arguments
@@ -184,11 +185,13 @@ def echo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
+@pytest.mark.slow
 @given(number=st.floats(-30, 30))
 def test_floats_survive_the_command_line(number: float, echo: Path) -> None:
     assert load_problem(echo, {"mass": repr(number)}).defaults == (number,)
 
 
+@pytest.mark.slow
 @given(number=st.integers(-(10**300), 10**300))
 def test_integers_survive_the_command_line(number: int, echo: Path) -> None:
     assert load_problem(echo, {"count": str(number)}).start.positions == (number,)

@@ -42,6 +42,12 @@ def uncompiled(path: Path):
 
 
 @pytest.fixture
+def interpreting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have `checks.run` look at modules that the interpreter runs."""
+    monkeypatch.setattr(checks, "load", uncompiled)
+
+
+@pytest.fixture
 def damaged(tmp_path: Path) -> Callable[..., Context]:
     """A context whose module is a copy in which the first occurrence of each text is replaced by the text after it."""
 

@@ -125,14 +125,14 @@ def test_passes_for_periodic_coupled_bodies_with_a_free_period(prepared, tmp_pat
     assert rank.detail == "1 of 1 are independent, none is redundant"
 
 
-def test_run_reports_provenance(prepared, tmp_path: Path):
+def test_run_reports_provenance(prepared, interpreting):
     module = Path(prepared("pendulum").module.__file__)
     findings = checks.run(PROBLEMS / "pendulum.py", module=module)
     assert all(finding.passed for finding in findings)
     assert [f.subject for f in findings if f.check == "provenance"] == ["inputs", "text"]
 
 
-def test_run_tells_an_altered_module_apart_and_still_checks_it(prepared, tmp_path: Path):
+def test_run_tells_an_altered_module_apart_and_still_checks_it(prepared, interpreting, tmp_path: Path):
     text = Path(prepared("pendulum").module.__file__).read_text(encoding="utf-8")
     module = tmp_path / "pendulum.py"
     module.write_text(text.replace("# Left out", "# Omitted"), encoding="utf-8")
@@ -144,7 +144,7 @@ def test_run_tells_an_altered_module_apart_and_still_checks_it(prepared, tmp_pat
     assert all(finding.passed for finding in others)
 
 
-def test_run_tells_other_inputs(prepared):
+def test_run_tells_other_inputs(prepared, interpreting):
     module = Path(prepared("pendulum", {}, scheme="stormer-verlet").module.__file__)
     inputs, wording, layout, *others = checks.run(PROBLEMS / "pendulum.py", module=module)
     assert not layout.passed

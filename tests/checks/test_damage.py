@@ -173,6 +173,7 @@ def test_tables(prepared, damaged, old, new):
     assert f"{old.partition(' ')[0]} is" in failure.detail
 
 
+@pytest.mark.slow
 def test_what_follows_from_parameters(prepared, damaged):
     """Boundary values that follow parameters otherwise than the problem says: no other check looks at that."""
     context = prepared("orbital_transfer", sensitivities=True)

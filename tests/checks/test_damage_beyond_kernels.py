@@ -108,6 +108,7 @@ def test_curvature_by_a_free_duration(prepared, damaged):
 # ---- Ends ----
 
 
+@pytest.mark.slow
 def test_terminal_cost(prepared, damaged):
     context = prepared("low_thrust")
     line = re.search(r"    return .*", text_from(context, "end_gradient"))[0]
@@ -116,6 +117,7 @@ def test_terminal_cost(prepared, damaged):
     assert "cost at the end differs" in failure.detail
 
 
+@pytest.mark.slow
 def test_condition_at_the_end(prepared, damaged):
     context = prepared("low_thrust")
     text = text_from(context, "end_hessian")

@@ -27,6 +27,7 @@ def contexts(tmp_path_factory) -> dict[str, Context]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", ["two_stage_rocket", "bouncing_ball"])
 def test_all_checks_pass(contexts, problem):
     findings = [finding for name in checks.CHECKS for finding in checks.apply(name, contexts[problem])]

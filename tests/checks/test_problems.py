@@ -223,7 +223,7 @@ def test_rows_that_need_a_finite_guess_are_not_measured_where_there_is_none(prep
     assert all(finding.passed and finding.applies for finding in found["derivatives"])
 
 
-def test_default_scheme_by_its_name(tmp_path: Path):
+def test_default_scheme_by_its_name(interpreting):
     """The default is recorded without a name, and named or not it is the same module."""
     path = PROBLEMS / "double_integrator_effort.py"
     found = checks.run(path, scheme="midpoint")

@@ -106,6 +106,7 @@ loops = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(text=blocks, sizes=st.fixed_dictionaries({name: st.integers(0, 2) for name in NAMES}))
 def test_what_is_computed_stays_the_same(text, sizes):
     """An empty loop that is all there is in a block would leave the block empty; so blocks end with a statement."""

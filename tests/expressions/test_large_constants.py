@@ -31,7 +31,7 @@ def test_they_do_inside_other_functions(wrap):
     assert float(expression.subs(x, 1)) == pytest.approx(float(wrap(sympy.S.One).subs(x, 1)))
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", "hermite-simpson"])
+@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("hermite-simpson", marks=pytest.mark.slow)])
 def test_an_atmosphere_with_numbers_solves_as_with_parameters(scheme):
     """Density falls by exp(-885.85 (r - 1)), as in the reentry of Betts with radii in units of the Earth's."""
 

@@ -95,7 +95,7 @@ def test_hamiltonian_of_the_orbital_transfer() -> None:
     assert sympy.simplify(lagrangian_form(model).function - original.function) == 0
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_chain_keeps_its_energy_and_returns_its_velocities(count: int) -> None:
     model = chain(count)
     dual = hamiltonian_form(model)

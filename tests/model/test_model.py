@@ -10,71 +10,25 @@ import pytest
 import sympy
 from hypothesis import given
 from hypothesis import strategies as st
-from sympy import Eq, S, Symbol, sqrt
+from sympy import Eq, S, Symbol
+from written_problems import names, oscillator, plain, runners
 
 from codegen import (
     Control,
     Phases,
     Simulate,
-    body_number,
     canonical_pair,
     control,
-    controls,
     coordinate,
-    coordinates,
     free_parameter,
     parameter,
     state,
     states,
     time,
 )
-from codegen.author.symbols import recorded_declarations
 from codegen.errors import CodegenError
-from codegen.model import Boundary, Bounds, Condition, EndValue, FreeParameter, normalise
+from codegen.model import Boundary, Bounds, Condition, FreeParameter, normalise
 from codegen.model.conditions.table import CONDITIONS
-
-
-def plain(names: str) -> Any:
-    """The symbols that a model has for declared names."""
-    symbols = sympy.symbols(names, real=True)
-    return symbols
-
-
-def oscillator(**changes: Any) -> Control:
-    """A driven oscillator whose arguments may be given as functions of q, dq and u."""
-    q, dq = coordinate("q")
-    u = control("u")
-    given = {name: value(q, dq, u) if callable(value) else value for name, value in changes.items()}
-    arguments = {
-        "lagrangian": dq**2 / 2 - q**2 / 2,
-        "force": {q: u},
-        "cost": u**2,
-        "duration": 1,
-        "start": {q: 0, dq: 0},
-        **given,
-    }
-    return Control(**arguments)
-
-
-def runners(bodies: int = 2, **changes: Any) -> Control:
-    """Several points in the plane whose arguments may be given as functions of (x, y) and (dx, dy)."""
-    (x, y), (dx, dy) = coordinates("x y")
-    f, g = controls("f g")
-    given = {name: value((x, y), (dx, dy)) if callable(value) else value for name, value in changes.items()}
-    arguments = {
-        "lagrangian": (dx**2 + dy**2) / 2,
-        "force": {x: f, y: g},
-        "cost": f**2 + g**2,
-        "duration": 1,
-        "start": {x: 0, y: 0, dx: 0, dy: 0},
-        "bodies": bodies,
-        **given,
-    }
-    return Control(**arguments)
-
-
-def names(conditions: tuple[Condition, ...]) -> list[str]:
-    return [condition.name for condition in conditions]
 
 
 def test_every_kind_of_condition_reads_an_argument_and_has_a_field() -> None:
@@ -228,76 +182,6 @@ def test_periodic(as_mapping: bool) -> None:
     assert model.periodic == (((q, shift), (dq, S.Zero)) if as_mapping else ((dq, S.Zero), (q, S.Zero)))
 
 
-def test_couplings_and_conditions_of_each_body() -> None:
-    model = normalise(
-        runners(
-            bodies=3,
-            end=lambda x, v: {v[0]: 0},
-            end_conditions=lambda x, v: [
-                x[1].of(2) - x[0].of(1),
-                Eq(v[1], 1),
-                Eq(x[0].of(0) + x[0].of(1) + x[0].of(2), 3),
-            ],
-        )
-    )
-    x0, x1, x2, y2 = plain("x_0 x_1 x_2 y_2")
-    assert model.end_values == (EndValue(x0, 0, 0), EndValue(x1, 0, 1), EndValue(x2, 0, 2), EndValue(y2, 1, 2))
-    assert model.couplings == (Condition("-x_1 + y_2 = 0", y2 - x1), Condition("x_0 + x_1 + x_2 = 3", x0 + x1 + x2 - 3))
-    assert names(model.end_conditions) == ["dy = 1"]
-    assert model.bodies == 3
-
-
-def test_couplings_of_states_and_free_parameters() -> None:
-    x, v = states("x v")
-    u = control("u")
-    place = free_parameter("place", 1)
-    model = normalise(
-        Control(
-            dynamics={x: v, v: u},
-            cost=u**2,
-            duration=1,
-            start={x: 0, v: 0},
-            end={v: 0},
-            bodies=2,
-            end_conditions=[x.of(0) - place, x.of(1) - place - 1],
-        )
-    )
-    assert [value.coordinate for value in model.end_values] == [0, 0]
-    assert model.couplings[1].expression == Symbol("x_1", real=True) - Symbol("place", real=True) - 1
-
-
-def test_boundary_values_bounds_and_guesses_may_differ_from_body_to_body() -> None:
-    i, t = body_number(), time()
-    model = normalise(
-        runners(
-            bodies=4,
-            start=lambda x, v: {x[0]: 1 + i, x[1]: 0},
-            end=lambda x, v: {x[1]: sqrt(i)},
-            bounds=lambda x, v: {x[0]: (None, i + 2)},
-            guess=lambda x, v: {x[0]: i + t},
-        )
-    )
-    body = Symbol("body", real=True)
-    assert model.body == body
-    assert model.start.positions == (1 + body, S.Zero)
-    assert model.end is not None
-    assert model.end.positions == (None, sqrt(body))
-    assert model.bounds == (Bounds(Symbol("x", real=True), None, body + 2),)
-
-
-def test_end_values_are_the_same_symbol_each_time() -> None:
-    (x, y), _ = coordinates("x y")
-    assert x.of(1) is x.of(1)
-    assert len({x.of(0), x.of(1), y.of(1)}) == 3
-    assert (str(x.of(1)), x.of(1).partner, x.of(1).body) == ("x_1", x, 1)
-
-
-def test_end_values_need_not_be_used() -> None:
-    with recorded_declarations() as declared:
-        problem = runners(lagrangian=lambda x, v: (v[0] ** 2 + v[1] ** 2) / 2 + 0 * x[0].of(1))
-    assert normalise(problem, declared).end_values == ()
-
-
 def test_states_cannot_be_simulated_yet() -> None:
     (x,) = states("x")
     with pytest.raises(CodegenError, match="simulate takes a Lagrangian or a Hamiltonian"):
@@ -309,20 +193,10 @@ def test_models_are_equal_when_their_problems_read_alike() -> None:
     assert replace(normalise(runners(bodies=3)), bodies=2) == normalise(runners(bodies=2))
 
 
-@given(st.integers(1, 5), st.integers(0, 5))
-def test_a_body_is_one_of_the_bodies(bodies: int, number: int) -> None:
-    model, refusal = None, ""
-    try:
-        model = normalise(runners(bodies=bodies, end_conditions=lambda x, v: [x[0].of(number) - 1]))
-    except CodegenError as error:
-        refusal = str(error)
-    assert (model is not None) == (number < bodies)
-    assert (f"x.of({number}) is no body" in refusal) == (number >= bodies)
-
-
 ORDINARY = st.floats(-5, 5, allow_subnormal=False)  # numbers that have not all digits are refused as such
 
 
+@pytest.mark.slow
 @given(ORDINARY, ORDINARY, ORDINARY)
 def test_a_value_is_within_its_bounds_or_refused(lower: float, upper: float, value: float) -> None:
     refused = False

@@ -26,6 +26,7 @@ def plate(interpreted):
 # ---- Several threads ----
 
 
+@pytest.mark.slow
 def test_threads_share_the_gradient_in_blocks(interpreted, plate):
     """What a particle gets is what one thread adds up, to the last digit, in one block and in more."""
     shared = interpreted("image_registration", arguments={"parallel": "true"}, scheme="explicit-euler")
@@ -205,7 +206,9 @@ def test_scalars_of_the_kernels():
     assert model.domain == ()
 
 
-@pytest.mark.parametrize(("kernel", "dimension"), [("gauss", 2), ("gauss", 3), ("plate", 3)])
+@pytest.mark.parametrize(
+    ("kernel", "dimension"), [("gauss", 2), ("gauss", 3), pytest.param("plate", 3, marks=pytest.mark.slow)]
+)
 def test_other_kernels_follow_from_the_problem_file_alone(interpreted, kernel, dimension):
     module = interpreted("image_registration", arguments={"kernel": kernel, "dimension": str(dimension)})
     generator = np.random.default_rng(3)

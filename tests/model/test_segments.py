@@ -109,6 +109,7 @@ class TestCheck:
         module = without_compilation(text_of(problem, scheme=scheme))
         return Context(choices, model, program, find(program.scheme, program.method), module)
 
+    @pytest.mark.slow
     def test_delayed_equations_hold(self):
         (finding,) = CHECKS["delays"].findings(self.context("gauss-4"))
         assert finding.passed, finding.detail

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
-from compiled_modules import compiled
 from control_variants import ANTIPHASE, VARIANTS, dense_kkt, trial_point
-
-from codegen.compiler import build
+from interpreted import Interpreted
 
 ROD = '''"""Heat a rod from one end to a given temperature: stable dynamics over many times their shortest duration."""
 from codegen import Control, control, states, time
@@ -28,7 +25,6 @@ def problem() -> Control:
 COOLED = ROD.replace("100*(y - 2*x + z)", "-100*(y - 2*x + z)").replace(
     "start={x: 0 for x in T}", "end={x: 0 for x in T}"
 )
-"""The rod backward in time."""
 BOUNDED = ("antiphase", ANTIPHASE.replace("periodic=", "bounds={u: (-2, 2), q: (-3, 3)}, periodic="), {})
 STAGES = ("two_stage_rocket", None, {})
 
@@ -59,19 +55,20 @@ def test_what_a_step_leaves_is_what_the_dense_matrix_says(interpreted, name, tex
         np.testing.assert_allclose(left, expected, atol=1e-10 * np.abs(expected).max())
 
 
-def of_text(folder: Path, text: str) -> Any:
-    (folder / "rod.py").write_text(text)
-    return compiled(build(folder / "rod.py", out=folder / "modules").path)
+@pytest.fixture(scope="module")
+def rod(interpreted: Interpreted) -> Any:
+    return interpreted("rod", ROD)
 
 
 @pytest.fixture(scope="module")
-def rod(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return of_text(tmp_path_factory.mktemp("rod"), ROD)
+def heated(rod: Any) -> Any:
+    return rod.solve(100)
 
 
 @pytest.fixture(scope="module")
-def cooled(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return of_text(tmp_path_factory.mktemp("cooled"), COOLED)
+def cooled(interpreted: Interpreted) -> Any:
+    """The rod backward in time."""
+    return interpreted("cooled_rod", COOLED)
 
 
 class Step:
@@ -113,18 +110,17 @@ def test_refined_steps_are_those_of_a_sparse_factorisation(cooled):
     assert not step.refine()
 
 
-def test_a_rod_takes_about_as_many_iterations_as_ipopt(rod):
+def test_a_rod_takes_about_as_many_iterations_as_ipopt(heated):
     """IPOPT 3.11.9 takes 18 on the same program from the same guess; steps that are not refined would be twice as many.
 
     IPOPT's cost is not corrected by what its last weight of the barrier is worth.
     """
-    solution = rod.solve(100)
-    assert solution.status == "solved"
-    assert solution.cost == pytest.approx(0.03712799148568963, rel=1e-7)
-    assert solution.iterations <= 20
+    assert heated.status == "solved"
+    assert heated.cost == pytest.approx(0.03712799148568963, rel=1e-7)
+    assert heated.iterations <= 20
 
 
-def test_no_step_leaves_more_than_its_part_of_linear_equations(rod):
+def test_no_step_leaves_more_than_its_part_of_linear_equations(heated):
     """One minus its length, but for a tenth."""
-    residual, length = rod.solve(100).log[:, [1, 4]].T
+    residual, length = heated.log[:, [1, 4]].T
     np.testing.assert_array_less(residual[1:], (1.0 - length[1:] + 0.1) * residual[:-1] + 1e-7)

@@ -22,7 +22,13 @@ def exact_hessian(k: float, x_0: float, sigma: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("scheme", "error"), [("midpoint", 5e-3), ("trapezoidal", 2e-3), ("hermite-simpson", 2e-7), ("gauss-6", 1e-9)]
+    ("scheme", "error"),
+    [
+        ("midpoint", 5e-3),
+        ("trapezoidal", 2e-3),
+        ("hermite-simpson", 2e-7),
+        pytest.param("gauss-6", 1e-9, marks=pytest.mark.slow),
+    ],
 )
 def test_decay_is_fitted_as_by_scipy(folder, scheme, error):
     module = interpreted(write_decay(folder), scheme=scheme)
@@ -142,6 +148,7 @@ def test_an_exact_fit_has_no_errors(folder):
     assert found.standard_errors == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_parameter_of_what_nobody_measured_is_not_determined(folder):
     text = (
         write_decay(folder)

@@ -107,6 +107,7 @@ def test_vertex_has_no_derivatives(solved):
     assert record["reason"] == found.reason
 
 
+@pytest.mark.slow
 def test_orbits_in_other_units(solved):
     """Lengths, times and masses may be measured in any units: Euler's theorem on homogeneous functions, thrice."""
     result = solved("orbital_transfer")
@@ -174,6 +175,7 @@ def test_samples_in_times_that_follow_parameters_are_refused(tmp_path):
         codegen.build(path, sensitivities=True)
 
 
+@pytest.mark.slow
 def test_delays_are_put_together(solved):
     result = solved("delayed_oscillator", steps=20)
     found = result.sensitivities()

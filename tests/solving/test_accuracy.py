@@ -23,13 +23,13 @@ def effort(cache_folder):
 
 
 @pytest.fixture(scope="module")
-def fastest(cache_folder):
-    return compiled(build(PROBLEMS / "double_integrator.py").path)
+def fastest(interpreted):
+    return interpreted("double_integrator")
 
 
 @pytest.fixture(scope="module")
-def layer(cache_folder):
-    return compiled(build(PROBLEMS / "hypersensitive.py", {"duration": 1000}).path)
+def layer(interpreted):
+    return interpreted("hypersensitive", arguments={"duration": 1000})
 
 
 @pytest.mark.parametrize("request_", [1e-3, 1e-5])

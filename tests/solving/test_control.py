@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from compiled_modules import compiled
 from conftest import PROBLEMS
 from control_variants import (
     DOUBLE_PENDULUM,
@@ -19,7 +18,6 @@ from sympy import lambdify
 
 from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
-from codegen.compiler import build
 from codegen.model.from_file import load_problem
 from codegen.schemes import METHODS
 from codegen.transcribe import MOST_PARTS
@@ -28,8 +26,8 @@ EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
 
 
 @pytest.fixture(scope="session")
-def linear_pendulum(cache_folder):
-    return compiled(build(PROBLEMS / "linear_pendulum.py").path)
+def linear_pendulum(interpreted):
+    return interpreted("linear_pendulum")
 
 
 @pytest.mark.parametrize(("steps", "cost"), [(10, 4.546929903), (200, 4.530801094)])

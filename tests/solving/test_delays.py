@@ -91,10 +91,10 @@ def followed():
 
 CASES = (
     ("lagrangian", "midpoint", "variational", 2),
-    ("lagrangian", "gauss-4", "hamiltonian", 4),
+    pytest.param("lagrangian", "gauss-4", "hamiltonian", 4, marks=pytest.mark.slow),
     ("hamiltonian", "midpoint", "variational", 2),
-    ("dynamics", "gauss-6", None, 6),
-    ("dynamics", "rk4", None, 4),
+    pytest.param("dynamics", "gauss-6", None, 6, marks=pytest.mark.slow),
+    pytest.param("dynamics", "rk4", None, 4, marks=pytest.mark.slow),
 )
 
 
@@ -112,6 +112,7 @@ def test_schemes_keep_their_order(followed, form, scheme, method, order):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.slow
 def test_published_value(interpreted: Interpreted):
     result = result_of(interpreted("published/delayed_feedback"), 400)
     assert result.cost == pytest.approx(PUBLISHED, rel=1e-5)
@@ -264,6 +265,7 @@ def test_a_delay_longer_than_the_duration_reads_the_history_alone():
     assert late.cost == pytest.approx(solved(known, 20).cost, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_a_pendulum_on_a_circle_with_late_friction():
     """x^2 + y^2 = 1 in Cartesian coordinates, against the angle; momenta and forces of the rod join across segments."""
     (x, y), (dx, dy) = coordinates("x y")
@@ -299,6 +301,7 @@ def test_a_pendulum_on_a_circle_with_late_friction():
     assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_conditions_on_the_whole_motion_hold_across_segments():
     x, y, u, v = *states("x y"), *controls("u v")
     problem = Control(

@@ -23,6 +23,7 @@ def bent(made):
     return case, positions
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_action(made, bent):
     case, positions = bent
     gradient = made.action_of(case, positions)[1]

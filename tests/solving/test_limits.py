@@ -43,6 +43,7 @@ def test_the_time_runs_out(interpreted, monkeypatch, name):
     assert "raise time_limit" in stopped.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["circles-that-do-not-meet", "thrust-too-small"])
 def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
     """Both solvers lower the violation of equations without a solution, and stop at the first step after the time."""
@@ -88,11 +89,11 @@ def test_times_that_are_none(interpreted, limit):
         interpreted("cart_pole").solve(5, time_limit=limit)
 
 
-def test_tasks_and_drivers_without_a_time_limit(interpreted, pendulum):
+def test_tasks_and_drivers_without_a_time_limit(interpreted):
     with pytest.raises(ArgumentError, match=r"driver slsqp takes no --time-limit .* newton, ipopt"):
         solving.solve(interpreted("cart_pole"), "slsqp", steps=5, time_limit=1.0)
     with pytest.raises(ArgumentError, match="does not apply to a simulate problem"):
-        solving.solve(pendulum, time_limit=1.0)
+        solving.solve(interpreted("pendulum"), time_limit=1.0)
 
 
 @pytest.mark.parametrize(("limit", "status"), [({"time_limit": 1e-6}, "time limit"),

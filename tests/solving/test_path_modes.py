@@ -40,7 +40,9 @@ def sawtooth(module, steps: int) -> np.ndarray:
     return unknowns
 
 
-@pytest.mark.parametrize("steps", [10, 21, 40])
+@pytest.mark.parametrize(
+    "steps", [pytest.param(10, marks=pytest.mark.slow), 21, pytest.param(40, marks=pytest.mark.slow)]
+)
 def test_a_sawtooth_wins_nothing(steps):
     """With the condition at nodes only, 4.0, 18.1 and 64.0 were called solved."""
     module = of_problem(resting())
@@ -53,13 +55,22 @@ def test_a_sawtooth_wins_nothing(steps):
             assert np.hypot(*places.T).min() > 1.0 - 1e-7
 
 
-@pytest.mark.parametrize("scheme", ["trapezoidal", "implicit-euler", "gauss-4", "hermite-simpson"])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        "trapezoidal",
+        "implicit-euler",
+        pytest.param("gauss-4", marks=pytest.mark.slow),
+        pytest.param("hermite-simpson", marks=pytest.mark.slow),
+    ],
+)
 def test_schemes_that_see_other_points(scheme):
     solution = of_problem(resting(), scheme=scheme).solve(20)
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(100.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_around_a_disc():
     """A taut string: of length 2 sqrt(3) + pi/3, and the least integral of the squared speed is its square."""
     x, y = states("x y")

@@ -69,11 +69,11 @@ def driven(form: str) -> dict:
 
 SPLIT = [
     ("lagrangian", "variational", "midpoint"),
-    ("lagrangian", "variational", "trapezoidal"),
-    ("hamiltonian", "hamiltonian", "symplectic-euler"),
+    pytest.param("lagrangian", "variational", "trapezoidal", marks=pytest.mark.slow),
+    pytest.param("hamiltonian", "hamiltonian", "symplectic-euler", marks=pytest.mark.slow),
     ("hamiltonian", "hamiltonian", "stormer-verlet"),
-    ("lagrangian", "hamiltonian", "midpoint"),
-    ("hamiltonian", "variational", "midpoint"),
+    pytest.param("lagrangian", "hamiltonian", "midpoint", marks=pytest.mark.slow),
+    pytest.param("hamiltonian", "variational", "midpoint", marks=pytest.mark.slow),
     ("first-order", "one-step", "trapezoidal"),
 ]
 
@@ -222,6 +222,7 @@ def mixed_reference() -> tuple[float, dict[str, np.ndarray]]:
     return least_cost, parts(z)
 
 
+@pytest.mark.slow
 def test_first_order_phases_against_an_independent_program(mixed_module):
     cost, found = mixed_reference()
     solution = mixed_module.solve()

@@ -45,9 +45,9 @@ def test_start_of_another_problem_is_refused(interpreted):
         solving.solve(interpreted("brachistochrone"), steps=10, warm=np.zeros(17))
 
 
-def test_simulations_are_not_refined(pendulum):
+def test_simulations_are_not_refined(interpreted):
     with pytest.raises(ArgumentError, match="optimisation"):
-        solving.solve(pendulum, doublings=1)
+        solving.solve(interpreted("pendulum"), doublings=1)
 
 
 def test_costs_are_extrapolated_by_the_order_of_optima(interpreted):

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from compiled_modules import compiled
-
-from codegen.compiler import build
-
-PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
 def graded(steps, ratio=6.0):
@@ -20,23 +13,23 @@ def graded(steps, ratio=6.0):
 
 
 @pytest.fixture(scope="module")
-def effort(cache_folder):
-    return compiled(build(PROBLEMS / "double_integrator_effort.py").path)
+def effort(interpreted):
+    return interpreted("double_integrator_effort")
 
 
 @pytest.fixture(scope="module")
-def fastest(cache_folder):
-    return compiled(build(PROBLEMS / "double_integrator.py").path)
+def fastest(interpreted):
+    return interpreted("double_integrator")
 
 
 @pytest.fixture(scope="module")
-def ball(cache_folder):
-    return compiled(build(PROBLEMS / "bouncing_ball.py").path)
+def ball(interpreted):
+    return interpreted("bouncing_ball")
 
 
 @pytest.fixture(scope="module")
-def layer(cache_folder):
-    return compiled(build(PROBLEMS / "hypersensitive.py").path)
+def layer(interpreted):
+    return interpreted("hypersensitive")
 
 
 @pytest.mark.parametrize("name", ["orbital_transfer", "effort", "fastest", "ball"])

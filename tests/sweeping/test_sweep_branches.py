@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray
 from command_lines import run
+from compiled_modules import compiled
 
 import codegen
 
@@ -45,7 +46,7 @@ def hill(folder):
 
 def test_a_planted_jump_is_found_and_mended(hill):
     """The optimum is even in c, as the problem is but for its guess."""
-    module = codegen.load(codegen.build(hill).path)
+    module = compiled(codegen.build(hill).path)
     alone = module.solve(20, c=0.1)
     assert alone.status == "solved"
     data = codegen.sweep(hill, {"c": C}, steps=20, workers=1)

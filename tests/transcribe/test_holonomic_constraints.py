@@ -110,6 +110,7 @@ def test_the_constraint_force_is_the_tension_of_the_rod():
     assert dense.cost(z) == pytest.approx(0, abs=1e-20)
 
 
+@pytest.mark.slow
 def test_spherical_pendulum_converges_to_the_motion_in_angles():
     g = 9.81
     (th, ph), (wt, wp) = coordinates("th ph")

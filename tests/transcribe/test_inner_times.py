@@ -115,6 +115,7 @@ def test_interior_point():
     assert solved(loaded(problem, scheme="gauss-4", controls="stages"), 40).cost == pytest.approx(optimum, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_velocities_are_those_of_the_discrete_momentum():
     """Both ends of an interval tell the same momentum, so that midpoint rules of all forms have one optimum."""
     costs = []
@@ -167,6 +168,7 @@ def test_different_conditions_share_their_multipliers():
     assert program.inner.present == ((True, False, False), (True, True, True), (True, True, True))
 
 
+@pytest.mark.slow
 def test_an_inequality_that_is_active_is_an_equation_and_one_that_is_not_changes_nothing():
     equation = solved(loaded(through(at=lambda x, v: {2: [Eq(x, 1)]})), 8)
     for relation in (lambda x: x >= 1, lambda x: -x <= -1):
@@ -183,6 +185,7 @@ def test_the_multiplier_is_the_slope_of_the_cost():
     assert multiplier(module, solved(module, 8)) == pytest.approx(-(more - less) / 2e-3, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_value_may_lie_on_a_bound_and_on_a_path_condition():
     problem = through(at=lambda x, v: {2: [Eq(x, 1)]})
     (x, v), cost = problem.dynamics, solved(loaded(problem), 8).cost
@@ -257,6 +260,7 @@ def test_a_free_waypoint_in_least_time():
     assert multiplier(module, solution) == pytest.approx(-2.0, rel=1e-3)  # T = 4 sqrt(height)
 
 
+@pytest.mark.slow
 def test_windows_and_given_times_of_a_free_duration_agree():
     """A window that is active, one without length, and a given time beside a free duration are one problem."""
     problem = there_and_back()
@@ -279,6 +283,7 @@ LEAST_TIME = {20: 9.939914293428}
 """Through the gates, by CasADi 3.8.2 and IPOPT on the same program, a phase for each gate (benchmarks/waypoints.py)."""
 
 
+@pytest.mark.slow
 def test_least_time_through_gates():
     x, y, v, w = states("x y v w")
     a, b, duration = control("a"), control("b"), free_parameter("T", 8, lower=0.1)

@@ -1,11 +1,11 @@
 """What a build emits is verified before it is written: planted defects are found, right modules are left alone."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
+from planted_defects import ORIGIN, changed
 from random_scalars import random_problem
 from sympy import Integer, Rational, cos, exp, sin, tanh
 
@@ -31,14 +31,10 @@ from codegen.compiler import generate_from_model
 from codegen.derive.mixed import control_sensitivities
 from codegen.errors import ExpressionError, VerificationError
 from codegen.expressions.straight_line import written_out
-from codegen.lower.module import Origin
 from codegen.lower.printer import scalar_code
 from codegen.model import normalise
-from codegen.model.from_file import load_problem
 from codegen.naming import Choices
 from codegen.verify import judgement, shares, steps
-
-ORIGIN = Origin("test.py", "codegen build test.py", "0", ("codegen",))
 
 
 def cart() -> Control:
@@ -85,15 +81,6 @@ def of_pendulum():
 @pytest.fixture(scope="module")
 def of_explicit_pendulum():
     return prepared(swinging(), scheme="explicit-euler", method="hamiltonian")
-
-
-def changed(text: str, function: str, pattern: str, replacement: str) -> str:
-    """The text with the first match inside a function replaced; the match must exist and matter."""
-    begin = text.index(f"def {function}(")
-    end = text.index("\n\n\n", begin)
-    body, count = re.subn(pattern, replacement, text[begin:end], count=1)
-    assert count == 1, f"no {pattern} in {function}"
-    return text[:begin] + body + text[end:]
 
 
 DEFECTS = {
@@ -217,86 +204,6 @@ def test_what_is_emitted_passes(of_cart, of_pendulum, of_explicit_pendulum, comp
             assert any(kind in name for name in names), names
 
 
-def prepared_file(name: str, **arguments):
-    path = Path(__file__).parents[2] / "problems" / f"{name}.py"
-    model = load_problem(path, arguments)
-    program = transcribe.transcribe(model, None, None, "interval")
-    return program, emit.render(lower.lower(program, derive.derivatives(program)), ORIGIN)
-
-
-PAIR_DEFECTS = {
-    "energy": ("hamiltonian", r"energy \+= (.*)", r"energy += 1.00001*(\1)"),
-    "gradient": ("hamiltonian_gradient", r"(gradient\[1, first \+ m, 1\]) = (.*)", r"\1 = 1.00001*(\2)"),
-    "Hessian": ("hamiltonian_hessian", r"(hessian\[.*\]) \+= (.*)", r"\1 += 1.001*(\2)"),
-    "products": ("hessian_products", r"products\[row_j, c\] \+= ", "products[row_j, c] -= "),
-    "momenta": ("momentum_matrix", r"matrix\[i, j\] \+= ", "matrix[i, j] -= "),
-}
-
-
-@pytest.fixture(scope="module")
-def of_landmarks():
-    return prepared_file("image_registration")
-
-
-@pytest.mark.parametrize("name", PAIR_DEFECTS)
-def test_planted_defect_of_particles_is_found(of_landmarks, name):
-    program, text = of_landmarks
-    verify.verify(program, text)
-    function, pattern, replacement = PAIR_DEFECTS[name]
-    with pytest.raises(VerificationError, match="the emitted code gives"):
-        verify.verify(program, changed(text, function, pattern, replacement))
-
-
-def test_products_where_a_term_is_linear_in_an_invariant():
-    """p^2/(2 m) has no curvature in p^2: products once read a momentum that nothing had read."""
-    program, text = prepared_file("lennard_jones")
-    verify.verify(program, text)
-    with pytest.raises(VerificationError, match="for hessian_products"):
-        verify.verify(program, changed(text, *PAIR_DEFECTS["products"]))
-
-
-COUPLING_DEFECTS = {
-    "value": ("coupling_0", r"return (.*)", r"return 1.001*(\1)"),
-    "slope": ("coupling_0", r"slopes\[1\] = (.*?)(  #|\n)", r"slopes[1] = -(\1)\2"),
-    "curvature": ("coupling_0", r"curvatures\[0\] = (.*?)(  #|\n)", r"curvatures[0] = 3*(\1)\2"),
-}
-
-
-@pytest.fixture(scope="module")
-def of_hovercraft():
-    return prepared_file("hovercraft")
-
-
-@pytest.mark.parametrize("name", COUPLING_DEFECTS)
-def test_planted_defect_of_conditions_between_bodies_is_found(of_hovercraft, name):
-    program, text = of_hovercraft
-    with pytest.raises(VerificationError, match="of the condition"):
-        verify.verify(program, changed(text, *COUPLING_DEFECTS[name]))
-
-
-@pytest.mark.parametrize(
-    ("function", "pattern", "replacement"),
-    [
-        ("coupling_1_mixed", r"slopes\[3\] = (.*?)(  #|\n)", r"slopes[3] = -(\1)\2"),
-        ("coupling_2_mixed", r"slopes\[4\]", "slopes[5]"),
-    ],
-)
-def test_planted_defect_of_data_of_conditions_is_found(function, pattern, replacement):
-    program = prepared_file("hovercraft")[0]
-    text = emit.render(lower.lower(program, derive.derivatives(program), control_sensitivities(program)), ORIGIN)
-    verify.verify(program, text)
-    with pytest.raises(VerificationError, match="of the condition"):
-        verify.verify(program, changed(text, function, pattern, replacement))
-
-
-def test_a_term_that_reads_another_unknown_is_found(of_hovercraft):
-    program, text = of_hovercraft
-    verify.verify(program, text)
-    assert "COUPLING_INDICES = np.array([[0, 2], " in text
-    with pytest.raises(VerificationError, match="the condition"):
-        verify.verify(program, text.replace("INDICES = np.array([[0, 2], ", "INDICES = np.array([[0, 3], "))
-
-
 FLAT = {
     "reaction": (lambda x: Rational(72) * 10**9 * exp(-8750 / x), 350),
     "logistic": (lambda x: 1 / (1 + exp(-50 * (x - 8))), 8),
@@ -376,7 +283,7 @@ def test_constants_that_double_precision_cannot_hold_are_refused(number):
         scalar_code(number * sympy.Symbol("x"))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 1, 3])  # deriving that of 2 takes ten seconds
 def test_random_problems_with_flat_terms_and_constants_of_all_sizes(seed, compared):
     """`tests/benchmarks/random_derivatives.py` runs a thousand of them."""
     problem, choices = random_problem(seed)

@@ -69,8 +69,7 @@ def change_along(
                         part[MIXED_ROWS[j]] += mixed[j] * data[MIXED_COLUMNS[j]]
                     values[d] += product(slopes, data)
                 add_end(part, first, ELEMENT, body, products[d])
-        add_start(unknowns, body, 0.0, own, vectors, rates, times, products, values)
-        add_last(unknowns, body, steps, steps * h, own, vectors, rates, times, products, values)
+        add_ends(unknowns, body, steps, h, own, vectors, rates, times, products, values)
         if TIED:
             for d in range(len(values)):
                 row = products[d]
@@ -183,57 +182,41 @@ def read_vector(vector, first, size, body, moved):
 
 
 @njit(error_model="numpy")
-def add_start(unknowns, body, t, parameters, vectors, rates, times, products, values):
-    """Add what the start's own share changes; what is pinned there stands behind its data."""
-    gradient, slopes, mixed = zero_vector(NODE + SHARED), zero_vector(DATA + NODE), zero_vector(START_MIXED_ROWS.size)
+def add_ends(unknowns, body, steps, h, parameters, vectors, rates, times, products, values):
+    """Add what the shares of start and end change; what is pinned there stands behind their data."""
     moved, part, data = zero_vector(NODE + SHARED), zero_vector(NODE + SHARED), zero_vector(DATA + NODE)
-    first = body * ((times.shape[1] - 1) * STRIDE + NODE)
-    node = unknowns[first : first + NODE]
-    start_gradient(node, t, parameters, gradient)
-    start_mixed(node, t, parameters, slopes, mixed)
-    if CURVED:
-        hessian = zero_vector(START_HESSIAN_ROWS.size)
-        start_hessian(node, t, parameters, hessian)
-    for d in range(len(values)):
-        for i in range(PARAMETRIC):
-            data[i] = rates[d, body, i]
-        data[PARAMETRIC] = times[d, 0]
-        read_vector(vectors[d], first, NODE, body, moved)
-        copy_part(moved, 0, data[DATA:])
-        clear_vector(part)
+    for k in (0, steps):
+        gradient, slopes, t = zero_vector(NODE + SHARED), zero_vector(DATA + NODE), k * h
+        first = body * (steps * STRIDE + NODE) + k * STRIDE
+        node = unknowns[first : first + NODE]
+        rows, columns = (END_MIXED_ROWS, END_MIXED_COLUMNS) if k else (START_MIXED_ROWS, START_MIXED_COLUMNS)
+        mixed = zero_vector(rows.size)
+        if k:
+            end_gradient(node, t, parameters, gradient)
+            end_mixed(node, t, parameters, slopes, mixed)
+        else:
+            start_gradient(node, t, parameters, gradient)
+            start_mixed(node, t, parameters, slopes, mixed)
         if CURVED:
-            multiply(hessian, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, moved, part)
-        for j in range(START_MIXED_ROWS.size):
-            part[START_MIXED_ROWS[j]] += mixed[j] * data[START_MIXED_COLUMNS[j]]
-        values[d] += product(slopes, data) + product(gradient, moved)
-        add_end(part, first, NODE, body, products[d])
-
-
-@njit(error_model="numpy")
-def add_last(unknowns, body, steps, t, parameters, vectors, rates, times, products, values):
-    """Add what the end's own share changes; what is pinned there stands behind its data."""
-    gradient, slopes, mixed = zero_vector(NODE + SHARED), zero_vector(DATA + NODE), zero_vector(END_MIXED_ROWS.size)
-    moved, part, data = zero_vector(NODE + SHARED), zero_vector(NODE + SHARED), zero_vector(DATA + NODE)
-    first = body * (steps * STRIDE + NODE) + steps * STRIDE
-    node = unknowns[first : first + NODE]
-    end_gradient(node, t, parameters, gradient)
-    end_mixed(node, t, parameters, slopes, mixed)
-    if CURVED:
-        hessian = zero_vector(END_HESSIAN_ROWS.size)
-        end_hessian(node, t, parameters, hessian)
-    for d in range(len(values)):
-        for i in range(PARAMETRIC):
-            data[i] = rates[d, body, i]
-        data[PARAMETRIC] = times[d, steps]
-        read_vector(vectors[d], first, NODE, body, moved)
-        copy_part(moved, 0, data[DATA:])
-        clear_vector(part)
-        if CURVED:
-            multiply(hessian, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, moved, part)
-        for j in range(END_MIXED_ROWS.size):
-            part[END_MIXED_ROWS[j]] += mixed[j] * data[END_MIXED_COLUMNS[j]]
-        values[d] += product(slopes, data) + product(gradient, moved)
-        add_end(part, first, NODE, body, products[d])
+            at_start, at_end = zero_vector(START_HESSIAN_ROWS.size), zero_vector(END_HESSIAN_ROWS.size)
+            if k:
+                end_hessian(node, t, parameters, at_end)
+            else:
+                start_hessian(node, t, parameters, at_start)
+        for d in range(len(values)):
+            for i in range(PARAMETRIC):
+                data[i] = rates[d, body, i]
+            data[PARAMETRIC] = times[d, k]
+            read_vector(vectors[d], first, NODE, body, moved)
+            copy_part(moved, 0, data[DATA:])
+            clear_vector(part)
+            if CURVED:  # the other one is zero
+                multiply(at_start, START_HESSIAN_ROWS, START_HESSIAN_COLUMNS, moved, part)
+                multiply(at_end, END_HESSIAN_ROWS, END_HESSIAN_COLUMNS, moved, part)
+            for j in range(rows.size):
+                part[rows[j]] += mixed[j] * data[columns[j]]
+            values[d] += product(slopes, data) + product(gradient, moved)
+            add_end(part, first, NODE, body, products[d])
 
 
 if COUPLINGS:

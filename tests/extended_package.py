@@ -1,0 +1,232 @@
+"""A copy of the package with another family of schemes, driver, check, kind of condition, sampling and command."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "codegen"
+
+RADAU = '''"""Collocation at the points of Radau."""
+
+from dataclasses import dataclass
+
+from sympy import Rational, S
+
+from codegen.schemes.base import FIRST_ORDER, Scheme
+from codegen.schemes.step import FieldPoint, Step, Update
+
+
+@dataclass(frozen=True)
+class Radau(Scheme):
+    """Stages at given abscissae, of which the last is the right node."""
+
+    abscissae: tuple[Rational, ...]
+    rows: tuple[tuple[Rational, ...], ...]
+
+    def step(self) -> Step:
+        numbers = range(1, len(self.rows) + 1)
+        points = tuple(
+            FieldPoint(c, weight, ((n, S.One),), ((n, S.One),))
+            for n, c, weight in zip(numbers, self.abscissae, self.rows[-1], strict=True)
+        )
+        updates = tuple(Update(0, S.One, row) for row in self.rows)
+        return Step(points, updates, updates, self.abscissae)
+
+
+TWO_STAGES = Radau(
+    "radau-3", order=3, symmetric=False, symplectic=False, source="Hairer and Wanner (1996), table IV.5.5",
+    summary="Radau IIA with 2 stages", abscissae=(Rational(1, 3), S.One),
+    rows=((Rational(5, 12), Rational(-1, 12)), (Rational(3, 4), Rational(1, 4))),
+)
+SCHEMES = {"hamiltonian": (TWO_STAGES,), FIRST_ORDER: (TWO_STAGES,)}
+'''
+
+MARQUARDT = '''"""The method of Levenberg and Marquardt on the KKT equations, which may claim what is not so."""
+
+import numpy as np
+from scipy.optimize import root
+
+from codegen.drivers.scaled import ScaledProblem
+from codegen.solutions.result import ControlAttempt
+
+
+def control(module, run):
+    problem = ScaledProblem.on_grid(module, run)
+    count = problem.primal.size
+
+    def equations(y):
+        return np.concatenate([problem.stationarity(y[:count], y[count:]), problem.constraints(y[:count])])
+
+    y = np.concatenate([problem.start, np.zeros(problem.dual.size)])
+    if run.max_iterations != 1:
+        y = root(equations, y, method="lm", options={"xtol": 1e-15, "ftol": 1e-15}).x
+    return ControlAttempt("solved", "it says so", 1, problem.unknowns(y[:count], y[count:]), 1e-8)
+'''
+
+SUM_OF_SHARES = '''"""Evidence for the cost of a result: the midpoint rule on its states and controls gives it again."""
+
+import numpy as np
+
+from codegen.checks.base import Finding, does_not_apply
+
+
+def check(context):
+    if context.scheme.name != "midpoint":
+        yield does_not_apply("cost of the motion", "other schemes have other rules")
+        return
+    result = context.solution
+    x = result.q[:, 0]
+    rate = ((x[:-1] + x[1:]) / 2) ** 2 / 2 + np.asarray(result.u)[:, 0] ** 2 / 2
+    near = float((rate * np.diff(result.t)).sum())
+    yield Finding("cost of the motion", "the whole problem", abs(near - result.cost) < 1e-9, f"{near:.12g}")
+'''
+
+STANDSTILL = '''"""What stands still at the end."""
+
+from codegen.errors import ExpressionError
+from codegen.model.conditions.base import Kind
+from codegen.model.relations import MOVING, STATIC, Entry, checked_sequence
+
+
+class Standstill(Kind):
+    """Rates that are zero at the end; conditions there impose it."""
+
+    argument, field, words = "standstill", "end_conditions", "conditions at its ends"
+    scope = {"standstill": (*MOVING, *STATIC)}
+
+    def written(self, control):
+        for symbol in checked_sequence("standstill", control.standstill, "rate"):
+            if symbol in control.end:
+                raise ExpressionError(f"standstill lists {symbol}, which end gives", "leave it out of one of them")
+            yield Entry("standstill", f"standstill of {symbol}", symbol, None, str(symbol), True)
+
+    def values(self, model):
+        return iter(())
+'''
+
+ORDERS = '''"""The command `codegen orders`: schemes by their orders."""
+
+import typer
+
+
+def orders() -> None:
+    """List schemes with their orders."""
+    from codegen import schemes
+
+    for name, scheme in schemes.METHODS["hamiltonian"].items():
+        typer.echo(f"{name} {scheme.order}")
+'''
+
+FILES = {
+    "schemes/radau.py": RADAU,
+    "drivers/marquardt.py": MARQUARDT,
+    "checks/solution/cost_of_motion.py": SUM_OF_SHARES,
+    "model/conditions/standstill.py": STANDSTILL,
+    "cli/orders.py": ORDERS,
+}
+"""One file for each."""
+
+HALTON = """
+def _halton(number, dimensions, rng):
+    from scipy.stats import qmc
+
+    return qmc.Halton(dimensions, scramble=False).random(number)
+
+
+METHODS"""
+REGISTRIES = {
+    "schemes/__init__.py": [
+        ("from codegen.schemes import ", "from codegen.schemes import radau, "),
+        ("_FAMILIES = (", "_FAMILIES = (radau, "),
+    ],
+    "drivers/__init__.py": [
+        ("_ROWS = (", '_ROWS = (Driver("marquardt", "marquardt", "least squares", {"control": ("max_iterations",)}),')
+    ],
+    "checks/__init__.py": [
+        ("from codegen.checks.solution import ", "from codegen.checks.solution import cost_of_motion, "),
+        ("_ROWS = (", '_ROWS = (Check("cost of the motion", cost_of_motion.check, without=NO_REGULATORS),'),
+        ("_ROWS", 'NO_REGULATORS = {"simulate": "it minimises nothing", "lagrangian": "it is no regulator"}\n\n_ROWS'),
+    ],
+    "model/conditions/table.py": [
+        ("from codegen", "from codegen.model.conditions.standstill import Standstill\nfrom codegen"),
+        ("CONDITIONS: tuple[Kind, ...] = (", "CONDITIONS: tuple[Kind, ...] = (Standstill(),"),
+    ],
+    "cli/__init__.py": [("COMMANDS = (", 'COMMANDS = ("orders", ')],
+    "author/problem.py": [("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: ")],
+    "sweeping/samples.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
+}
+"""A row and its import for each; of a condition the argument, of a sampling method the function beside the row."""
+
+
+COMMANDS = """
+import json, os, sys
+import codegen.checks, codegen.cli.solve, codegen.compiler, codegen.drivers, codegen.solving.outcome, codegen.verify
+from codegen.__main__ import run
+for line in sys.stdin:
+    words, *files = json.loads(line)
+    if not (child := os.fork()):
+        for number, file in enumerate(files, 1):
+            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        sys.argv = ["codegen", *words]
+        sys.exit(run())
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+"""The process of which commands are forks: it reads words and two files, and prints exit statuses."""
+
+
+class Extended:
+    """A copy of the package with all trials in it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        shutil.copytree(PACKAGE, folder / "codegen", ignore=shutil.ignore_patterns("__pycache__"))
+        for name, text in FILES.items():
+            (folder / "codegen" / name).write_text(text, encoding="utf-8")
+        for name, rows in REGISTRIES.items():
+            path = folder / "codegen" / name
+            text = path.read_text(encoding="utf-8")
+            for old, new in rows:
+                assert f"\n{old}" in text, (name, old)
+                text = text.replace(f"\n{old}", f"\n{new}", 1)
+            path.write_text(text, encoding="utf-8")
+        self.problems = folder / "codegen" / "stress" / "problems"
+
+        paths = {"PYTHONPATH": str(self.folder), "CODEGEN_CACHE_DIR": str(self.folder / "cache")}
+        self.environment = {**os.environ, **paths, "NUMBA_DISABLE_JIT": "1", "COLUMNS": "200"}
+        self.commands = subprocess.Popen(
+            [sys.executable, "-c", COMMANDS],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder, env=self.environment,
+        )  # fmt: skip
+
+    def python(self, *words: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *map(str, words)],
+            capture_output=True, text=True, cwd=self.folder, env=self.environment, check=False,
+        )  # fmt: skip
+
+    def codegen(self, *words: str | Path) -> subprocess.CompletedProcess[str]:
+        """What a command does, in a fork."""
+        files = [self.folder / "stdout", self.folder / "stderr"]
+        self.commands.stdin.write(json.dumps([[*map(str, words)], *map(str, files)]) + "\n")
+        self.commands.stdin.flush()
+        status = int(self.commands.stdout.readline())
+        return subprocess.CompletedProcess(words, status, *(file.read_text(encoding="utf-8") for file in files))
+
+    def command(self, *words: str | Path, status: int = 0) -> str:
+        done = self.codegen(*words)
+        assert done.returncode == status, done.stderr
+        return done.stdout
+
+    def refused(self, *words: str | Path) -> str:
+        done = self.codegen(*words)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+        return done.stderr
+
+    def solved(self, problem: Path, *words: str, status: int = 0) -> Mapping[str, object]:
+        return json.loads(self.command("solve", problem, "--json", *words, status=status))

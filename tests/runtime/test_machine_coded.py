@@ -1,0 +1,32 @@
+"""Interpreted modules that eliminate by machine code of their own text find what the interpreter alone finds."""
+
+from __future__ import annotations
+
+import machine_coded
+import pytest
+from golden import text_of
+from interpreted import as_machine_code
+
+
+@pytest.fixture
+def text(cache_folder) -> str:
+    return text_of("brachistochrone.py")
+
+
+def test_they_solve_alike(text, monkeypatch):
+    fast = as_machine_code(text)
+    assert fast.eliminate_rows is machine_coded.functions("symmetric")["eliminate_rows"]
+    assert fast.clear is machine_coded.functions("arrays")["clear"]
+    monkeypatch.setattr(machine_coded.Switch, "on", False)
+    slow = as_machine_code(text)
+    assert slow.eliminate_rows.__module__ == slow.__name__
+    found, expected = fast.solve(6), slow.solve(6)
+    assert (found.status, found.iterations) == ("solved", expected.iterations)
+    assert found.cost == pytest.approx(expected.cost, rel=1e-13)
+
+
+def test_what_reads_otherwise_is_interpreted(text):
+    assert text.count("negative += 1\n") == 1
+    module = as_machine_code(text.replace("negative += 1\n", "negative += 2\n"))
+    assert module.eliminate_rows.__module__ == module.__name__
+    assert module.solve(6).status != "solved"
