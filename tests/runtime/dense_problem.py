@@ -14,7 +14,8 @@ import sympy
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-from codegen.runtime.optimise import barrier, bounded
+from codegen.runtime.kkt import refinement
+from codegen.runtime.optimise import barrier, bounded, descent, unbounded
 
 Vector = NDArray[np.float64]
 INFINITY = float("inf")
@@ -112,12 +113,25 @@ def step_along(search: Any, iterate: Any, gradient: Vector, primal: Vector, iner
     return bounded.Step(primal, dual, gradient, *measured, inertia)
 
 
+def step_along_without_bounds(
+    search: Any, iterate: Any, gradient: Vector, primal: Vector, inertia: Any
+) -> unbounded.Step:
+    """As in unbounded.py, by the functions that make its one compiled call."""
+    grid, unknowns = search.grid, iterate.point.unknowns
+    slope = descent.slope_of(unknowns, gradient, primal, grid.is_multiplier)
+    end = unbounded.Iterate(evaluate(grid, unknowns + primal))
+    return unbounded.Step(primal, gradient, *slope, 1.0, inertia, end)
+
+
 def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 
-def linear_residual(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector) -> Vector:
-    return np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
+def linear_residual(
+    grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector
+) -> tuple[Vector, float]:
+    left = np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
+    return left, refinement.inaccuracy(gradient, step, left, grid.is_multiplier)
 
 
 def sizes_of_terms(grid: Dense, unknowns: Vector, *_enough: float) -> tuple[float, float]:
