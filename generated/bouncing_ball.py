@@ -1821,7 +1821,7 @@ def is_at_rounding_level(grid, point):
 SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step; whether it is so long that rounding made it.
 
@@ -4718,7 +4718,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_6f07a7edec631bb2"
+_IDENTITY = "codegen_bouncing_ball_f0eb7bedd33b6782"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

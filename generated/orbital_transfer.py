@@ -1442,7 +1442,7 @@ def is_at_rounding_level(grid, point):
 SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step; whether it is so long that rounding made it.
 
@@ -1691,8 +1691,7 @@ class Step(NamedTuple):
     """A Newton step: the gradient that it was solved for, slope, greatest length, and the Hessian's shift.
 
     `is_of_rounding` says that the linear system is singular but for rounding, which made the step; `refined` says that
-    it was not solved accurately at once. `end` is the iterate after the full step, which a line search tries first: it
-    is evaluated in the same call as the slope.
+    it was not solved accurately at once.
     """
 
     primal: np.ndarray
@@ -1701,7 +1700,6 @@ class Step(NamedTuple):
     is_of_rounding: bool
     longest: float
     inertia: NamedTuple
-    end: Iterate
     refined: bool = False
 
 
@@ -1776,30 +1774,9 @@ def corrected_inertia(before, delta_w, least, singular):
 
 
 def step_along(search, iterate, gradient, primal, inertia):
-    """The step with a primal part, the gradient that it was solved for and a shift: its slope, and where it leads."""
-    steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = search.grid  # by name it takes far longer
-    trial, slopes = np.empty(primal.size), np.empty(primal.size)
-    slope, is_of_rounding, evaluated = follow(
-        iterate.point.unknowns, gradient, primal, sizes, weight, steps, h, nodes, parameters, is_multiplier, trial,
-        slopes,
-    )  # fmt: skip
-    return Step(primal, gradient, slope, is_of_rounding, 1.0, inertia, Iterate(Point(trial, slopes, *evaluated)))
-
-
-@njit(cache=True, error_model="numpy")
-def follow(
-    unknowns, right, step, sizes, weight, steps, h, nodes, parameters, is_multiplier, trial, gradient
-):  # fmt: skip
-    """Fill `trial` with `unknowns` + `step`, and the `gradient` there; return what `slope_of` and a Point hold.
-
-    `right` is the gradient that the step was solved for. It is one function, because that of a short motion is over
-    before Python has called another two.
-    """
-    slope, is_of_rounding = slope_of(unknowns, right, step, is_multiplier)
-    for i in range(unknowns.size):
-        trial[i] = unknowns[i] + step[i]
-    evaluated = measured_gradient(trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient)
-    return slope, is_of_rounding, evaluated
+    """The step with a primal part, the gradient that it was solved for and a shift, and with its slope."""
+    slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
+    return Step(primal, gradient, *slope, 1.0, inertia)
 
 
 def barrier_objective(iterate):
@@ -1809,9 +1786,8 @@ def barrier_objective(iterate):
 
 def moved(search, iterate, step, length):
     """The iterate after a part of a step."""
-    if length == step.longest:
-        return step.end
-    return Iterate(evaluate(search.grid, iterate.point.unknowns + length * step.primal))
+    primal = step.primal
+    return Iterate(evaluate(search.grid, iterate.point.unknowns + (primal if length == 1.0 else length * primal)))
 
 
 # Newton's steps: inertia correction, which makes them lead downhill, and how accurately they are solved for.
@@ -3746,7 +3722,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_d85fb70c71b67d2d"
+_IDENTITY = "codegen_orbital_transfer_28f62931da348bc8"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

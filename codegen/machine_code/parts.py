@@ -27,9 +27,8 @@ def control_parts(module: Any) -> Calls:
         calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
     if hasattr(module, "finite_bounds"):
         calls += _barrier_parts(module, grid, unknowns, zeros)
-    elif hasattr(module, "step_along"):  # a linear-quadratic problem has none
-        search, iterate = module.search_on(grid), module.Iterate(module.Point(unknowns, zeros, *[0.0] * 5))
-        calls.append(lambda: module.step_along(search, iterate, zeros, step, module.InertiaCorrection()))
+    elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
+        calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
     if hasattr(module, "tables_beyond"):
         calls.append(lambda: module.tables_beyond(grid, unknowns))
     if hasattr(module, "change_along"):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from codegen.runtime.kkt import refinement
-from codegen.runtime.optimise import barrier, bounded, descent, unbounded
+from codegen.runtime.optimise import barrier, bounded
 
 Vector = NDArray[np.float64]
 INFINITY = float("inf")
@@ -111,16 +111,6 @@ def step_along(search: Any, iterate: Any, gradient: Vector, primal: Vector, iner
     tau = max(0.99, 1.0 - iterate.mu)
     measured = barrier.measure_step(iterate.point.unknowns, gradient, primal, *places, iterate.mu, tau, dual)
     return bounded.Step(primal, dual, gradient, *measured, inertia)
-
-
-def step_along_without_bounds(
-    search: Any, iterate: Any, gradient: Vector, primal: Vector, inertia: Any
-) -> unbounded.Step:
-    """As in unbounded.py, by the functions that make its one compiled call."""
-    grid, unknowns = search.grid, iterate.point.unknowns
-    slope = descent.slope_of(unknowns, gradient, primal, grid.is_multiplier)
-    end = unbounded.Iterate(evaluate(grid, unknowns + primal))
-    return unbounded.Step(primal, gradient, *slope, 1.0, inertia, end)
 
 
 def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:

@@ -62,7 +62,6 @@ def dense_linear_algebra() -> Iterator[None]:
 @pytest.fixture
 def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop as a module has it where no unknown is bounded."""
-    monkeypatch.setattr(unbounded, "step_along", dense_problem.step_along_without_bounds)
     for module in (cascade, newton, newton_steps, line_search, restoration):
         monkeypatch.setattr(module, "INEQUALITIES", 0)
         monkeypatch.setattr(module, "UNBOUNDED", 0, raising=False)  # no search from nearby, which the barrier has not

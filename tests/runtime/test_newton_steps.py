@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 
 from codegen.runtime.optimise import newton_steps, unbounded
-from codegen.runtime.optimise.descent import slope_of
 from codegen.runtime.optimise.newton_steps import regularised_step
 from codegen.runtime.optimise.unbounded import SMALL_DELTA_W, InertiaCorrection
 
 GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
 POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
-
-
-def step_along(search, iterate, gradient, primal, inertia):
-    """As in unbounded.py, without the iterate at its end."""
-    slope = slope_of(iterate.point.unknowns, gradient, primal, search.grid.is_multiplier)
-    return unbounded.Step(primal, gradient, *slope, 1.0, inertia, None)
 
 
 @pytest.fixture
@@ -37,9 +30,8 @@ def tried(monkeypatch):
 
     monkeypatch.setattr(newton_steps, "factor_kkt", factor_kkt)
     monkeypatch.setattr(newton_steps, "INEQUALITIES", 0)
-    for name in ("corrected_inertia", "newton_system", "first_delta_w"):
+    for name in ("corrected_inertia", "newton_system", "first_delta_w", "step_along"):
         monkeypatch.setattr(newton_steps, name, getattr(unbounded, name))
-    monkeypatch.setattr(newton_steps, "step_along", step_along)
     monkeypatch.setattr(unbounded, "primal_ones", lambda steps: np.array([1.0, 0.0]))
     return shifts
 

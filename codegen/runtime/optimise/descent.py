@@ -5,7 +5,7 @@ from numba import njit
 SINGULAR = 1e12  # times the right-hand side: a longer step is one of rounding
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def slope_of(unknowns, gradient, step, is_multiplier):
     """Slope of the cost along the primal part of a Newton step; whether it is so long that rounding made it.
 
