@@ -1539,9 +1539,17 @@ NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions,
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
-    """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
+def fill_residual(
+    unknowns, roots, steps, h, nodes, parameters, diagonal, gradient, step, vector, is_free, is_multiplier, left
+):  # fmt: skip
+    """Fill `left` (n,) with KKT matrix . `step` + `gradient`; return how much that is, as `inaccuracy` says.
+
+    `unknowns` are in the problem's own units. Where there are `roots`, of sizes times forces, the matrix is in parts of
+    them, and `vector` is `roots` times `step`; elsewhere it is the step.
+    """
     hessian = zero_vector(HESSIAN_ROWS.size)
+    for i in range(left.size):
+        left[i] = 0.0
     for body in range(BODIES):
         for k in range(steps):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
@@ -1549,26 +1557,35 @@ def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
             interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
             for j in range(HESSIAN_ROWS.size):
                 row, column = first + HESSIAN_ROWS[j], first + HESSIAN_COLUMNS[j]
-                product[row] += hessian[j] * vector[column]
+                left[row] += hessian[j] * vector[column]
                 if row != column:
-                    product[column] += hessian[j] * vector[row]
-        multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
+                    left[column] += hessian[j] * vector[row]
+        multiply_ends(unknowns, body, steps, h, parameters[body], vector, left)
+    for i in range(left.size):
+        if roots.size:
+            left[i] *= roots[i]
+        left[i] += diagonal[i] * step[i] + gradient[i]
+    for i in range(left.size):
+        if not is_free[i]:
+            left[i] = 0.0
+    return inaccuracy(gradient, step, left, is_multiplier)
 
 
 def linear_residual(grid, unknowns, diagonal, gradient, step):
-    """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
-    product, vector = np.zeros(step.size), step
-    if grid.sizes.size:
-        roots = np.sqrt(grid.sizes * grid.forces)
-        unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_kkt(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, vector, product)
-    if grid.sizes.size:
-        product *= roots
-    product += diagonal * step + gradient
-    return np.where(free_unknowns(grid), product, 0.0)
+    """KKT matrix . step + gradient (n,), which is zero for an exact step, and how much that is, as `inaccuracy` says.
+
+    The matrix is as `factor_kkt` says.
+    """
+    steps, h, nodes, _, parameters, is_multiplier, sizes, forces, *_ = grid
+    roots, vector, left = NONE, step, np.empty(step.size)
+    if sizes.size:
+        roots = np.sqrt(sizes * forces)
+        unknowns, vector = unknowns * sizes, roots * step
+    data, masks = (steps, h, nodes, parameters), (free_unknowns(grid), is_multiplier)
+    return left, fill_residual(unknowns, roots, *data, diagonal, gradient, step, vector, *masks, left)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def inaccuracy(gradient, step, left, is_multiplier):
     """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
@@ -1597,21 +1614,21 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     is one more correction, and that sum of all corrections is added which leaves least.
     """
     zero, corrections, products, errors = np.zeros_like(step), [], [], []
-    left = linear_residual(grid, unknowns, diagonal, gradient, step)
+    left, error = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        errors.append(inaccuracy(gradient, step, left, grid.is_multiplier))
+        errors.append(error)
         if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
         if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
             return False
         corrections.append(np.empty_like(step))
         solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
-        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
+        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1])[0])
         if not np.isfinite(products[-1]).all():
             return True
         parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
         step += parts @ np.array(corrections)
-        left = linear_residual(grid, unknowns, diagonal, gradient, step)
+        left, error = linear_residual(grid, unknowns, diagonal, gradient, step)
     return True
 
 
@@ -1724,6 +1741,8 @@ def newton_system(search, iterate, gradient, delta_w, delta_c):
 
 def regularisation(grid, delta_w, delta_c):
     """Diagonal with delta_w on the Hessian by primal unknowns, and -delta_c on the multipliers' block."""
+    if delta_w == delta_c == 0.0:
+        return np.zeros(grid.is_multiplier.size)
     if delta_c == 0.0:
         return delta_w * primal_ones(grid.steps)
     return np.where(grid.is_multiplier, -delta_c, delta_w)
@@ -1851,8 +1870,8 @@ def is_inaccurate(search, iterate, step):
     """Whether a step leaves so much of its linear system that it has to be refined."""
     grid, point = search.grid, iterate.point
     _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
-    left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
-    return inaccuracy(step.gradient, step.primal, left, grid.is_multiplier) > ACCURATE
+    _, inaccuracy = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
+    return inaccuracy > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):
@@ -2216,18 +2235,22 @@ GROSS = 0.03  # residuals above this part of the equations' terms are a gross vi
 NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
     succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
     leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
     `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
-    steps of the restoration are not counted.
+    steps of the restoration are not counted. `known` is the point without multipliers, if it has been evaluated.
     """
     search, first, total = search_on(grid), None, 0
-    primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
-    guess = begin(search, primal, cascade[0])
+    primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
+    cascade = WARM if warm else FROM_GUESS, *CASCADE
+    if known is not None:  # noqa: SIM108  with bounds, the guess moves inside
+        guess = Iterate(known)
+    else:
+        guess = begin(search, primal, cascade[0])
     if guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
@@ -3295,11 +3318,13 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
+    known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
-        grid = scaled_grid(grid, unknowns)
-    start = scaled_unknowns(grid, unknowns)
-    limit = min(max_iterations, LONG) if grid.sizes.size else max_iterations
-    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log)
+        grid = with_sizes(grid, known)
+    start, limit = scaled_unknowns(grid, unknowns), max_iterations
+    if grid.sizes.size:
+        known, limit = None, min(max_iterations, LONG)
+    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
@@ -3364,14 +3389,19 @@ def scaled_unknowns(grid, unknowns):
 
 
 def scaled_grid(grid, unknowns):
+    """The same grid with the sizes of all unknowns, as `with_sizes` has it; unknowns (n,) are a guess."""
+    return with_sizes(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
+
+
+def with_sizes(grid, point):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
 
-    Of derivatives at a guess outside its bounds and on them, the smaller ones count: outside a model may mean nothing,
-    and the bounds may be far from where a solution is.
+    The point is that of a guess without its multipliers. Of derivatives at a guess outside its bounds and on them, the
+    smaller ones count: outside a model may mean nothing, and the bounds may be far from where a solution is.
     """
-    sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    inside = primal = np.where(grid.is_multiplier, 0.0, unknowns)
-    slopes = np.abs(evaluate(grid, primal).gradient)
+    sizes, bounds, kinds = np.empty(point.unknowns.size), (NONE, NONE), kinds_of(grid.steps)
+    inside = primal = point.unknowns
+    slopes = np.abs(point.gradient)
     weight, is_scaled = fill_sizes(
         primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
@@ -3692,7 +3722,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_f6dec012d10db489"
+_IDENTITY = "codegen_orbital_transfer_a5cea6908436ea6d"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

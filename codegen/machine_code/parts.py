@@ -25,7 +25,6 @@ def control_parts(module: Any) -> Calls:
         calls.append(lambda: module.scaled_grid(grid, unknowns))
     if hasattr(module, "linear_residual"):
         calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
-        calls.append(lambda: module.inaccuracy(zeros, step, zeros, grid.is_multiplier))
     if hasattr(module, "finite_bounds"):
         calls += _barrier_parts(module, grid, unknowns, zeros)
     elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none

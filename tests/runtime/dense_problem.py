@@ -14,6 +14,7 @@ import sympy
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgetrf, dgetrs
 
+from codegen.runtime.kkt import refinement
 from codegen.runtime.optimise import barrier, bounded
 
 Vector = NDArray[np.float64]
@@ -116,8 +117,11 @@ def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) ->
     step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
 
 
-def linear_residual(grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector) -> Vector:
-    return np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
+def linear_residual(
+    grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector
+) -> tuple[Vector, float]:
+    left = np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
+    return left, refinement.inaccuracy(gradient, step, left, grid.is_multiplier)
 
 
 def sizes_of_terms(grid: Dense, unknowns: Vector, *_enough: float) -> tuple[float, float]:

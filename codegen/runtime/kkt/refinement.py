@@ -22,6 +22,7 @@ from codegen.runtime.stand_ins.example import (
 from codegen.runtime.unknowns.tied_ends import add_tied
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.shared import global_index, read_shared
+from codegen.runtime.unknowns.time_grid import NONE
 from codegen.runtime.unknowns.times import span
 
 ACCURATE = 1e-10  # residuals up to it, in parts of the right-hand side and the solution, are as good as none
@@ -31,9 +32,17 @@ NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions,
 
 
 @njit(cache=True, error_model="numpy")
-def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
-    """Add to `product` what the second derivatives of the Lagrangian, at `unknowns`, make of `vector`, all (n,)."""
+def fill_residual(
+    unknowns, roots, steps, h, nodes, parameters, diagonal, gradient, step, vector, is_free, is_multiplier, left
+):  # fmt: skip
+    """Fill `left` (n,) with KKT matrix . `step` + `gradient`; return how much that is, as `inaccuracy` says.
+
+    `unknowns` are in the problem's own units. Where there are `roots`, of sizes times forces, the matrix is in parts of
+    them, and `vector` is `roots` times `step`; elsewhere it is the step.
+    """
     hessian = zero_vector(HESSIAN_ROWS.size)
+    for i in range(left.size):
+        left[i] = 0.0
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
@@ -46,30 +55,39 @@ def multiply_kkt(unknowns, steps, h, nodes, parameters, vector, product):
                 if SHARED:
                     row = global_index(HESSIAN_ROWS[j], ELEMENT, first, body, unknowns.size)
                     column = global_index(HESSIAN_COLUMNS[j], ELEMENT, first, body, unknowns.size)
-                product[row] += hessian[j] * vector[column]
+                left[row] += hessian[j] * vector[column]
                 if row != column:
-                    product[column] += hessian[j] * vector[row]
-        multiply_ends(unknowns, body, steps, h, parameters[body], vector, product)
+                    left[column] += hessian[j] * vector[row]
+        multiply_ends(unknowns, body, steps, h, parameters[body], vector, left)
     if COUPLINGS:
-        multiply_couplings(unknowns, parameters[0], vector, product)
+        multiply_couplings(unknowns, parameters[0], vector, left)
+    for i in range(left.size):
+        if SCALED and roots.size:
+            left[i] *= roots[i]
+        left[i] += diagonal[i] * step[i] + gradient[i]
+    if TIED:
+        add_tied(left, steps)
+    for i in range(left.size):
+        if not is_free[i]:
+            left[i] = 0.0
+    return inaccuracy(gradient, step, left, is_multiplier)
 
 
 def linear_residual(grid, unknowns, diagonal, gradient, step):
-    """KKT matrix . step + gradient (n,), which is zero for an exact step; the matrix is as `factor_kkt` says."""
-    product, vector = np.zeros(step.size), step
-    if SCALED and grid.sizes.size:
-        roots = np.sqrt(grid.sizes * grid.forces)
-        unknowns, vector = unknowns * grid.sizes, roots * step
-    multiply_kkt(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, vector, product)
-    if SCALED and grid.sizes.size:
-        product *= roots
-    product += diagonal * step + gradient
-    if TIED:
-        add_tied(product, grid.steps)
-    return np.where(free_unknowns(grid), product, 0.0)
+    """KKT matrix . step + gradient (n,), which is zero for an exact step, and how much that is, as `inaccuracy` says.
+
+    The matrix is as `factor_kkt` says.
+    """
+    steps, h, nodes, _, parameters, is_multiplier, sizes, forces, *_ = grid
+    roots, vector, left = NONE, step, np.empty(step.size)
+    if SCALED and sizes.size:
+        roots = np.sqrt(sizes * forces)
+        unknowns, vector = unknowns * sizes, roots * step
+    data, masks = (steps, h, nodes, parameters), (free_unknowns(grid), is_multiplier)
+    return left, fill_residual(unknowns, roots, *data, diagonal, gradient, step, vector, *masks, left)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def inaccuracy(gradient, step, left, is_multiplier):
     """How much of the equations, and of all rows, is `left` (n,), in parts of their right-hand side and solution.
 
@@ -98,19 +116,19 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
     is one more correction, and that sum of all corrections is added which leaves least.
     """
     zero, corrections, products, errors = np.zeros_like(step), [], [], []
-    left = linear_residual(grid, unknowns, diagonal, gradient, step)
+    left, error = linear_residual(grid, unknowns, diagonal, gradient, step)
     for refinement in range(SOLVED_AGAIN):
-        errors.append(inaccuracy(gradient, step, left, grid.is_multiplier))
+        errors.append(error)
         if not ACCURATE < errors[-1] < np.inf:
             return refinement > 0
         if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
             return False
         corrections.append(np.empty_like(step))
         solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
-        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1]))
+        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1])[0])
         if not np.isfinite(products[-1]).all():
             return True
         parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
         step += parts @ np.array(corrections)
-        left = linear_residual(grid, unknowns, diagonal, gradient, step)
+        left, error = linear_residual(grid, unknowns, diagonal, gradient, step)
     return True

@@ -6,6 +6,7 @@ from codegen.runtime.optimise.bounded import (
     CASCADE,
     FROM_GUESS,
     WARM,
+    Iterate,
     barrier_curvature,
     begin,
     search_on,
@@ -27,22 +28,26 @@ if UNBOUNDED:
     NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
     succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
     leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
     `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
-    steps of the restoration are not counted.
+    steps of the restoration are not counted. `known` is the point without multipliers, if it has been evaluated.
     """
     search, first, total = search_on(grid), None, 0
     if INEQUALITIES:
         lower, upper = search.box
         if (lower > upper).any():
             return "infeasible", evaluate(grid, unknowns), 0
-    primal, cascade = np.where(grid.is_multiplier, 0.0, unknowns), (WARM if warm else FROM_GUESS, *CASCADE)
-    guess = begin(search, primal, cascade[0])
+    primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
+    cascade = WARM if warm else FROM_GUESS, *CASCADE
+    if UNBOUNDED and known is not None:  # noqa: SIM108  with bounds, the guess moves inside
+        guess = Iterate(known)
+    else:
+        guess = begin(search, primal, cascade[0])
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):

@@ -5,7 +5,7 @@ Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 
 import numpy as np
 
-from codegen.runtime.kkt.refinement import ACCURATE, inaccuracy, linear_residual, refine
+from codegen.runtime.kkt.refinement import ACCURATE, linear_residual, refine
 from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.optimise.bounded import (
     corrected_inertia,
@@ -94,8 +94,8 @@ def is_inaccurate(search, iterate, step):
     """Whether a step leaves so much of its linear system that it has to be refined."""
     grid, point = search.grid, iterate.point
     _, diagonal = newton_system(search, iterate, point.gradient, step.inertia.delta_w, 0.0)
-    left = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
-    return inaccuracy(step.gradient, step.primal, left, grid.is_multiplier) > ACCURATE
+    _, inaccuracy = linear_residual(grid, point.unknowns, diagonal, step.gradient, step.primal)
+    return inaccuracy > ACCURATE
 
 
 def barely_reduces_residual(point, step, length, trial):

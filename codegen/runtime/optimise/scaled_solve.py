@@ -45,11 +45,13 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
+    known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
-        grid = scaled_grid(grid, unknowns)
-    start = scaled_unknowns(grid, unknowns)
-    limit = min(max_iterations, LONG) if grid.sizes.size else max_iterations
-    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log)
+        grid = with_sizes(grid, known)
+    start, limit = scaled_unknowns(grid, unknowns), max_iterations
+    if grid.sizes.size:
+        known, limit = None, min(max_iterations, LONG)
+    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
@@ -117,19 +119,24 @@ def scaled_unknowns(grid, unknowns):
 
 
 def scaled_grid(grid, unknowns):
+    """The same grid with the sizes of all unknowns, as `with_sizes` has it; unknowns (n,) are a guess."""
+    return with_sizes(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
+
+
+def with_sizes(grid, point):
     """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
 
-    Of derivatives at a guess outside its bounds and on them, the smaller ones count: outside a model may mean nothing,
-    and the bounds may be far from where a solution is.
+    The point is that of a guess without its multipliers. Of derivatives at a guess outside its bounds and on them, the
+    smaller ones count: outside a model may mean nothing, and the bounds may be far from where a solution is.
     """
-    sizes, bounds, kinds = np.empty(unknowns.size), (NONE, NONE), kinds_of(grid.steps)
-    inside = primal = np.where(grid.is_multiplier, 0.0, unknowns)
+    sizes, bounds, kinds = np.empty(point.unknowns.size), (NONE, NONE), kinds_of(grid.steps)
+    inside = primal = point.unknowns
     if INEQUALITIES:
         bounds = variable_bounds(grid)
         inside = np.minimum(np.maximum(primal, bounds[0]), bounds[1])  # in a third of the time of np.clip
         if TIED:
             inside = with_tied_values(grid, inside)  # ends without bounds of their own move along
-    slopes = np.abs(evaluate(grid, primal).gradient)
+    slopes = np.abs(point.gradient)
     if INEQUALITIES and (inside != primal).any():
         slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
     weight, is_scaled = fill_sizes(

@@ -119,6 +119,8 @@ def newton_system(search, iterate, gradient, delta_w, delta_c):
 
 def regularisation(grid, delta_w, delta_c):
     """Diagonal with delta_w on the Hessian by primal unknowns, and -delta_c on the multipliers' block."""
+    if delta_w == delta_c == 0.0:
+        return np.zeros(grid.is_multiplier.size)
     if delta_c == 0.0:
         return delta_w * primal_ones(grid.steps)
     return np.where(grid.is_multiplier, -delta_c, delta_w)

@@ -20,7 +20,7 @@ def add_tied_to_shared(values, first, last, body, root):
 
 if SCALED:
 
-    @njit(cache=True, error_model="numpy")
+    @njit(error_model="numpy")
     def add_tied(values, steps):
         """Add `values` (n,) of what equals a shared unknown to its, and leave them there as well."""
         root = values[values.size - ROOT :]
