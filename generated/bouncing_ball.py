@@ -2026,6 +2026,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
 
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
 PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
+ROUNDING = 1e-15  # residuals up to it are taken for zero in steps: across a distance of 1e-12 they would turn duals
 
 
 class Bounds(NamedTuple):
@@ -2165,9 +2166,12 @@ def slopes_without_multipliers(gradient, is_multiplier, indices, side, duals, sl
 
 @njit(cache=True, error_model="numpy")
 def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal):
-    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
+    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d.
+
+    Residuals of rounding size are left out: where z / d is 1e13 the duals would follow them, and never come to rest.
+    """
     for i in range(gradient.size):
-        right[i] = gradient[i]
+        right[i] = 0.0 if is_multiplier[i] and abs(gradient[i]) <= ROUNDING else gradient[i]
         diagonal[i] = -delta_c if is_multiplier[i] else delta_w
     for j in range(indices.size):
         inverse = 1.0 / distance[j]
@@ -4718,7 +4722,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_981b320d1e5b5c77"
+_IDENTITY = "codegen_bouncing_ball_a00c4b859116852c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -71,6 +71,16 @@ def test_schemes_that_see_other_points(scheme):
 
 
 @pytest.mark.slow
+def test_residuals_of_rounding_size_do_not_turn_duals():
+    """With steps that follow them, stages beside the bound ended as stalled for 20 intervals and as a saddle for 40."""
+    module = of_problem(resting(), scheme="gauss-4")
+    for steps in (20, 40):
+        solution = module.solve(steps)
+        assert solution.status == "solved", solution.message
+        assert solution.stationarity < 1e-9
+
+
+@pytest.mark.slow
 def test_around_a_disc():
     """A taut string: of length 2 sqrt(3) + pi/3, and the least integral of the squared speed is its square."""
     x, y = states("x y")

@@ -20,6 +20,7 @@ from codegen.runtime.unknowns.point import measured_gradient
 
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
 PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
+ROUNDING = 1e-15  # residuals up to it are taken for zero in steps: across a distance of 1e-12 they would turn duals
 
 
 class Bounds(NamedTuple):
@@ -159,9 +160,12 @@ def slopes_without_multipliers(gradient, is_multiplier, indices, side, duals, sl
 
 @njit(cache=True, error_model="numpy")
 def add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal):
-    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d."""
+    """Fill `right` with the gradient less mu s / d, and `diagonal` with the shifts and the barrier's z / d.
+
+    Residuals of rounding size are left out: where z / d is 1e13 the duals would follow them, and never come to rest.
+    """
     for i in range(gradient.size):
-        right[i] = gradient[i]
+        right[i] = 0.0 if is_multiplier[i] and abs(gradient[i]) <= ROUNDING else gradient[i]
         diagonal[i] = -delta_c if is_multiplier[i] else delta_w
     for j in range(indices.size):
         inverse = 1.0 / distance[j]
