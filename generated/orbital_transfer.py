@@ -2247,7 +2247,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     search, first, total = search_on(grid), None, 0
     primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
     cascade = WARM if warm else FROM_GUESS, *CASCADE
-    if known is not None:  # noqa: SIM108  with bounds, the guess moves inside
+    if known is not None:
         guess = Iterate(known)
     else:
         guess = begin(search, primal, cascade[0])
@@ -3722,7 +3722,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_a5cea6908436ea6d"
+_IDENTITY = "codegen_orbital_transfer_0a1b681c70fd159e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

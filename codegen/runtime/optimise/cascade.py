@@ -44,7 +44,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
             return "infeasible", evaluate(grid, unknowns), 0
     primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
     cascade = WARM if warm else FROM_GUESS, *CASCADE
-    if UNBOUNDED and known is not None:  # noqa: SIM108  with bounds, the guess moves inside
+    if UNBOUNDED and known is not None:
         guess = Iterate(known)
     else:
         guess = begin(search, primal, cascade[0])
