@@ -26,7 +26,7 @@ from codegen.runtime.optimise.active_bounds import bounds_of
 from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.layout import multiplier_unknowns
-from codegen.runtime.unknowns.point import Point, evaluate
+from codegen.runtime.unknowns.point import Point, evaluate, lagrangian
 from codegen.runtime.unknowns.tied import with_tied_values
 
 
@@ -280,6 +280,16 @@ def step_along(search, iterate, gradient, primal, inertia):
 def barrier_objective(iterate):
     """The barrier function, which a line search lowers (3)."""
     return iterate.point.cost - iterate.mu * iterate.logarithms
+
+
+def predicted_cost(search, iterate):
+    """The cost of the optimum nearby, to first order: residuals, and distances to bounds, are worth their multipliers.
+
+    Bounds count as they are, not relaxed.
+    """
+    bounds = search.bounds
+    distance = bounds.side * (iterate.point.unknowns[bounds.indices] - bounds.value)
+    return lagrangian(search.grid, iterate.point) - iterate.duals @ distance
 
 
 def moved(search, iterate, step, length):

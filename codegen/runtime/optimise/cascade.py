@@ -9,6 +9,7 @@ from codegen.runtime.optimise.bounded import (
     Iterate,
     barrier_curvature,
     begin,
+    predicted_cost,
     search_on,
 )
 from codegen.runtime.optimise.convergence_test import is_solved, sizes_of_terms
@@ -111,10 +112,11 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
-            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
             total += iterations
-            if ended in LEFT and is_below(other.point, saddle.point):
+            if ended in LEFT and is_below(predicted_cost(search, other), known):
                 status, saddle = ended, other
                 break
             failed = failed or ended not in LEFT

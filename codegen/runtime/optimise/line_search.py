@@ -26,6 +26,7 @@ SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 LEAST_DAMPING = 1e-5
+TINY, CLOSER = 1e-13, 0.9  # part of an unknown, or of one, that is none; part of the error that may be left
 IN_VAIN = 20  # full steps in turn that leave the equations as they were: linearised, these contradict each other
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
@@ -96,6 +97,8 @@ class Globalisation:
             trial = moved(search, iterate, step, length)
             if self.is_better(trial, iterate, step, length):
                 return trial
+            if length == step.longest and settles_multipliers(search, iterate, step, trial):
+                return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
                 if better is not None:
@@ -155,6 +158,17 @@ class Globalisation:
                 return None
             refused = trial.point
         return None
+
+
+def settles_multipliers(search, iterate, step, trial):
+    """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
+
+    Cost and violation, which the filter compares, tell nothing of it. Source: section 3.9.
+    """
+    if not trial.point.error < CLOSER * iterate.point.error:
+        return False
+    moves = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
+    return bool((moves | search.grid.is_multiplier).all())
 
 
 def damped(damping, step, length, shortened):

@@ -19,6 +19,7 @@ from codegen.runtime.optimise.bounded import (
     is_optimal,
     measured_iterate,
     newton_system,
+    predicted_cost,
     with_barrier_parameter,
     with_least_squares_multipliers,
     with_relaxed_bounds,
@@ -27,7 +28,7 @@ from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.optimise.line_search import Globalisation
 from codegen.runtime.optimise.negative_curvature import FLAT
 from codegen.runtime.optimise.restoration import restore
-from codegen.runtime.optimise.saddle_points import is_nearly_stationary
+from codegen.runtime.optimise.saddle_points import is_below, is_nearly_stationary
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.stand_ins.example import INEQUALITIES
 
@@ -39,12 +40,13 @@ if INEQUALITIES:
     PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
 
 
-def descend(search, iterate, attempt, tolerance, max_iterations, log):
+def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
     """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
 
     With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
+    Beside a saddle point whose cost is `known`, the search ends as there once it is clear that it leads no lower.
     """
     grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
     course, first_cost = Globalisation(attempt, iterate.point.violation), abs(iterate.point.cost)
@@ -64,6 +66,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
         if not status and log.is_late():
             status = "time limit"
+        elif not status and known is not None and is_in_vain(search, iterate, known):
+            status = "saddle point"
         elif not status and course.is_contradicted(iterate.point):
             status = "infeasible"  # a search that begins elsewhere may find a way
         if status or iteration == max_iterations:
@@ -136,6 +140,11 @@ def is_minimum(search, iterate, tolerance):
         iterate = iterate._replace(mu=0.0)
     _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
     return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
+
+
+def is_in_vain(search, iterate, known):
+    """Whether the optimum nearby costs no less than what is `known`, as far as an iterate close to it tells."""
+    return is_nearly_stationary(iterate.point) and not is_below(predicted_cost(search, iterate), known)
 
 
 def is_unbounded_below(iterate, first_cost):

@@ -15,9 +15,9 @@ def is_nearly_stationary(point):
     return max(point.residual, point.stationarity) <= NEARLY
 
 
-def is_below(point, saddle):
-    """Whether the cost is lower than at a saddle point, by more than rounding."""
-    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
+def is_below(cost, saddle_cost):
+    """Whether a cost is lower than at a saddle point, by more than rounding."""
+    return cost < saddle_cost - 1e-9 * max(1.0, abs(saddle_cost))
 
 
 def escape_steps(grid, unknowns, curvature, escapes):

@@ -13,7 +13,7 @@ from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.descent import slope_of
 from codegen.runtime.unknowns.layout import layout, multiplier_unknowns
-from codegen.runtime.unknowns.point import evaluate
+from codegen.runtime.unknowns.point import evaluate, lagrangian
 
 
 class Attempt(NamedTuple):
@@ -160,6 +160,11 @@ def step_along(search, iterate, gradient, primal, inertia):
 def barrier_objective(iterate):
     """What a line search lowers: the cost."""
     return iterate.point.cost
+
+
+def predicted_cost(search, iterate):
+    """The cost of the optimum nearby, to first order: residuals are worth their multipliers."""
+    return lagrangian(search.grid, iterate.point)
 
 
 def moved(search, iterate, step, length):
