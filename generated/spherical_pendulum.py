@@ -1765,6 +1765,11 @@ def barrier_objective(iterate):
     return iterate.point.cost
 
 
+def predicted_cost(search, iterate):
+    """The cost of the optimum nearby, to first order: residuals are worth their multipliers."""
+    return lagrangian(search.grid, iterate.point)
+
+
 def moved(search, iterate, step, length):
     """The iterate after a part of a step."""
     primal = step.primal
@@ -1874,6 +1879,7 @@ SHORT = 0.25  # part of a step that is left when it counts as much too long
 SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
 SHORTENED = 10  # steps in turn that the filter shortens before full ones are tried
 LEAST_DAMPING = 1e-5
+TINY, CLOSER = 1e-13, 0.9  # part of an unknown, or of one, that is none; part of the error that may be left
 IN_VAIN = 20  # full steps in turn that leave the equations as they were: linearised, these contradict each other
 FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
 
@@ -1938,6 +1944,8 @@ class Globalisation:
             trial = moved(search, iterate, step, length)
             if self.is_better(trial, iterate, step, length):
                 return trial
+            if length == step.longest and settles_multipliers(search, iterate, step, trial):
+                return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
                 if better is not None:
@@ -1995,6 +2003,17 @@ class Globalisation:
                 return None
             refused = trial.point
         return None
+
+
+def settles_multipliers(search, iterate, step, trial):
+    """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
+
+    Cost and violation, which the filter compares, tell nothing of it. Source: section 3.9.
+    """
+    if not trial.point.error < CLOSER * iterate.point.error:
+        return False
+    moves = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
+    return bool((moves | search.grid.is_multiplier).all())
 
 
 def damped(damping, step, length, shortened):
@@ -2122,12 +2141,13 @@ UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first on
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 
 
-def descend(search, iterate, attempt, tolerance, max_iterations, log):
+def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
     """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
 
     With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
+    Beside a saddle point whose cost is `known`, the search ends as there once it is clear that it leads no lower.
     """
     grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
     course, first_cost = Globalisation(attempt, iterate.point.violation), abs(iterate.point.cost)
@@ -2140,6 +2160,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log):
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
         if not status and log.is_late():
             status = "time limit"
+        elif not status and known is not None and is_in_vain(search, iterate, known):
+            status = "saddle point"
         elif not status and course.is_contradicted(iterate.point):
             status = "infeasible"  # a search that begins elsewhere may find a way
         if status or iteration == max_iterations:
@@ -2194,6 +2216,11 @@ def is_minimum(search, iterate, tolerance):
     unknowns, delta_w = iterate.point.unknowns, max(FLAT, 100.0 * tolerance)
     _, diagonal = newton_system(search, iterate, iterate.point.gradient, delta_w, FLAT)
     return factor_kkt(search.grid, unknowns, 1.0, diagonal, search.system) == 0
+
+
+def is_in_vain(search, iterate, known):
+    """Whether the optimum nearby costs no less than what is `known`, as far as an iterate close to it tells."""
+    return is_nearly_stationary(iterate.point) and not is_below(predicted_cost(search, iterate), known)
 
 
 def is_unbounded_below(iterate, first_cost):
@@ -2290,10 +2317,11 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
-            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log)
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
             total += iterations
-            if ended in LEFT and is_below(other.point, saddle.point):
+            if ended in LEFT and is_below(predicted_cost(search, other), known):
                 status, saddle = ended, other
                 break
             failed = failed or ended not in LEFT
@@ -2628,9 +2656,9 @@ def is_nearly_stationary(point):
     return max(point.residual, point.stationarity) <= NEARLY
 
 
-def is_below(point, saddle):
-    """Whether the cost is lower than at a saddle point, by more than rounding."""
-    return point.cost < saddle.cost - 1e-9 * max(1.0, abs(saddle.cost))
+def is_below(cost, saddle_cost):
+    """Whether a cost is lower than at a saddle point, by more than rounding."""
+    return cost < saddle_cost - 1e-9 * max(1.0, abs(saddle_cost))
 
 
 def escape_steps(grid, unknowns, curvature, escapes):
@@ -3694,7 +3722,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_f634352ac28d8ad3"
+_IDENTITY = "codegen_spherical_pendulum_bf76bf08515bb273"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
