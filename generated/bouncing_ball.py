@@ -3452,6 +3452,7 @@ def interval_hessians(unknowns, steps, h, nodes, parameters, values):
 # Which unknowns lie on their bounds, and which prescribed values beyond them.
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
+UNSURE = 10.0  # residuals by which a value that end conditions determine may be off
 END_NAMES = "start", "end"
 
 
@@ -3489,7 +3490,11 @@ def prescribed_beyond(grid, unknowns):
     if grid.steps == 1:
         return ""
     units, (lower, upper) = units_of(grid), bounds_of(grid)
-    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps, 0.0)
+    if index >= 0 and free_unknowns(grid)[index]:
+        # Conditions at the end determine it, no better than they hold.
+        unsure = UNSURE * evaluate(grid, unknowns / units).residual
+        index, inner = first_beyond(unknowns, units, lower, upper, grid.steps, unsure)
     if index < 0:
         return ""
     local = index % (grid.steps * STRIDE + NODE)
@@ -3503,11 +3508,11 @@ def prescribed_beyond(grid, unknowns):
 
 
 @njit(cache=True, error_model="numpy")
-def first_beyond(unknowns, units, lower, upper, steps):
+def first_beyond(unknowns, units, lower, upper, steps, unsure):
     """Indices of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
 
-    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both indices are -1
-    where there is no such unknown.
+    Values that are given have no bounds themselves, and are known but for what is `unsure`; slacks of what is
+    prescribed have no least value. Both indices are -1 where there is no such unknown.
     """
     for body in range(BODIES):
         for i in range(STRIDE):
@@ -3515,7 +3520,7 @@ def first_beyond(unknowns, units, lower, upper, steps):
             end = start + (steps if i < NODE else steps - 1) * STRIDE
             for index, inner in ((start, start + STRIDE), (end, end - STRIDE)):
                 value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
-                margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
+                margin = max(unsure, 1e-9 * max(1.0, abs(value))) if i < NODE else LEAST_SLACK
                 is_below = lower[index] < least and value < least - margin
                 is_above = upper[index] > greatest and value > greatest + margin
                 is_given = lower[index] == -np.inf and upper[index] == np.inf
@@ -4755,7 +4760,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_e447976491c101af"
+_IDENTITY = "codegen_bouncing_ball_32c9651c4fd72aad"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

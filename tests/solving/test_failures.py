@@ -12,10 +12,11 @@ import numba
 import numpy as np
 import pytest
 from failing_problems import DEPENDENT_END, FAILING, RANK_DEFICIENT, STEEP, Failing, mass, plane, row
-from interpreted import as_machine_code, silent_math
+from interpreted import as_machine_code, of_problem, silent_math
+from sympy import Eq
 from typer.testing import CliRunner
 
-from codegen import solving
+from codegen import Control, controls, solving, states
 from codegen.cli import main
 from codegen.compiler import generate
 from codegen.errors import BoundaryError
@@ -186,6 +187,31 @@ def test_long_duration_that_is_best_is_no_runaway(tmp_path):
     assert result.status == "solved", result.message
     factor = 6**2 / (6**2 - 1)  # of the discrete optimum, N^2/(N^2 - 1)
     assert result.summary["duration"] == pytest.approx((36 * factor * 4e12) ** 0.25, rel=1e-8)
+
+
+def test_a_value_that_conditions_at_the_end_determine_is_known_no_better_than_they_hold():
+    """x is to end on its bound: where the search fails on its way there, the value is not to blame."""
+    x, y = states("x y")
+    u, w = controls("u w")
+    module = of_problem(
+        Control(
+            dynamics={x: u, y: w},
+            cost=u**2 + w**2,
+            duration=1,
+            start={x: 0, y: 0},
+            end={y: 1},
+            end_conditions=[Eq(x - y, 0)],
+            bounds={x: (-2, 1)},
+        )
+    )
+    grid = module.make_grid(10)
+    on_the_way = module.initial_guess(grid)
+    nodes, _ = module.views(grid, on_the_way)
+    nodes[0, -1, 0] = 1.001
+    assert module.prescribed_beyond(grid, on_the_way) == ""
+    beyond = module.solve(10, end={"y": 1.5})
+    assert beyond.status == "infeasible"
+    assert "x is prescribed as 1.5 at the end, beyond its bounds -2 to 1" in beyond.message
 
 
 @pytest.mark.parametrize(("values", "place"), [({"start": {"x": 3.0}}, "start"), ({"end": {"x": -3.0}}, "end")])

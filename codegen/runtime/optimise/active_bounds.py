@@ -4,8 +4,11 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import BODIES, NODE, STRIDE, metadata, variable_bounds
+from codegen.runtime.unknowns.layout import free_unknowns
+from codegen.runtime.unknowns.point import evaluate
 
 LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
+UNSURE = 10.0  # residuals by which a value that end conditions determine may be off
 END_NAMES = "start", "end"
 
 
@@ -43,7 +46,11 @@ def prescribed_beyond(grid, unknowns):
     if grid.steps == 1:
         return ""
     units, (lower, upper) = units_of(grid), bounds_of(grid)
-    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps)
+    index, inner = first_beyond(unknowns, units, lower, upper, grid.steps, 0.0)
+    if index >= 0 and free_unknowns(grid)[index]:
+        # Conditions at the end determine it, no better than they hold.
+        unsure = UNSURE * evaluate(grid, unknowns / units).residual
+        index, inner = first_beyond(unknowns, units, lower, upper, grid.steps, unsure)
     if index < 0:
         return ""
     local = index % (grid.steps * STRIDE + NODE)
@@ -57,11 +64,11 @@ def prescribed_beyond(grid, unknowns):
 
 
 @njit(cache=True, error_model="numpy")
-def first_beyond(unknowns, units, lower, upper, steps):
+def first_beyond(unknowns, units, lower, upper, steps, unsure):
     """Indices of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
 
-    Values that are given have no bounds themselves, slacks of what is prescribed no least value. Both indices are -1
-    where there is no such unknown.
+    Values that are given have no bounds themselves, and are known but for what is `unsure`; slacks of what is
+    prescribed have no least value. Both indices are -1 where there is no such unknown.
     """
     for body in range(BODIES):
         for i in range(STRIDE):
@@ -69,7 +76,7 @@ def first_beyond(unknowns, units, lower, upper, steps):
             end = start + (steps if i < NODE else steps - 1) * STRIDE
             for index, inner in ((start, start + STRIDE), (end, end - STRIDE)):
                 value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
-                margin = 1e-9 * max(1.0, abs(value)) if i < NODE else LEAST_SLACK
+                margin = max(unsure, 1e-9 * max(1.0, abs(value))) if i < NODE else LEAST_SLACK
                 is_below = lower[index] < least and value < least - margin
                 is_above = upper[index] > greatest and value > greatest + margin
                 is_given = lower[index] == -np.inf and upper[index] == np.inf
