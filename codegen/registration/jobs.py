@@ -49,6 +49,11 @@ class Job:
         """All files that are read."""
         return (self.moving, *self.landmarks, *([self.fixed] if self.fixed is not None else []))
 
+    def absolute(self) -> Job:
+        """The same files by names that mean the same in any process."""
+        optional = (None if path is None else path.absolute() for path in (self.fixed, self.field, self.report))
+        return Job(self.moving.absolute(), tuple(map(Path.absolute, self.landmarks)), self.out.absolute(), *optional)
+
     @property
     def written(self) -> tuple[Path, ...]:
         """All files that are written, the image last."""
