@@ -107,6 +107,7 @@ def begun(*words: object) -> Iterator[subprocess.Popen[str]]:
         yield made
     finally:
         kill(made)
+        made.communicate()
 
 
 def noted(out: Path) -> list[dict[str, str]]:
