@@ -108,6 +108,7 @@ def _local(workers: int) -> Iterator[Any]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": ":0"},  # any port: another cluster may have the usual one
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         )
