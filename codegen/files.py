@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from codegen.errors import FileError
@@ -18,6 +19,9 @@ _REMEDIES = {
     errno.EIO: "look after that disk, or choose another folder",
 }
 """What to do about errors that are the file system's own."""
+_MARK = ".codegen-"
+_TEMPORARY = re.compile(rf"\.(.*){re.escape(_MARK)}[a-z0-9_]{{8}}((?:\.[^.]*)?)", re.DOTALL)
+"""Names of temporary files: stem and suffix of the file that they are to become, and what tempfile puts between."""
 
 
 def is_refusal(error: OSError) -> bool:
@@ -40,7 +44,7 @@ def replacing(path: Path) -> Iterator[Path]:
     system refuses.
     """
     try:
-        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix)
+        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}{_MARK}", suffix=path.suffix)
         os.close(handle)
         temporary = Path(name)
         try:
@@ -51,6 +55,22 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise refused(error, path) from error
+
+
+def remove_leftovers(paths: Iterable[Path]) -> None:
+    """Remove what processes that were killed left beside files: temporary files of `replacing`.
+
+    Nobody may be writing the files at this time.
+    """
+    names: dict[Path, set[tuple[str, str]]] = {}
+    for path in paths:
+        names.setdefault(path.absolute().parent, set()).add((path.stem, path.suffix))
+    for folder, known in names.items():
+        with suppress(OSError):  # they are hidden and do no harm
+            for entry in [*folder.iterdir()]:
+                found = _TEMPORARY.fullmatch(entry.name)
+                if found and (found[1], found[2]) in known:
+                    entry.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

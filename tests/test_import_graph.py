@@ -25,7 +25,7 @@ FLOORS = (
     ("lower",),
     ("naming", "verify"),
     ("cache",),
-    ("compiler",),
+    ("compiler", "engines"),
     ("solving",),
     ("horizons", "sweeping"),
     ("checks", "registration", "report", "stress"),

@@ -152,8 +152,8 @@ def _kept(names: str) -> tuple[str, ...]:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
+    from codegen.engines.tally import table_of
     from codegen.solutions.output import as_json
-    from codegen.sweeping.statuses import table_of
 
     for line in outcome.said:
         typer.echo(line, err=True)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from codegen.cli.options import positive
 from codegen.errors import ArgumentError, one_line
 from codegen.terminal import console, progress, working
 
 if TYPE_CHECKING:
-    from codegen.registration.batch import Batch
+    from codegen.registration.batches.outcome import Batch
     from codegen.registration.jobs import Options
 
 # Nothing of codegen.registration may be imported before the command runs: it brings numba.
@@ -67,6 +69,27 @@ Coarse = Annotated[
     bool, typer.Option("--coarse", help="Map a coarse grid and interpolate, with a certified error below 0.01 pixel.")
 ]
 
+Workers = Annotated[
+    int | None,
+    typer.Option(parser=positive, metavar="N", help="Processes for many pairs. [default: one for each processor]"),
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask for many pairs; or local, to begin one."),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on with many pairs, only if they were begun with the same options.")
+]
+
+
+@dataclass(frozen=True)
+class Who:
+    """Who does many pairs: so many processes, or a cluster; and whether it is to be gone on with what was begun."""
+
+    workers: int | None
+    cluster: str | None
+    resume: bool
+
 
 def warp(
     moving: Moving,
@@ -83,6 +106,9 @@ def warp(
     report: Report = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     coarse: Coarse = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    resume: Resume = False,
 ) -> None:
     """Warp an image, or many, by landmarks, moving to fixed, with a certificate that nothing folds."""
     if len(landmarks) > 2:
@@ -94,8 +120,14 @@ def warp(
     options = Options(
         inverse, _sigma(sigma), align.value, scheme, steps, interpolation.value, coarse,
     )  # fmt: skip
-    many = moving.is_dir() or moving.suffix.lower() == ".csv"
-    (_many if many else _one)(moving, tuple(landmarks), out, fixed, field, report, options, json)
+    if moving.is_dir() or moving.suffix.lower() == ".csv":
+        who = Who(workers, cluster, resume)
+        _many(moving, tuple(landmarks), out, fixed, field, report, options, json, who)
+    elif workers is not None or cluster is not None or resume:
+        given = "--workers" if workers is not None else "--cluster" if cluster is not None else "--resume"
+        raise ArgumentError(f"{given} is for many pairs, and {moving} is none", "give a folder, or a table (.csv)")
+    else:
+        _one(moving, tuple(landmarks), out, fixed, field, report, options, json)
 
 
 def _sigma(text: str) -> Any:
@@ -134,34 +166,39 @@ def _one(
 
 def _many(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
-    report: Path | None, options: Options, json: bool,
+    report: Path | None, options: Options, json: bool, who: Who,
 ) -> None:  # fmt: skip
-    from codegen.registration import batch, batch_report, warp_text
+    from codegen.engines.team import team_size
+    from codegen.registration import warp_text
+    from codegen.registration.batches import lines, page, pairing
+    from codegen.registration.batches.outcome import BatchRequest, outcome_of
     from codegen.solutions import output
 
-    places = batch.Places(out, field, report)
+    workers = team_size(who.workers, who.cluster)
+    places = pairing.Places(out, field, report)
     if moving.is_dir():
         if out is None or out.resolve() == moving.resolve():
             raise ArgumentError(f"--out is missing, or is {moving} itself", "give a folder for the warped images")
-        jobs, without = batch.jobs_in_folder(moving, places, fixed, landmarks)
+        jobs, without = pairing.jobs_in_folder(moving, places, fixed, landmarks)
         if without:
             names = ", ".join(path.name for path in without[:3]) + (", ..." if len(without) > 3 else "")
             typer.echo(f"codegen: {len(without)} images have no landmarks and are left out: {names}", err=True)
     elif landmarks:
         raise ArgumentError(f"{moving} names the landmarks of its pairs", "leave --landmarks out")
     else:
-        jobs = batch.jobs_in_table(moving, places, fixed)
+        jobs = pairing.jobs_in_table(moving, places, fixed)
     for option, folder in (("--out", out), ("--field", field), ("--report", report)):
         if folder is not None:
             output.require_folder(folder, option, may_be_made=True)
-    batch.make_folders(places)
-    summary = (out / batch.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
+    summary = (out / lines.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
-        batch.require_free(jobs, report / batch_report.NAME)
-    with progress("Warping", len(jobs)) as report_progress:
-        done = batch.run_all(jobs, options, summary, report_progress)
+        pairing.require_free(jobs, report / page.NAME)
+    request = BatchRequest(jobs, options, places, summary, workers, who.cluster, who.resume)
+    done = outcome_of(request, working, progress)
     if report is not None:
-        batch_report.write_batch_report(report, done, [job.report for job in jobs])
+        page.write_batch_report(report, done, [job.report for job in jobs])
+    for line in done.said:
+        typer.echo(line, err=True)
     if json:
         typer.echo(output.as_json(warp_text.record(done, summary)))
     else:

@@ -11,9 +11,11 @@ alone are safe in a server with several sessions, and in a process that forks, a
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -22,6 +24,7 @@ from numpy.typing import NDArray
 from codegen.errors import ModuleError, NumericsError
 from codegen.registration.pairs import PointArray
 
+_THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
 """Velocities that one landmark gives to one point, from which on a second thread is worth its start."""
 
@@ -51,6 +54,16 @@ def require_tracers(module: Any) -> FlowModule:
     return cast(FlowModule, module)
 
 
+@contextmanager
+def threads_at_most(number: int) -> Iterator[None]:
+    """Flows that are made here use at most so many threads, as where there is a process for every processor."""
+    token = _THREADS.set(number)
+    try:
+        yield
+    finally:
+        _THREADS.reset(token)
+
+
 @dataclass(frozen=True, eq=False)
 class Flow:
     """The solved motion of landmarks in the disc, from t = 0 to 1 in equal steps.
@@ -63,7 +76,7 @@ class Flow:
     case: Any
     path: NDArray[np.float64]
     points: NDArray[np.float64]
-    threads: int = os.cpu_count() or 1
+    threads: int = field(default_factory=_THREADS.get)
 
     @property
     def steps(self) -> int:

@@ -33,6 +33,10 @@ class Options:
     coarse: bool = False
 
 
+def _absolute(path: Path) -> Path:
+    return path.parent.resolve() / path.name  # whose name counts, even where it is that of a link
+
+
 @dataclass(frozen=True)
 class Job:
     """The files of one pair that are read and written; `landmarks` is one file, or a moving and a fixed one."""
@@ -48,6 +52,11 @@ class Job:
     def read(self) -> tuple[Path, ...]:
         """All files that are read."""
         return (self.moving, *self.landmarks, *([self.fixed] if self.fixed is not None else []))
+
+    def absolute(self) -> Job:
+        """The same files by names that mean the same in any process, and are the same however they were written."""
+        optional = (None if path is None else _absolute(path) for path in (self.fixed, self.field, self.report))
+        return Job(_absolute(self.moving), tuple(map(_absolute, self.landmarks)), _absolute(self.out), *optional)
 
     @property
     def written(self) -> tuple[Path, ...]:

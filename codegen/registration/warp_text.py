@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen.registration.batch import Batch, Line
+from codegen.registration.batches.lines import Line
+from codegen.registration.batches.outcome import Batch
 from codegen.registration.record_text import rows
 
 if TYPE_CHECKING:

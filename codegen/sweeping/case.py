@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers import find
+from codegen.engines.tally import SOLVED
 from codegen.errors import CodegenError, one_line
 from codegen.loading import Vector
 from codegen.solutions.result import Outline, Run
@@ -23,7 +24,7 @@ from codegen.sweeping.continuation import Start
 from codegen.sweeping.layout import Shapes
 from codegen.sweeping.quantities import STEPS, Quantity, given_to
 from codegen.sweeping.rates import CaseRates, Wanted
-from codegen.sweeping.statuses import NOT_BUILT, SOLVED, UNUSABLE
+from codegen.sweeping.statuses import NOT_BUILT, UNUSABLE
 from codegen.tasks import task_of
 
 

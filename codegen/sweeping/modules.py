@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from codegen import compiler, loading
 from codegen.author.problem_file import argument_names
+from codegen.engines.team import Working
 from codegen.errors import ArgumentError, CodegenError
 from codegen.machine_code import ahead_of_time
 from codegen.solutions.sensitivities import require_sensitive
@@ -21,8 +22,6 @@ from codegen.sweeping.layout import shapes_of
 from codegen.sweeping.quantities import STEPS, Quantity, as_argument, quantities, require_fitting
 from codegen.tasks import task_of
 
-Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
-"""A sign of life while something takes long."""
 MOST = 100
 """The most modules of a sweep: each takes seconds to derive and compile."""
 

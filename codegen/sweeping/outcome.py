@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from codegen.engines import connected
+from codegen.engines.tally import Tally
+from codegen.engines.team import Progress, Team, Working, silent
+from codegen.engines.work import Done
 from codegen.machine import versions
 from codegen.solutions.result import Run
 from codegen.solving.run import require_memory
@@ -22,23 +26,17 @@ from codegen.sweeping.case import Attempt
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
 from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
-from codegen.sweeping.engines import connected, engine_for
 from codegen.sweeping.jumps import Costs, along, jumps_of
 from codegen.sweeping.layout import layout_of
-from codegen.sweeping.modules import Modules, Working, modules_of
+from codegen.sweeping.modules import Modules, modules_of
 from codegen.sweeping.quantities import STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
-from codegen.sweeping.statuses import Tally
 from codegen.sweeping.store import Store
-from codegen.sweeping.work import Done, Rows, Work
+from codegen.sweeping.work import Rows, Work
 from codegen.tasks import task_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
-
-Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
-"""(what, count) -> a context that is told (parts done, what is going on)."""
-
 
 MOST_LOOKED_THROUGH = 10_000_000
 """In a grid of so many cases jumps are looked for across chunks, which takes all costs at once."""
@@ -64,15 +62,10 @@ class SweepOutcome:
         }  # fmt: skip
 
 
-@contextmanager
-def _silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
-    yield lambda done, text: None
-
-
 def outcome_of(
     request: SweepRequest,
     working: Working = nullcontext,
-    progress: Progress = _silent,
+    progress: Progress = silent,
     require: Callable[[Dataset], None] = lambda outlined: None,
 ) -> SweepOutcome:
     """Do what is asked; see `codegen.sweep`. What is wrong with the request is said before anything takes long.
@@ -86,21 +79,10 @@ def outcome_of(
         work, frame = _planned(request, modules)
         require(frame.outlined())
         finish = _into_store if request.is_store else _into_memory
-        team = Team(request.workers, cluster, working, progress, {})
+        team = Team(request.workers, cluster, working, progress)
         tally, dataset = finish(request, modules, work, frame, team)
     said = (*modules.said, *team.notes)
     return SweepOutcome(tally, time.perf_counter() - begin, said, request.out, dataset)
-
-
-@dataclass(frozen=True)
-class Team:
-    """Who solves: processes or a cluster; signs of life, of one thing that takes long and of many; what they say."""
-
-    workers: int
-    cluster: Any
-    working: Working
-    progress: Progress
-    notes: dict[str, None]
 
 
 def _into_memory(
@@ -114,7 +96,7 @@ def _into_memory(
         assert done.rows is not None, "without a sink rows come here"
         memory.write(work.chunks.region(number), done.rows)
 
-    tally = _solved(work, range(work.chunks.number), team, Tally(), keep)
+    tally = team.do(work, range(work.chunks.number), work.cases.number, Tally(), keep)
     if _is_cut(work):
         tally = _marked(work, tally, memory.arrays["cost"], memory.write, team)
     found = memory.dataset()
@@ -138,7 +120,8 @@ def _into_store(
     work = replace(work, chunks=journal.chunks, sink=place)
     left = [number for number in range(journal.chunks.number) if number not in journal.finished]
     before = sum(journal.finished.values(), Tally())
-    tally = _solved(work, left, team, before, lambda number, done: journal.add(number, done.tally))
+    keep: Callable[[int, Done], None] = lambda number, done: journal.add(number, done.tally)  # noqa: E731
+    tally = team.do(work, left, work.cases.number, before, keep)
     if _is_cut(work):
         tally = _marked(work, tally, place.read("cost"), place.write, team)
     return tally, place.dataset
@@ -220,23 +203,6 @@ def _tried(work: Work, team: Team) -> Attempt:
                 if found[-1].is_solved:
                     break
     return next((attempt for attempt in found if attempt.is_solved), found[-1])
-
-
-def _solved(work: Work, numbers: Sequence[int], team: Team, tally: Tally, keep: Callable[[int, Done], None]) -> Tally:
-    """Have an engine solve chunks and what it has done kept; the tally of these and those before."""
-    if not numbers:
-        return tally
-    used = min(team.workers, len(numbers))
-    total, before, begin = work.cases.number, tally.cases, time.perf_counter()
-    with engine_for(used, team.cluster)(work, used) as solve, team.progress("Solving", total) as shown:
-        for number, done in solve(numbers):
-            keep(number, done)
-            tally = tally + done.tally
-            team.notes.update(dict.fromkeys(done.notes))
-            rate = (tally.cases - before) / (time.perf_counter() - begin)
-            left, failed = (total - tally.cases) / rate, tally.cases - tally.solved
-            shown(tally.cases, f"{rate:.3g} cases/s, {failed} failed, about {left:.0f} s left")
-    return tally
 
 
 def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, Any]:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import difflib
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from codegen.engines.team import team_size
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.solutions.output import require_folder
 from codegen.solving.request import Request
 from codegen.sweeping import cases as reading
 from codegen.sweeping.cases import Cases
-from codegen.sweeping.engines import LOCAL
 from codegen.sweeping.layout import KEPT
 from codegen.sweeping.samples import NUMBER, require_method, samples
 
@@ -88,13 +87,10 @@ def sweep_request(
     made, origin = _cases(vary, zipped, samples, cases, method, seed)
     if isinstance(keep, str) or not all(isinstance(name, str) for name in keep):
         raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
-    for name, value in (("workers", workers), ("chunk", chunk)):
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-            raise NumericsError(f"--{name} {clause(repr(value))}", "give a positive integer")
-    if workers is not None and cluster not in (None, LOCAL):
-        raise ArgumentError("--workers with a cluster that has its own", "leave --workers out, or give --cluster local")
+    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
+        raise NumericsError(f"--chunk {clause(repr(chunk))}", "give a positive integer")
+    used = team_size(workers, cluster)
     kept = keep if keep is KEPT else tuple(dict.fromkeys(keep))
-    used = workers or _processors()
     return SweepRequest(solve, made, origin, place, resume, kept, used, warm_starts, chunk, cluster)
 
 
@@ -151,8 +147,3 @@ def _named(given: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(given, Mapping) or not all(isinstance(key, str) for key in given):
         raise ArgumentError(f"{name} is {clause(repr(given))}", 'give names and values, such as {"r1": [5.5, 6, 6.5]}')
     return given
-
-
-def _processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

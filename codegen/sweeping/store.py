@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.engines.journal import journal_of
 from codegen.errors import ArgumentError
 from codegen.files import refused
 from codegen.sweeping import journal
 from codegen.sweeping.chunks import Chunks
 from codegen.sweeping.dataset import Frame
-from codegen.sweeping.journal import Journal, journal_of
+from codegen.sweeping.journal import SweepJournal
 from codegen.sweeping.work import Rows
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ class Store:
         return found
 
 
-def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> Journal:
+def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
     """Lay out a store and its journal; the store has its name only when it is whole. FileError when that is refused."""
     try:
         folder = Path(tempfile.mkdtemp(dir=path.absolute().parent, prefix=f".{path.stem}.", suffix=path.suffix))
@@ -87,7 +88,7 @@ def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> Journal:
     return started
 
 
-def resumed(path: Path, digest: str) -> Journal:
+def resumed(path: Path, digest: str) -> SweepJournal:
     """The journal of a store that is there already; ArgumentError where it belongs to another sweep, or is none."""
     import zarr
 

@@ -16,6 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen import loading
+from codegen.engines.tally import LOST, Tally
+from codegen.engines.work import Abandoned, Done
+from codegen.errors import ArgumentError
 from codegen.solutions.result import Run
 from codegen.solutions.sensitivities import UNSOLVED
 from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
@@ -27,7 +30,7 @@ from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import Quantity, as_argument
 from codegen.sweeping.rates import CaseRates, Wanted
-from codegen.sweeping.statuses import LOST, Tally
+from codegen.sweeping.texts import Texts, texts_of
 
 Rows = dict[str, NDArray[Any]]
 """Arrays by name, with a row for each case of a chunk in the order in which cases are counted."""
@@ -43,19 +46,6 @@ class Sink(Protocol):
 
     def mark(self) -> tuple[int, ...]:
         """What only this place has; another machine where it is the same can write to it as well."""
-
-
-@dataclass(frozen=True)
-class Done:
-    """A chunk that is finished: how its cases ended, its rows where no sink has taken them, and what else is to say."""
-
-    tally: Tally
-    rows: Rows | None
-    notes: tuple[str, ...] = ()
-
-
-class Abandoned(Exception):
-    """Nobody wants the chunk any longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,19 +67,29 @@ class Work:
     sink: Sink | None = None
     module: Any = None
 
-    def __call__(self, number: int, is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """Solve the cases of a chunk by its number; see `solve`."""
-        return self.solve(self.piece(number), is_wanted)
-
     def piece(self, number: int) -> Piece:
         """What solving a chunk needs beside the work; it is as small as the chunk."""
         indices = self.chunks.cases(number)
         columns, points = self.cases.chosen(indices), self.cases.points(indices)
         return Piece(number, self.chunks.region(number), self.cases.is_grid, columns, points)
 
-    def without_cases(self) -> Work:
-        """The same for somebody who is given each piece: its size does not depend on the number of cases."""
-        return replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
+    def parcel(self) -> Parcel:
+        """What is to be sent, whose size does not depend on the number of cases: workers are given each piece.
+
+        ArgumentError where a module is in no file.
+        """
+        if self.module is not None:
+            remedy = "build it, and give its path"
+            raise ArgumentError("a module that is in no file cannot be sent to a cluster", remedy)
+        bare = replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
+        return Parcel(bare, texts_of(self.variants), () if self.sink is None else self.sink.mark())
+
+    def returned(self, number: int, done: Done) -> Done:
+        """Write the rows of a worker who does not see the sink."""
+        if done.rows is None or self.sink is None:
+            return done
+        self.sink.write(self.chunks.region(number), done.rows)
+        return replace(done, rows=None)
 
     def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
         """Solve the cases of a chunk, along a path through neighbours, and again where their cost jumps.
@@ -255,3 +255,22 @@ class Work:
         if self.layout.has_rates:
             rows[f"{RATE}message"][:] = f"no sensitivities: {UNSOLVED}"
         return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Parcel:
+    """Work without its cases, the texts of its modules, and what tells whether another machine sees its sink."""
+
+    work: Work
+    texts: Texts
+    mark: tuple[int, ...]
+
+    def unpacked(self) -> tuple[Work, tuple[str, ...]]:
+        """The work, ready to solve here, and what is to be said of this machine.
+
+        Where it does not see the store of the work it has none: rows are to be sent back.
+        """
+        variants, notes = self.texts.placed(self.work.variants, self.work.driver)
+        sink = self.work.sink
+        sees = sink is not None and bool(self.mark) and sink.mark() == self.mark
+        return replace(self.work, variants=variants, sink=sink if sees else None).loaded(), notes

@@ -1,14 +1,21 @@
 """Batches: which files belong together, what one bad pair does to the others, and what is not done again."""
 
 import csv
+import errno
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codegen.errors import ArgumentError, ImageError
-from codegen.registration import batch
-from codegen.registration.batch import Places, jobs_in_folder, jobs_in_table, run_all
+from codegen.engines.journal import journal_of
+from codegen.engines.work import Abandoned
+from codegen.errors import ArgumentError, FileError, ImageError
+from codegen.files import refused, replacing
+from codegen.registration.batches.lines import COLUMNS, read_summary
+from codegen.registration.batches.outcome import BatchRequest, outcome_of
+from codegen.registration.batches.pairing import Places, jobs_in_folder, jobs_in_table
+from codegen.registration.batches.work import BatchWork, Pair, Place
 from codegen.registration.images import write_image
 from codegen.registration.jobs import Options, Result
 
@@ -44,8 +51,10 @@ def stand_in(job, options, record=None):
     return Result(record, None, None, None)
 
 
-def _silent(done, text):
-    """Nobody watches."""
+def done(jobs, options, summary, run_one=stand_in, **request):
+    """The batch in this process, without a solver."""
+    asked = BatchRequest(jobs, options, Places(), summary, **request)
+    return outcome_of(asked, run_one=run_one, prepare=lambda scheme: None)
 
 
 def test_files_of_one_stem_belong_together(folder, tmp_path):
@@ -73,15 +82,14 @@ def test_one_fixed_image_and_one_landmark_file_may_serve_all(folder, tmp_path):
 
 def test_bad_pairs_do_not_stop_the_others(folder, tmp_path):
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
-    told = []
-    done = run_all(jobs, Options(), tmp_path / "summary.csv", lambda done, text: told.append((done, text)), stand_in)
-    assert [line["status"] for line in done.lines] == ["solved", "wrong input", "not converged", "defect"]
-    assert len(done.failed) == 3
-    assert told == [(0, "a.png"), (1, "b.jpg"), (2, "c.TIF"), (3, "d.png")]
+    found = done(jobs, Options(), tmp_path / "summary.csv")
+    assert [line["status"] for line in found.lines] == ["solved", "wrong input", "not converged", "defect"]
+    assert len(found.failed) == 3
     with (tmp_path / "summary.csv").open(newline="") as file:
-        assert [*csv.DictReader(file)] == [*done.lines]
-    assert "b is damaged; give another" in done.lines[1]["message"]
-    assert "ZeroDivisionError: a defect" in done.lines[3]["message"]
+        assert [*csv.DictReader(file)] == [*found.lines]
+    assert "b is damaged; give another" in found.lines[1]["message"]
+    assert "ZeroDivisionError: a defect" in found.lines[3]["message"]
+    assert not journal_of(tmp_path / "summary.csv").exists()
 
 
 def test_only_what_changed_is_done_again(folder, tmp_path):
@@ -95,7 +103,7 @@ def test_only_what_changed_is_done_again(folder, tmp_path):
     def again(options=Options()):  # noqa: B008
         seen.clear()
         jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
-        return run_all([job for job in jobs if job.moving.stem in "ac"], options, summary, _silent, counting)
+        return done([job for job in jobs if job.moving.stem in "ac"], options, summary, counting)
 
     assert again().unchanged == 0
     assert again().unchanged == 1
@@ -106,26 +114,94 @@ def test_only_what_changed_is_done_again(folder, tmp_path):
     assert again(Options(sigma=1.0)).unchanged == 0
     (tmp_path / "a.png").unlink()
     assert again(Options(sigma=1.0)).unchanged == 0
+    (tmp_path / "a.png").write_bytes(b"ima")  # as if a copy had broken off
+    assert again(Options(sigma=1.0)).unchanged == 0
     summary.write_text("something else")
     assert again(Options(sigma=1.0)).unchanged == 0
     assert again(Options(sigma=1.0)).unchanged == 1
+    text = summary.read_text()
+    summary.write_text(text[: len(text) // 2])
+    assert again(Options(sigma=1.0)).unchanged == 0
+
+
+def test_outputs_that_are_asked_for_later_are_made(folder, tmp_path):
+    jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
+    assert done(jobs[:1], Options(), tmp_path / "s.csv").unchanged == 0
+    (tmp_path / "f").mkdir()
+    with_fields, _ = jobs_in_folder(folder, Places(tmp_path, tmp_path / "f"), None, ())
+    assert done(with_fields[:1], Options(), tmp_path / "s.csv").unchanged == 0
+    assert done(jobs[:1], Options(), tmp_path / "s.csv").unchanged == 1
+
+
+def interrupted(job, options):
+    """Somebody interrupts the third pair."""
+    if job.moving.stem == "c":
+        raise KeyboardInterrupt
+    return stand_in(job, options)
 
 
 def test_an_interrupted_batch_keeps_what_it_did_and_what_was_done_before(folder, tmp_path):
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     jobs = [jobs[0], jobs[2]]
     summary = tmp_path / "summary.csv"
-    run_all(jobs, Options(), summary, _silent, stand_in)
+    done(jobs, Options(), summary)
+    with pytest.raises(KeyboardInterrupt):
+        done(jobs, Options(sigma=2.0), summary, interrupted)
+    assert [line["out"] for line in read_summary(summary)] == [str(job.out) for job in jobs]
+    assert done(jobs, Options(sigma=2.0), summary).unchanged == 1
 
-    def interrupted(job, options):
-        if job.moving.stem == "c":
-            raise KeyboardInterrupt
+
+def test_what_was_killed_is_gone_on_with_from_the_journal(folder, tmp_path, monkeypatch):
+    """A kill leaves no summary, a journal that may be cut off within a line, and temporary files."""
+    jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
+    summary = tmp_path / "summary.csv"
+    with monkeypatch.context() as patched:
+        patched.setattr("codegen.registration.batches.outcome.write_summary", lambda path, lines: None)
+        patched.setattr("pathlib.Path.unlink", lambda path, missing_ok=False: None)
+        with pytest.raises(KeyboardInterrupt):
+            done([*jobs[:1], *jobs[2:]], Options(), summary, interrupted)
+    journal = journal_of(summary)
+    assert journal.read_text().count("\n") == 2
+    with journal.open("a") as file:
+        file.write('{"moving": "half of a li')
+    with replacing(tmp_path / "other.png") as temporary:
+        left = temporary.with_name(temporary.name.replace("other", "a"))
+    left.write_text("half of an im")
+    mine = tmp_path / ".a.original.png"
+    mine.write_text("of somebody else")
+    with pytest.raises(ArgumentError, match="tells of another batch"):
+        done(jobs, Options(sigma=3.0), summary, resume=True)
+    found = done(jobs, Options(), summary, resume=True)
+    assert found.unchanged == 1
+    assert [Path(line["out"]).name for line in found.lines] == ["a.png", "b.jpg", "c.TIF", "d.png"]
+    assert not journal.exists()
+    assert not left.exists()
+    assert mine.exists()
+    with pytest.raises(ArgumentError, match=r"summary\.csv is that of another batch"):
+        done(jobs, Options(sigma=3.0), summary, resume=True)
+
+
+def test_a_full_disk_ends_a_batch_and_what_is_written_stays(folder, tmp_path):
+    def full(job, options):
+        if job.moving.stem == "b":
+            raise refused(OSError(errno.ENOSPC, "No space left on device"), job.out)
         return stand_in(job, options)
 
-    with pytest.raises(KeyboardInterrupt):
-        run_all(jobs, Options(sigma=2.0), summary, _silent, interrupted)
-    assert [line["out"] for line in batch._read_summary(summary)] == [str(job.out) for job in jobs]
-    assert run_all(jobs, Options(sigma=2.0), summary, _silent, stand_in).unchanged == 1
+    jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
+    with pytest.raises(FileError, match="make room"):
+        done(jobs, Options(), tmp_path / "s.csv", full)
+    assert [line["status"] for line in read_summary(tmp_path / "s.csv")] == ["solved"]
+
+
+def test_a_chunk_that_nobody_wants_is_left(folder, tmp_path):
+    jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
+    pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
+    work = BatchWork(pairs, Options(), 3, 1, Place.of(folder), run_one=stand_in)
+    assert [len(work.piece(number).pairs) for number in work.chunks] == [3, 1]
+    with pytest.raises(Abandoned):
+        work.solve(work.piece(0), lambda: False)
+    lost = work.lost(1, "nobody knows").rows
+    assert [(own.number, own.line["status"], set(own.line)) for own in lost] == [(3, "worker lost", set(COLUMNS))]
 
 
 def test_tables_name_their_pairs(tmp_path):

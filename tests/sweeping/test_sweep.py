@@ -16,8 +16,8 @@ from command_lines import ORBIT, PENDULUM, run
 from conftest import PROBLEMS
 
 import codegen
-from codegen.sweeping.engines import processes
-from codegen.sweeping.journal import journal_of
+from codegen.engines import processes
+from codegen.engines.journal import journal_of
 from codegen.sweeping.statuses import LOST, MEANINGS, NOT_BUILT, UNUSABLE
 
 PARTS = ("t", "q", "u", "cost", "residual", "iterations", "status", "message")

@@ -8,9 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,15 +15,17 @@ import numpy as np
 import pytest
 import xarray
 from command_lines import ORBIT, PENDULUM, assert_refused, run
+from dask_parts import address_in, cluster, kill, process, until
 from test_sweep import assert_same
 from test_sweep_processes import StandIn
 
 import codegen
+from codegen.engines import ENGINES, engine_for
+from codegen.engines.journal import journal_of
+from codegen.engines.tally import LOST
 from codegen.errors import ArgumentError, ClusterError, ExtraError
 from codegen.files import refused
-from codegen.sweeping.engines import ENGINES, engine_for
-from codegen.sweeping.journal import journal_of
-from codegen.sweeping.statuses import LOST
+from codegen.sweeping.work import Work
 
 distributed = pytest.importorskip("distributed")
 
@@ -51,54 +50,6 @@ def test_workers_that_are_killed_are_replaced_and_a_chunk_that_kills_all_is_lost
     tries = (tmp_path / "0").read_text().split()
     assert len(tries) > 1
     assert len(set(tries)) == len(tries)
-
-
-@contextmanager
-def process(*words: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """A part of a cluster that is begun by hand, and killed at the end if it still runs."""
-    command = [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:]]
-    made = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1", **environment}, start_new_session=True,
-    )  # fmt: skip
-    try:
-        yield made
-    finally:
-        kill(made)
-
-
-def kill(process: subprocess.Popen[str]) -> None:
-    """End a process and all that it has begun."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
-@contextmanager
-def cluster(**environment: str) -> Iterator[tuple[str, subprocess.Popen[str], list[subprocess.Popen[str]]]]:
-    """The address, the scheduler and two workers."""
-    file = Path("scheduler.json").absolute()
-    file.unlink(missing_ok=True)
-    one = ("--nthreads", "1", "--no-dashboard", "--memory-limit", "0", "--scheduler-file", str(file))
-    with (
-        process("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)) as scheduler,
-        process("worker", *one, **environment) as first,
-        process("worker", *one, **environment) as second,
-    ):
-        yield address_in(file), scheduler, [first, second]
-
-
-def address_in(file: Path) -> str:
-    """What a scheduler writes when it is there."""
-    until(lambda: file.exists() and file.read_text().rstrip().endswith("}"))
-    return json.loads(file.read_text())["address"]
-
-
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it takes too long"
-        time.sleep(0.01)
 
 
 def finished() -> int:
@@ -182,8 +133,9 @@ def test_an_interrupt_by_a_terminal_is_one_line(folder, orbital_transfer):
 
 def test_what_a_worker_may_not_write_is_one_line(folder, orbital_transfer, monkeypatch):
     words = ("--steps", 30, "--chunk", 10, "--out", "s.zarr", "--workers", 1, "--cluster", "local")
-    monkeypatch.setattr("codegen.sweeping.work.Work.without_cases", lambda self: replace(self, sink=Full()))
-    monkeypatch.setattr("codegen.sweeping.store.Store.mark", lambda self: (1,))
+    parcel_of = Work.parcel
+    full = {"mark": Full().mark()}
+    monkeypatch.setattr(Work, "parcel", lambda self: replace(parcel_of(self), work=replace(self, sink=Full()), **full))
     assert_refused(run("sweep", ORBIT, "--vary", "r1=5.9:6:40", *words), "s.zarr cannot be written", "make room")
 
 
@@ -208,7 +160,7 @@ def test_a_store_that_workers_do_not_see_is_written_by_the_client(folder, orbita
 class TestRefusals:
     @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:9", "http://127.0.0.1:8786", "127.0.0.1", " "])
     def test_an_address_where_nothing_answers(self, folder, address, monkeypatch):
-        monkeypatch.setattr("codegen.sweeping.engines.dask.PATIENCE", 0.5)
+        monkeypatch.setattr("codegen.engines.dask.PATIENCE", 0.5)
         done = run("sweep", ORBIT, "--vary", "r1=5:6:3", "--out", "s.zarr", "--cluster", address)
         assert_refused(done, "--cluster", "such as tcp://")
         assert not list(folder.iterdir())
@@ -226,7 +178,7 @@ class TestRefusals:
             codegen.sweep(interpreted("linear_pendulum"), {"duration": [1.0]}, steps=5, cluster="local")
 
     def test_a_scheduler_without_workers(self, folder, monkeypatch, orbital_transfer):
-        monkeypatch.setattr("codegen.sweeping.engines.dask.PATIENCE", 2.0)
+        monkeypatch.setattr("codegen.engines.dask.PATIENCE", 2.0)
         with (
             process("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"),
             pytest.raises(ClusterError, match="no workers"),

@@ -7,16 +7,16 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from codegen.sweeping.engines import engine_for
-from codegen.sweeping.engines.processes import TRIES
-from codegen.sweeping.statuses import LOST, Tally
-from codegen.sweeping.work import Done
+from codegen.engines import engine_for
+from codegen.engines.processes import TRIES
+from codegen.engines.tally import LOST, Tally
+from codegen.engines.work import Done
 
 
 @dataclass(frozen=True)
@@ -27,23 +27,23 @@ class StandIn:
     once: tuple[int, ...] = ()
     always: tuple[int, ...] = ()
     broken: tuple[int, ...] = ()
-    variants: dict[tuple[str, ...], object] = field(default_factory=dict)
-    sink: None = None
-    module: None = None
 
     def loaded(self):
         return self
 
-    def without_cases(self):
+    def parcel(self):
         return self
+
+    def unpacked(self):
+        return self, ()
 
     def piece(self, number):
         return number
 
-    def solve(self, number):
-        return self(number)
+    def returned(self, number, done):
+        return done
 
-    def __call__(self, number, is_wanted=lambda: True):
+    def solve(self, number, is_wanted=lambda: True):
         tries = self.folder / f"{number}"
         with tries.open("a") as file:
             file.write(f"{os.getpid()}\n")
@@ -93,7 +93,7 @@ def test_workers_end_with_the_process_that_began_them(tmp_path):
     """It is killed and can tell them nothing; they look, or find that nobody listens."""
     code = (
         "import sys, time\nfrom pathlib import Path\nsys.path[:0] = sys.argv[2:]\n"
-        "from test_sweep_processes import StandIn\nfrom codegen.sweeping.engines.processes import running\n"
+        "from test_sweep_processes import StandIn\nfrom codegen.engines.processes import running\n"
         "with running(StandIn(Path(sys.argv[1])), 2) as solve:\n"
         "    for number, done in solve(range(10)):\n        print(number, flush=True)\n        time.sleep(100)\n"
     )

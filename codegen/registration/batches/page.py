@@ -11,7 +11,8 @@ from pathlib import Path
 import jinja2
 
 from codegen.files import replacing
-from codegen.registration.batch import Batch, Line
+from codegen.registration.batches.lines import Line
+from codegen.registration.batches.outcome import Batch
 from codegen.registration.record_text import number
 
 NAME = "index.html"
@@ -37,7 +38,7 @@ def write_batch_report(folder: Path, done: Batch, pages: Iterable[Path | None]) 
     """Write the page beside the pages of the pairs, which come in the order of the batch; its path."""
     path = folder / NAME
     rows = [_row(line, page) for line, page in zip(done.lines, pages, strict=True)]
-    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+    loader = jinja2.FileSystemLoader(Path(__file__).parents[1] / "templates")
     template = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("batch.html.j2")

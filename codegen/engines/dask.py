@@ -1,7 +1,7 @@
-"""A cluster of dask: its scheduler gives chunks to workers, which compile the module and write what they solve.
+"""A cluster of dask: its scheduler gives chunks to workers, which compile modules and write what they solve.
 
 The client keeps a bounded number of chunks in flight, so that neither its memory nor the scheduler's grows with the
-cases. What is lost with a worker the scheduler has done again; what is lost with the scheduler is left to a sweep that
+cases. What is lost with a worker the scheduler has done again; what is lost with the scheduler is left to work that
 is resumed: chunks count when they are in the journal, and writing one twice writes the same numbers.
 """
 
@@ -22,11 +22,9 @@ import dask
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, get_worker
 from threadpoolctl import ThreadpoolController
 
+from codegen.engines import LOCAL, Solved
+from codegen.engines.work import Done, Parcel, Work
 from codegen.errors import ArgumentError, ClusterError, CodegenError, clause, one_line
-from codegen.sweeping.chunks import Piece
-from codegen.sweeping.engines import LOCAL, Solved
-from codegen.sweeping.parcel import Parcel, parcel_of
-from codegen.sweeping.work import Done, Work
 
 TRIES = 3
 """How many workers of a cluster of our own may be lost with a chunk before its cases count as lost."""
@@ -40,18 +38,19 @@ _POLL = 2.0
 _CLIENT: Any = Client  # dask has few types
 _CLUSTER: Any = LocalCluster
 _LOGGERS = ("distributed", "tornado", "asyncio", "bokeh")
-_RESUME = "what is in a store stays; begin the cluster again, and give --resume"
+_RESUME = "what is written stays; begin the cluster again, and give --resume"
 
 
 @contextmanager
 def connected(cluster: Any) -> Iterator[Any]:
     """A client of the scheduler at an address; a client, and the word for a cluster of our own, stay what they are.
 
-    Raises ClusterError when nothing answers, and ArgumentError for what is neither.
+    Raises ClusterError when nothing answers or there are no workers, and ArgumentError for what is neither.
     """
     if isinstance(cluster, Client):
         if cluster.asynchronous:
             raise ArgumentError("the client of the cluster is asynchronous", "give a distributed.Client(address)")
+        _require_workers(cluster)
         yield cluster
         return
     if not isinstance(cluster, str):
@@ -62,6 +61,7 @@ def connected(cluster: Any) -> Iterator[Any]:
     with _quiet():
         client = _client(cluster)
         try:
+            _require_workers(client)
             yield client
         finally:
             _close(client)
@@ -69,8 +69,8 @@ def connected(cluster: Any) -> Iterator[Any]:
 
 @contextmanager
 def running(work: Work, workers: int, cluster: Any = LOCAL) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Have workers of a cluster get ready, a local one of so many if it is none yet; see `codegen.sweeping.engines`."""
-    parcel = parcel_of(work)
+    """Have workers of a cluster get ready, a local one of so many if it is none yet; see `codegen.engines`."""
+    parcel = work.parcel()
     with ExitStack() as stack:
         is_ours = cluster == LOCAL
         client = stack.enter_context(_local(workers)) if is_ours else cluster
@@ -92,6 +92,14 @@ def _client(address: str) -> Any:
         raise ClusterError(clause(f"--cluster {address}: no scheduler answers ({reason})"), remedy) from None
 
 
+def _require_workers(client: Any) -> None:
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except Exception:  # also where the scheduler is lost meanwhile
+        remedy = "begin some, as `dask worker ADDRESS --nthreads 1 --nworkers 8`"
+        raise ClusterError("the cluster has no workers", remedy) from None
+
+
 @contextmanager
 def _local(workers: int) -> Iterator[Any]:
     with _quiet(), dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}):
@@ -100,6 +108,7 @@ def _local(workers: int) -> Iterator[Any]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": ":0"},  # any port: another cluster may have the usual one
             memory_limit=0,
             silence_logs=logging.CRITICAL,
         )
@@ -127,7 +136,7 @@ def _close(client: Any) -> None:
 
 
 class _Crew:
-    """The workers of a cluster, as far as this sweep has to do with them."""
+    """The workers of a cluster, as far as this work has to do with them."""
 
     def __init__(self, client: Any, work: Work, solver: Solver) -> None:
         self._client, self._work, self._name = client, work, f"codegen-{uuid.uuid4().hex}"
@@ -135,7 +144,7 @@ class _Crew:
         self._arrived: SimpleQueue[str] = SimpleQueue()
         self._sent = 0
         self._threads, self._asked, self._seen = 0, 0.0, time.monotonic()
-        self._require_workers()
+        _require_workers(client)
         try:
             client.register_plugin(solver, name=self._name)
         except Exception as error:  # raised there, where codegen may not even be installed
@@ -199,21 +208,11 @@ class _Crew:
         if isinstance(done, BaseException):
             raise done
         assert isinstance(done, Done), "workers send what they have done, or why they could not"
-        if done.rows is None or self._work.sink is None:
-            return number, done
-        self._work.sink.write(self._work.chunks.region(number), done.rows)
-        return number, replace(done, rows=None)
+        return number, self._work.returned(number, done)
 
     def _lost(self, error: Exception) -> CodegenError:
         reason = one_line(str(error) or type(error).__name__, 150)
         return ClusterError(clause(f"the scheduler of the cluster was lost ({reason})"), _RESUME)
-
-    def _require_workers(self) -> None:
-        try:
-            self._client.wait_for_workers(1, timeout=PATIENCE)
-        except Exception:  # also where the scheduler is lost meanwhile
-            remedy = "begin some, as `dask worker ADDRESS --nthreads 1 --nworkers 8`"
-            raise ClusterError("the cluster has no workers", remedy) from None
 
     def _most(self) -> int:
         """How many chunks may be in flight, as workers come and go: one waits where there are none."""
@@ -236,7 +235,7 @@ class _Crew:
 
 
 class Solver(WorkerPlugin):
-    """What a worker has of a sweep: the parcel until the first chunk comes, then the work, and one thread to do it."""
+    """What a worker has of the work: the parcel until the first chunk comes, then the work, and one thread to do it."""
 
     def __init__(self, parcel: Parcel, is_ours: bool) -> None:
         self._parcel, self._is_ours = parcel, is_ours
@@ -250,16 +249,17 @@ class Solver(WorkerPlugin):
             # A terminal interrupts all of its processes. It is the client that is meant, and ends this one.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    def __call__(self, piece: Piece) -> Done:
+    def __call__(self, piece: Any) -> Done:
         """Solve a chunk; what is to be said of this machine comes with the first."""
         with self._lock, self._libraries.limit(limits=1):
             notes: tuple[str, ...] = ()
             if self._work is None:
                 self._work, notes = self._parcel.unpacked()
-            return replace(self._work.solve(piece), notes=notes)
+            done = self._work.solve(piece)
+            return replace(done, notes=(*notes, *done.notes))
 
 
-def _solve(name: str, piece: Piece) -> Done | Exception:
+def _solve(name: str, piece: Any) -> Done | Exception:
     """Solve a chunk on a worker; what it could not do is a value, which dask does not take for its own failure."""
     try:
         solver: Any = get_worker().plugins[name]

@@ -20,8 +20,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from codegen.sweeping.engines import Solved
-from codegen.sweeping.work import Abandoned, Done, Work
+from codegen.engines import Solved
+from codegen.engines.work import Abandoned, Done, Work
 
 START = "fork" if sys.platform == "linux" else "spawn"  # elsewhere libraries do not survive a fork
 TRIES = 3
@@ -32,7 +32,7 @@ _SECONDS = 5.0
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Start the processes, and make sure that they end with the block; see `codegen.sweeping.engines.Engine`."""
+    """Start the processes, and make sure that they end with the block; see `codegen.engines.Engine`."""
     pool = _Pool(work, workers)
     try:
         yield pool.solve
@@ -139,7 +139,7 @@ def _serve(work: Work, orders: Connection[Any, Any], inherited: Sequence[Connect
                     return
             number = orders.recv()
             try:
-                done: Done | Exception = work(number, is_wanted)
+                done: Done | Exception = work.solve(work.piece(number), is_wanted)
             except Abandoned:
                 raise
             except Exception as error:

@@ -1,35 +1,19 @@
-"""Many registrations: the pairs of a folder or of a table, one after the other, whatever becomes of each.
-
-The summary, a table with one line for each pair, is written anew after every pair. A pair is not done again when the
-summary says that it was solved from the same files with the same options, and its outputs are still there.
-"""
+"""Which files of a folder or of a table belong together, and where the outputs of each pair go."""
 
 from __future__ import annotations
 
 import csv
-import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from codegen import __version__
-from codegen.errors import ArgumentError, CodegenError, one_line
-from codegen.files import refused, replacing
+from codegen.errors import ArgumentError, one_line
+from codegen.files import refused
 from codegen.registration.images.kinds import KINDS
-from codegen.registration.job import run
-from codegen.registration.jobs import Job, Options
+from codegen.registration.jobs import Job
 
-SUMMARY = "summary.csv"
-COLUMNS = (
-    "moving", "fixed", "landmarks", "out", "status", "message", "count", "align", "sigma", "steps", "residual",
-    "det_min", "det_max", "folded", "round_trip", "leave_one_out", "outliers", "seconds", "key",
-)  # fmt: skip
 MOST_PAIRS = 100_000
 _SINGLE, _DOUBLE = (".csv", ".tps"), (".pts", ".mrk.json")
-
-Line = dict[str, str]
-"""One line of the summary: texts under COLUMNS."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +30,6 @@ class Places:
         field = self.field / f"{out.stem}.npz" if self.field is not None else None
         report = self.report / f"{out.stem}.html" if self.report is not None else None
         return Job(moving, landmarks, out, fixed, field, report)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """What a batch did: a line for every pair, and how many of them were solved before and left alone."""
-
-    lines: tuple[Line, ...]
-    unchanged: int
-
-    @property
-    def failed(self) -> tuple[Line, ...]:
-        """The lines of pairs that were not solved."""
-        return tuple(line for line in self.lines if line["status"] != "solved")
 
 
 def jobs_in_folder(
@@ -164,97 +135,6 @@ def require_free(jobs: Iterable[Job], path: Path) -> None:
         if path.absolute() in (place.absolute() for place in job.written):
             finding = f"{path} is the page about all pairs, and that of {job.moving}"
             raise ArgumentError(finding, "rename the image, or give it another out in a table")
-
-
-def run_all(
-    jobs: Sequence[Job],
-    options: Options,
-    summary: Path,
-    report_progress: Callable[[int, str], None],
-    run_one: Any = run,
-) -> Batch:
-    """Do all jobs that are not done yet; a pair that fails leaves a line that says why. Writes the summary.
-
-    `report_progress` is told how many pairs are done and which one is next.
-    """
-    earlier = {line["out"]: line for line in _read_summary(summary)}
-    lines: list[Line] = []
-    unchanged = 0
-    for number, job in enumerate(jobs):
-        report_progress(number, job.moving.name)
-        key = _key(job, options)
-        line = earlier.get(str(job.out), {})
-        if key and line.get("key") == key and line.get("status") == "solved" and all(p.is_file() for p in job.written):
-            unchanged += 1
-            lines.append(line)
-        else:
-            lines.append(_done(job, options, key, run_one))
-            pending = [earlier[str(later.out)] for later in jobs[number + 1 :] if str(later.out) in earlier]
-            _write_summary(summary, [*lines, *pending])
-    _write_summary(summary, lines)
-    return Batch(tuple(lines), unchanged)
-
-
-def _done(job: Job, options: Options, key: str, run_one: Any) -> Line:
-    """The line of a pair that was just tried."""
-    try:
-        return line_of(run_one(job, options).record, key)
-    except CodegenError as error:
-        status, message = "wrong input", str(error)
-    except MemoryError:
-        status, message = "out of memory", "there is not enough memory for this pair; give smaller images"
-    except Exception as error:  # one pair must not end a night's work; it is reported and the exit status is 1
-        status, message = "defect", f"{type(error).__name__}: {error}; this is a defect of codegen, please report it"
-    empty = {"summary": {}, "seconds": {}, "landmarks": [str(path) for path in job.landmarks]}
-    named = {"moving": str(job.moving), "fixed": str(job.fixed or ""), "out": str(job.out)}
-    return line_of({**empty, **named, "status": status, "message": message}, "")
-
-
-def line_of(record: Mapping[str, Any], key: str) -> Line:
-    """The line of the summary for a record of a job; empty where a pair has no such number."""
-    seen = {**record, **record["summary"]}
-    errors = seen.get("leave_one_out") or []
-    values: dict[str, Any] = {name: seen.get(name) for name in COLUMNS}
-    values |= {
-        "landmarks": ";".join(record["landmarks"]),
-        "message": one_line(record["message"], 300),
-        "count": record["summary"].get("landmarks"),
-        "leave_one_out": sorted(errors)[len(errors) // 2] if errors and None not in errors else None,
-        "outliers": ";".join(seen.get("outliers") or []),
-        "seconds": round(sum(record["seconds"].values()), 3),
-        "key": key,
-    }
-    return {name: "" if value is None else str(value) for name, value in values.items()}
-
-
-def _key(job: Job, options: Options) -> str:
-    """A hash of everything that the outputs depend on; empty where a file cannot be read."""
-    digest = hashlib.sha256(repr((__version__, sorted(asdict(options).items()), len(job.landmarks))).encode())
-    for path in job.read:
-        try:
-            with path.open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
-        except OSError:
-            return ""
-        digest.update(path.name.encode())  # TPS files name images
-    return digest.hexdigest()[:32]
-
-
-def _read_summary(path: Path) -> list[Line]:
-    """The lines of an earlier run; none where the file is not one of ours."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            return list(reader) if tuple(reader.fieldnames or ()) == COLUMNS else []
-    except (OSError, UnicodeDecodeError, csv.Error):
-        return []
-
-
-def _write_summary(path: Path, lines: Iterable[Line]) -> None:
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=COLUMNS)
-        writer.writeheader()
-        writer.writerows(lines)
 
 
 def make_folders(places: Places) -> None:

@@ -7,13 +7,13 @@ from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
 
-from codegen.sweeping.engines import Solved
-from codegen.sweeping.work import Work
+from codegen.engines import Solved
+from codegen.engines.work import Work
 
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Solve here, with one thread of linear algebra as workers have; see `codegen.sweeping.engines.Engine`."""
+    """Solve here, with one thread of linear algebra as workers have; see `codegen.engines.Engine`."""
     assert workers == 1, "there is one process here"
     with threadpool_limits(1):
-        yield lambda numbers: ((number, work(number)) for number in numbers)
+        yield lambda numbers: ((number, work.solve(work.piece(number))) for number in numbers)

@@ -1,4 +1,4 @@
-"""The registry of engines: who solves the chunks of a sweep. One file for each; another one is a file and a row."""
+"""The registry of engines: who does the chunks of some work. One file for each; another one is a file and a row."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from codegen.errors import ExtraError
 
 if TYPE_CHECKING:
-    from codegen.sweeping.work import Done, Work
+    from codegen.engines.work import Done, Work
 
 Solved: TypeAlias = "Iterator[tuple[int, Done]]"
 """Chunks by their numbers as they are finished, in any order."""
@@ -34,11 +34,11 @@ class Row:
     @property
     def running(self) -> Engine:
         """The engine, imported when it is asked for."""
-        return getattr(import_module(f"codegen.sweeping.engines.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
+        return getattr(import_module(f"codegen.engines.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
 
 
 LOCAL = "local"
-"""The word for a cluster that is begun for a sweep, on this machine."""
+"""The word for a cluster that is begun for the work, on this machine."""
 ENGINES = {
     row.name: row
     for row in (
@@ -61,11 +61,12 @@ def engine_for(workers: int, cluster: Any = None) -> Engine:
 def connected(cluster: Any) -> AbstractContextManager[Any]:
     """A client of the cluster that is asked for, or None where none is; it is looked for before anything takes long.
 
-    Raises ExtraError without dask, ClusterError when nothing answers, and ArgumentError for what is no cluster.
+    Raises ExtraError without dask, ClusterError when nothing answers or nobody works there, and ArgumentError for what
+    is no cluster.
     """
     if cluster is None:
         return nullcontext()
     if find_spec("distributed") is None:
         raise ExtraError("a cluster needs dask, which is not installed", "pip install 'variational-codegen[cluster]'")
-    made: AbstractContextManager[Any] = import_module("codegen.sweeping.engines.dask").connected(cluster)
+    made: AbstractContextManager[Any] = import_module("codegen.engines.dask").connected(cluster)
     return made

@@ -1,0 +1,214 @@
+"""The work of a batch: registering the pairs of a chunk, in whatever process, and what is said of each.
+
+Images and landmarks travel as paths, and whoever does a pair writes its outputs: workers on other machines need the
+file system of the one that began the batch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from codegen import loading
+from codegen.engines.machines import Target, alone, compiled_note, target
+from codegen.engines.tally import LOST
+from codegen.engines.work import Abandoned, Done
+from codegen.errors import ClusterError, CodegenError, FileError
+from codegen.registration.batches.lines import (
+    Digests,
+    Line,
+    failed_line,
+    is_whole,
+    line_of,
+    options_digest,
+    read_by,
+    tally_of,
+    written_by,
+)  # fmt: skip
+from codegen.registration.flow import threads_at_most
+from codegen.registration.job import run
+from codegen.registration.jobs import Job, Options
+from codegen.registration.solver import is_compiled, registration_module
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The files of a pair, with absolute names, and the line that it left before, empty if there is none."""
+
+    number: int
+    job: Job
+    earlier: Line
+
+
+@dataclass(frozen=True)
+class Tried:
+    """The line of a pair, and whether it is a new one: what was solved before is left alone where it is whole."""
+
+    number: int
+    line: Line
+    is_new: bool
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The pairs of a chunk, and which of their files could be read where the batch was begun."""
+
+    pairs: tuple[Pair, ...]
+    readable: frozenset[Path]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A file of the batch, by which a worker finds out whether it sees the same file system."""
+
+    path: Path
+    mark: int
+
+    @classmethod
+    def of(cls, path: Path) -> Place:
+        """That of a file which is there."""
+        return cls(path, path.stat().st_ino)
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it is the same file in this process."""
+        try:
+            return self.path.stat().st_ino == self.mark
+        except OSError:
+            return False
+
+
+@dataclass(frozen=True, eq=False)
+class BatchWork:
+    """All that registering any pair needs; `size` pairs are a chunk, and `threads` carry the pixels of one.
+
+    `place` is a file that workers elsewhere must see, and `is_elsewhere` tells that this is one of them.
+    """
+
+    pairs: Sequence[Pair]
+    options: Options
+    size: int
+    threads: int
+    place: Place
+    is_elsewhere: bool = False
+    run_one: Callable[[Job, Options], Any] = run
+
+    @property
+    def digest(self) -> str:
+        """That of the options."""
+        return options_digest(self.options)
+
+    @property
+    def chunks(self) -> range:
+        """The numbers of all chunks."""
+        return range(-(-len(self.pairs) // self.size))
+
+    def loaded(self) -> BatchWork:
+        """The same; the solver is loaded in this process."""
+        registration_module(self.options.scheme)
+        return self
+
+    def piece(self, number: int) -> Piece:
+        """The pairs of a chunk."""
+        pairs = tuple(self.pairs[number * self.size : (number + 1) * self.size])
+        return Piece(pairs, frozenset(path for pair in pairs for path in pair.job.read if path.is_file()))
+
+    def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
+        """Register the pairs of a chunk that are not whole; a pair that fails leaves a line that says why.
+
+        Raises Abandoned as soon as it is no longer wanted, FileError where the file system refuses outputs, which it
+        would do for all pairs, and ClusterError where this machine does not see a file that it should.
+        """
+        tried = []
+        with threads_at_most(self.threads):
+            for pair in piece.pairs:
+                if not is_wanted():
+                    raise Abandoned
+                if self.is_elsewhere:
+                    _require_seen(pair.job, piece.readable)
+                tried.append(self._tried(pair))
+        return _finished(tried)
+
+    def lost(self, number: int, reason: str) -> Done:
+        """A chunk whose processes ended, one after the other."""
+        pairs = self.pairs[number * self.size : (number + 1) * self.size]
+        digests = Digests(self.digest)
+        return _finished([Tried(own.number, failed_line(own.job, LOST, reason, digests), True) for own in pairs])
+
+    def returned(self, number: int, done: Done) -> Done:
+        """What a worker has done is where it belongs."""
+        return done
+
+    def parcel(self) -> BatchParcel:
+        """The work without its pairs."""
+        text = Path(_file(self.options.scheme)).read_bytes()
+        return BatchParcel(replace(self, pairs=()), hashlib.sha256(text).hexdigest(), target())
+
+    def _tried(self, pair: Pair) -> Tried:
+        job, now = pair.job, Digests(self.digest, read_by(pair.job))
+        if is_whole(pair.earlier, job, now):
+            return Tried(pair.number, pair.earlier, False)
+        try:
+            record = self.run_one(job, self.options).record
+            return Tried(pair.number, line_of(record, replace(now, written=written_by(job))), True)
+        except FileError:
+            raise
+        except CodegenError as error:
+            status, message = "wrong input", str(error)
+        except MemoryError:
+            message = "there is not enough memory for this pair; give smaller images, or fewer workers"
+            status = "out of memory"
+        except Exception as error:  # one pair must not end a night's work; it is reported and the exit status is 1
+            message = f"{type(error).__name__}: {error}; this is a defect of codegen, please report it"
+            status = "defect"
+        return Tried(pair.number, failed_line(job, status, message, now), True)
+
+
+@dataclass(frozen=True, eq=False)
+class BatchParcel:
+    """A batch on its way to another machine, which derives the solver by itself: the digest of its text, and whence."""
+
+    work: BatchWork
+    digest: str
+    origin: Target
+
+    def unpacked(self) -> tuple[BatchWork, tuple[str, ...]]:
+        """The work, ready to do pieces here; ClusterError where files or versions are not those of the batch."""
+        if not self.work.place.is_here:
+            raise _unseen(self.work.place.path)
+        with alone(f"registration {self.work.options.scheme}"):
+            was_compiled = is_compiled(self.work.options.scheme)
+            module: Any = registration_module(self.work.options.scheme)
+        file = Path(module.__file__)
+        if hashlib.sha256(file.read_bytes()).hexdigest() != self.digest:
+            remedy = "install the same versions of variational-codegen and sympy for all workers"
+            raise ClusterError(f"{platform.node()} derives another solver of registrations", remedy)
+        notes: tuple[str, ...] = ()
+        if not was_compiled or loading.machine_code_counts(module)[0]:
+            notes = (compiled_note(file.stem, target(), self.origin, "the batch"),)
+        return replace(self.work, is_elsewhere=True), notes
+
+
+def _file(scheme: str) -> str:
+    module: Any = registration_module(scheme)
+    return str(module.__file__)
+
+
+def _finished(tried: Sequence[Tried]) -> Done:
+    return Done(tally_of(own.line for own in tried), tuple(tried))
+
+
+def _require_seen(job: Job, readable: frozenset[Path]) -> None:
+    """Refuse to go on where a file is missing that is there for the process which gave the orders."""
+    for path in job.read:
+        if path in readable and not path.is_file():
+            raise _unseen(path)
+
+
+def _unseen(path: Path) -> ClusterError:
+    finding = f"the worker on {platform.node()} does not see {path}"
+    return ClusterError(finding, "images travel as paths: give all workers the file system of this machine")
