@@ -48,7 +48,7 @@ class Grid(Protocol):
 
 
 class ControlSolution(Protocol):
-    """What `solve` of an optimal-control module returns; `log` has a row for every iterate."""
+    """What `solve` of an optimal-control module returns; `log` has a row for every iterate, `scaled` the first sizes."""
 
     status: str
     message: str
@@ -63,6 +63,7 @@ class ControlSolution(Protocol):
     multipliers: Matrix
     unknowns: Vector
     log: Matrix
+    scaled: Grid
 
 
 class Unpacked(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
+from functools import cache
 from typing import Any
 
 from codegen.drivers.connect import newton as connect
@@ -13,8 +14,8 @@ from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt
 __all__ = ["connect", "control", "simulate"]
 
 TOLERANCE = 1e-10
-_OWN = ("tolerance", "trajectories")
-"""What an attempt has beside what a module's solution calls the same."""
+_OWN = ("tolerance", "trajectories", "scaled")
+"""What an attempt has beside what a module's solution calls the same, or modules of earlier versions do not have."""
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
@@ -23,7 +24,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_stops(run))
     trajectories = (solution.t, solution.q, solution.p, solution.u, solution.multipliers)
-    return ControlAttempt(**_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories)
+    scaled = getattr(solution, "scaled", None)
+    return ControlAttempt(
+        **_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories, scaled=scaled
+    )
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
@@ -34,7 +38,12 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
     """What an attempt takes from a module's solution, which calls it the same."""
-    return {f.name: getattr(solution, f.name) for f in fields(attempt) if f.name not in _OWN}
+    return {name: getattr(solution, name) for name in _names(attempt)}
+
+
+@cache
+def _names(attempt: type[ControlAttempt | SimulateAttempt]) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(attempt) if f.name not in _OWN)
 
 
 def _stops(run: Run) -> dict[str, Any]:

@@ -209,7 +209,7 @@ class Controller:
         how = self.options.tolerance, MOST if most is None else most, is_warm
         with module.packed_operations():
             if not self._is_plain:
-                status, message, point, iterations = module.optimise(grid, guess, *how, self._scaling, log)
+                status, message, point, iterations, _ = module.optimise(grid, guess, *how, self._scaling, log)
                 log.unknowns = None  # which is in parts of sizes
                 return status, message, point.unknowns, iterations
             status, point, iterations = module.minimise(grid, guess, *how, log)

@@ -45,10 +45,13 @@ class Verdict:
 
 
 def control_verdict(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, grid: Grid) -> Verdict:
-    """Re-evaluate residual and stationarity of an attempt on a grid, and downgrade a false claim of success."""
+    """Re-evaluate residual and stationarity of an attempt on a grid, and downgrade a false claim of success.
+
+    Of what a driver knows beside its unknowns only the sizes at the guess, and the bounds in parts of them, are used.
+    """
     metadata, unknowns = module.metadata, attempt.unknowns
-    scaled = _scaled_grid(module, grid, run)
-    conditions = _Conditions(module, scaled, unknowns)
+    scaled = _scaled_grid(module, grid, run) if attempt.scaled is None else attempt.scaled
+    conditions = _Conditions(module, grid, scaled, unknowns)
     residual, stationarity = conditions.norms()
     status, message = attempt.status, attempt.message
     if status == "solved" and not _is_accurate(module, scaled, attempt, conditions, (residual, stationarity)):
@@ -155,7 +158,7 @@ def _is_accurate(
 ) -> bool:
     """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
     residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
-    if not np.isfinite(residual + stationarity):
+    if not math.isfinite(residual + stationarity):
         return False
     if max(residual, stationarity) <= 10.0 * attempt.tolerance:
         return True  # whatever rounding and multipliers would forgive beside
@@ -187,11 +190,10 @@ def _mean_multiplier(module: ControlModule, scaled: Grid, unknowns: Vector, size
 class _Conditions:
     """What is left of all conditions at some unknowns, evaluated once, in the problem's own units.
 
-    Bounds are those of the grid `scaled`, in whose units slacks may yield.
+    Bounds are those of the grid `scaled`, in whose units slacks may yield; the other one has no sizes.
     """
 
-    def __init__(self, module: ControlModule, scaled: Grid, unknowns: Vector) -> None:
-        grid = module.plain_grid(scaled) if scaled.sizes.size else scaled
+    def __init__(self, module: ControlModule, grid: Grid, scaled: Grid, unknowns: Vector) -> None:
         self.point = module.evaluate(grid, unknowns)
         self._module, self._grid = module, grid
         self._misses = _misses(module, grid, unknowns)
@@ -202,10 +204,13 @@ class _Conditions:
         if sizes is None and self._distances is None:  # the most frequent case, and one of many in a sweep
             # What is pinned has no entry in the gradient, so that the norms of all of it are those of what is free.
             return max(self.point.residual, max_norm(self._misses)), self.point.stationarity
-        own, gradient = np.ones(self._misses.size) if sizes is None else sizes, self.point.gradient
+        gradient = self.point.gradient
+        own = np.ones(gradient.size) if sizes is None else sizes
         rows, columns = self._module.multiplier_unknowns(self._grid), self._module.primal_unknowns(self._grid)
         primal, slopes = own[columns], gradient[columns]
-        wrong = [weight * own[rows] * gradient[rows], self._misses / own]
+        wrong = [weight * own[rows] * gradient[rows]]
+        if self._misses.size:
+            wrong.append(self._misses / own)
         if self._distances is not None:
             wrong.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
             slopes = _unbalanced(slopes, self._distances, primal)
@@ -234,10 +239,14 @@ def _unbalanced(slopes: Vector, distances: tuple[Vector, Vector], sizes: Vector)
 
 
 def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
-    """By how much the unknowns that a boundary condition fixes differ from their values, (n,); zero for others."""
-    misses = unknowns - module.with_pinned_values(grid, unknowns)
-    if not misses.any():  # as for the generated solver, which pins what is given
-        return misses
+    """By how much the unknowns that a boundary condition fixes differ from their values, (n,); zero for others.
+
+    Empty where none does.
+    """
+    pinned = module.with_pinned_values(grid, unknowns)
+    if (pinned == unknowns).all():  # as for the generated solver, which pins what is given
+        return np.empty(0)
+    misses = unknowns - pinned
     misses[module.primal_unknowns(grid)] = 0.0
     misses[module.multiplier_unknowns(grid)] = 0.0
     return misses

@@ -11,7 +11,7 @@ import numpy as np
 
 from codegen.author.points import PointSet
 from codegen.errors import ArgumentError
-from codegen.loading import Matrix, Vector
+from codegen.loading import Grid, Matrix, Vector
 from codegen.solutions.derivatives import Sensitivities
 from codegen.solutions.estimates import Estimates
 
@@ -81,7 +81,8 @@ class ConnectAttempt:
 class ControlAttempt:
     """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises.
 
-    `trajectories` are what a module makes of the unknowns (`unpack`), where a driver has them anyway.
+    `trajectories` are what a module makes of the unknowns (`unpack`), and `scaled` is the grid with the sizes that it
+    finds at the guess (`scaled_grid`), where a driver has them anyway.
     """
 
     status: str
@@ -91,6 +92,7 @@ class ControlAttempt:
     tolerance: float
     log: Matrix | None = None
     trajectories: tuple[Matrix, ...] = ()
+    scaled: Grid | None = None
 
 
 @dataclass(frozen=True)

@@ -42,13 +42,16 @@ LONG = 1000
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
+    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+
+    `scaled` is the grid with the sizes in parts of which the search began.
+    """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
         grid = with_sizes(grid, known)
-    start, limit = scaled_unknowns(grid, unknowns), max_iterations
+    scaled, start, limit = grid, scaled_unknowns(grid, unknowns), max_iterations
     if grid.sizes.size:
         known, limit = None, min(max_iterations, LONG)
     status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
@@ -65,7 +68,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
-    return status, message, own._replace(cost=cost), iterations
+    return status, message, own._replace(cost=cost), iterations, scaled
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):

@@ -7,13 +7,13 @@ from codegen.runtime.optimise.termination import final_status
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
+    """Minimise; return (status, message, point, iterations, grid). `scaling` has no effect."""
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
     status = final_status(grid, unknowns, point, status)
     status, message = describe(grid, unknowns, point, status)
     if status == "solved":
         point = point._replace(cost=corrected_cost(grid, point))
-    return status, message, point, iterations
+    return status, message, point, iterations, grid
 
 
 def corrected_cost(grid, point):
