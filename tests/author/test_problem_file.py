@@ -12,7 +12,7 @@ from malformed import MALFORMED
 from malformed_templates import PRELUDE, Malformed, file_text, first_order, group, optimal, simulation
 from refused_files import PROBLEMS, refusal
 
-from codegen.author.problem_file import input_digest
+from codegen.author.sources import input_digest
 from codegen.errors import ProblemFileError
 from codegen.model.from_file import load_problem
 
