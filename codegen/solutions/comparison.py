@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from codegen.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from codegen.solutions.result import Result
 
 
 def same(one: Any, other: Any) -> bool:
@@ -31,7 +28,7 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other or (one != one and other != other))
 
 
-def differences(one: Result, other: Result) -> dict[str, float]:
+def differences(one: Any, other: Any) -> dict[str, float]:
     """How far another solution is away, as the max-norm for each quantity; see `Result.differences`."""
     for name in ("task", "names"):
         if getattr(one, name) != getattr(other, name):

@@ -12,8 +12,6 @@ from codegen.errors import ArgumentError, ExtraError
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from codegen.solutions.result import Result
-
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control"}
 """Dimensions of columns, as those of a sweep are called."""
 _TEXTS = ("problem", "title", "task", "driver", "scheme", "status", "message")
@@ -25,7 +23,7 @@ def _require(library: str, what: str) -> None:
         raise ExtraError(f"{what} needs {library}, which is not installed", "pip install 'variational-codegen[sweep]'")
 
 
-def as_dataset(result: Result) -> Dataset:
+def as_dataset(result: Any) -> Dataset:
     """See `Result.to_dataset`."""
     _require("xarray", "a data set")
     import xarray
@@ -60,7 +58,7 @@ def _by_rows(array: Any, nodes: int, dim: str) -> tuple[tuple[str, ...], Any]:
     return ("interval", "stage", dim), array.reshape(nodes - 1, stages, array.shape[1])
 
 
-def as_frame(result: Result) -> Any:
+def as_frame(result: Any) -> Any:
     """See `Result.to_frame`."""
     _require("pandas", "a data frame")
     import pandas
