@@ -24,6 +24,7 @@ _HOMES = {
     **dict.fromkeys(["Controller"], "codegen.horizons.controller"),
     **dict.fromkeys(["close_loop"], "codegen.horizons.closed_loop"),
     **dict.fromkeys(["load"], "codegen.loading"),
+    **dict.fromkeys(["Solver", "compile"], "codegen.solver"),
     **dict.fromkeys(["solve"], "codegen.solving"),
     **dict.fromkeys(["sweep"], "codegen.sweeping"),
 }
@@ -38,6 +39,7 @@ __all__ = [
     "Phases",
     "Points",
     "Simulate",
+    "Solver",
     "Table",
     "Trajectory",
     "Waypoint",
@@ -46,6 +48,7 @@ __all__ = [
     "canonical_pair",
     "canonical_pairs",
     "close_loop",
+    "compile",
     "control",
     "controls",
     "coordinate",
@@ -93,6 +96,7 @@ if TYPE_CHECKING:
     from codegen.horizons.closed_loop import close_loop
     from codegen.horizons.controller import Controller
     from codegen.loading import load
+    from codegen.solver import Solver, compile
     from codegen.solving import solve
     from codegen.sweeping import sweep
 

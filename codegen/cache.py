@@ -12,7 +12,7 @@ from pathlib import Path
 
 from codegen import emit
 from codegen.author.data_files import digest_of
-from codegen.author.problem_file import input_digest
+from codegen.author.sources import Source, input_digest, source_of
 from codegen.naming import Choices, choice_texts, module_name, versions
 
 
@@ -25,20 +25,21 @@ def cache_folder() -> Path:
     return Path(home) / "variational-codegen"
 
 
-def path_of(path: Path, arguments: Mapping[str, str], choices: Choices) -> Path:
-    """Where the cache keeps the module of a problem file with these arguments and choices, if it has been built.
+def path_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> Path:
+    """Where the cache keeps the module of a problem with these arguments and choices, if it has been built.
 
     What further files the problem reads is known from the last build; what they hold now is part of the place.
     """
-    digest = input_digest(path, arguments, *choice_texts(choices), *versions(), _own_digest())
-    name = f"{module_name(path, arguments, choices)}.py"
-    return _with_files(digest, name, [(read, digest_of(path.parent / read)) for read in _files_read(digest, name)])
+    source = source_of(problem)
+    digest = input_digest(source, arguments, *choice_texts(choices), *versions(), _own_digest())
+    name = f"{module_name(source, arguments, choices)}.py"
+    return _with_files(digest, name, [(read, digest_of(source.folder / read)) for read in _files_read(digest, name)])
 
 
-def path_of_text(path: Path, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
+def path_of_text(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
     """Where the cache is to keep a text that was just derived; what files it was made from is noted there."""
-    digest = input_digest(path, arguments, *choice_texts(choices), *versions(), _own_digest())
-    name = f"{module_name(path, arguments, choices)}.py"
+    digest = input_digest(problem, arguments, *choice_texts(choices), *versions(), _own_digest())
+    name = f"{module_name(problem, arguments, choices)}.py"
     files = _READ.findall(text.partition('"""')[0])
     if files or _files_read(digest, name):
         emit.write(_note(digest, name), json.dumps([read for read, _ in files]) + "\n")

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from codegen import cache, emit
 from codegen.author.data_files import recorded_files
-from codegen.author.problem_file import split_points
+from codegen.author.sources import Source, source_of, split_points
 from codegen.deadline import BUILD, Stages, described, extent
 from codegen.errors import ArgumentError, FileError
 from codegen.naming import Choices, chosen, origin_of
@@ -53,7 +53,7 @@ class Build:
 
 
 def build(
-    path: Path | str,
+    problem: Source | Path | str,
     arguments: Mapping[str, object] | None = None,
     *,
     scheme: str | None = None,
@@ -64,7 +64,7 @@ def build(
     out: Path | str | None = None,
     time_limit: float = BUILD,
 ) -> Build:
-    """Derive, emit and write the module of a problem file into the folder `out`.
+    """Derive, emit and write the module of a problem file, or of an object, into the folder `out`.
 
     `arguments` are those of problem(), as values or as the text that `--set` takes. With `sensitivities` the module of
     an optimisation has what derivatives of its solutions by parameters and boundary values need. Without `out` the
@@ -74,22 +74,22 @@ def build(
     problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
-    path, choices = Path(path), chosen(scheme, method, controls, general, sensitivities)
-    settings = split_points(path, arguments or {})[0]
+    source, choices = source_of(problem), chosen(scheme, method, controls, general, sensitivities)
+    settings = split_points(source, arguments or {})[0]
     for key, value in settings.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    store = cache.path_of(path, settings, choices)
+    store = cache.path_of(source, settings, choices)
     text = cache.kept_text(store)
     is_new = not text
     if is_new:
         with _DERIVING:
-            store = cache.path_of(path, settings, choices)  # another thread may have derived it meanwhile
+            store = cache.path_of(source, settings, choices)  # another thread may have derived it meanwhile
             text = cache.kept_text(store)
             is_new = not text
             if is_new:
-                text = generate(path, settings, choices, time_limit)
-                store = _kept(path, settings, choices, text)
+                text = generate(source, settings, choices, time_limit)
+                store = _kept(source, settings, choices, text)
     target, written = _placed(store, text, out) if out is not None else (_found(store, text), is_new)
     return Build(target, store.stem, time.perf_counter() - begin, not is_new, written)
 
@@ -98,10 +98,10 @@ _DERIVING = threading.Lock()
 """Problem files are run with their folder on the path and their output redirected, which threads cannot do at once."""
 
 
-def _kept(path: Path, settings: Mapping[str, str], choices: Choices, text: str) -> Path:
+def _kept(source: Source, settings: Mapping[str, str], choices: Choices, text: str) -> Path:
     """Where the cache keeps a text from now on."""
     try:
-        store = cache.path_of_text(path, settings, choices, text)
+        store = cache.path_of_text(source, settings, choices, text)
         emit.write(store, text)
         return store
     except FileError as error:
@@ -123,20 +123,22 @@ def _placed(store: Path, text: str, out: Path | str) -> tuple[Path, bool]:
     return target, written
 
 
-def stored(path: Path, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
-    """Where the cache keeps the module of a problem file once it has been built."""
-    return cache.path_of(path, arguments, chosen(scheme))
+def stored(problem: Source | Path | str, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
+    """Where the cache keeps the module of a problem once it has been built."""
+    return cache.path_of(problem, arguments, chosen(scheme))
 
 
-def generate(path: Path, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD) -> str:
-    """The text of the module of a problem file, derived anew within so many seconds of processor time."""
+def generate(
+    problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD
+) -> str:
+    """The text of the module of a problem, derived anew within so many seconds of processor time."""
     stages = Stages(time_limit)
     with _rare_collections(), stages.limited():
         from codegen.model.from_file import load_problem
 
         with recorded_files() as files:
-            model = load_problem(path, arguments)
-        return generate_from_model(model, choices, origin_of(path, arguments, choices, files), stages)
+            model = load_problem(problem, arguments)
+        return generate_from_model(model, choices, origin_of(problem, arguments, choices, files), stages)
 
 
 @contextmanager

@@ -48,7 +48,7 @@ class Grid(Protocol):
 
 
 class ControlSolution(Protocol):
-    """What `solve` of an optimal-control module returns; `log` has a row for every iterate, `scaled` the first sizes."""
+    """What `solve` of an optimal-control module returns; `log` has a row for every iterate, `scaled` first sizes."""
 
     status: str
     message: str

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen import __version__
 from codegen.author.data_files import DataFile
-from codegen.author.problem_file import input_digest
+from codegen.author.sources import ProblemFile, Source, input_digest, source_of
 from codegen.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -47,28 +47,49 @@ def chosen(
     return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general, sensitivities)
 
 
-def origin_of(path: Path, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()) -> Origin:
+def origin_of(
+    problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()
+) -> Origin:
     """The header's record of where a module comes from; it names no folder, so that any machine makes the same text.
 
     `files` are those that the problem file has read.
     """
     from codegen.lower.module import Origin
 
+    source = source_of(problem)
+    inputs = input_digest(source, arguments, *choice_texts(choices), *versions())
+    if not isinstance(source, ProblemFile):
+        place, command = f"where {source.name} is defined", _call(source.name, source.title, choices)
+        return Origin(f"{source.name}, an object", command, inputs, versions(), place=place)
+    reads = dict.fromkeys(f"{file.path}, sha256 {file.digest}" for file in files)
+    file = source.path.name
+    command = _command(file, arguments, choices)
+    return Origin(file, command, inputs, versions(), tuple(reads), f"in the folder of {file}")
+
+
+def _call(name: str, title: str, choices: Choices) -> str:
+    """The call that makes the module of an object again."""
+    named = {"name": name, **({"title": title} if title != name else {})}
+    own = {field.name: getattr(choices, field.name) for field in fields(choices)}
+    named |= {key: value for key, value in own.items() if value != getattr(Choices(), key)}
+    return f"codegen.compile({', '.join(['problem', *(f'{key}={value!r}' for key, value in named.items())])})"
+
+
+def _command(file: str, arguments: Mapping[str, str], choices: Choices) -> str:
+    """The command that makes the module of a problem file again."""
     settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
-    words = ["codegen build", shlex.quote(path.name), *(f"--set {setting}" for setting in settings)]
+    words = ["codegen build", shlex.quote(file), *(f"--set {setting}" for setting in settings)]
     for option in ("scheme", "method"):
         words += [f"--{option} {value}" for value in (getattr(choices, option),) if value]
     words += [f"--controls {choices.controls}"] if choices.controls != "interval" else []
     words += ["--sensitivities"] if choices.sensitivities else []
     words += ["(in the general form, for measurements)"] if choices.general else []
-    inputs = input_digest(path, arguments, *choice_texts(choices), *versions())
-    reads = dict.fromkeys(f"{file.path}, sha256 {file.digest}" for file in files)
-    return Origin(path.name, " ".join(words), inputs, versions(), tuple(reads))
+    return " ".join(words)
 
 
-def module_name(path: Path, arguments: Mapping[str, str], choices: Choices) -> str:
+def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> str:
     """The problem's name, followed by every choice that is not the default."""
-    parts = [path.stem]
+    parts = [source_of(problem).name]
     if choices.method:
         parts.append(choices.method)
     if choices.scheme and choices.scheme != DEFAULT_SCHEME:

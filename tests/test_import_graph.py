@@ -20,7 +20,7 @@ FLOORS = (
     ("author", "emit", "machine_code", "terminal"),
     ("model", "solutions"),
     ("discretise", "drivers", "plots"),
-    ("analysis", "transcribe"),
+    ("analysis", "pictures", "transcribe"),
     ("deadline", "derive", "show"),
     ("lower",),
     ("naming", "verify"),
@@ -29,6 +29,8 @@ FLOORS = (
     ("solving",),
     ("horizons", "sweeping"),
     ("checks", "registration", "report", "stress"),
+    ("notebooks",),
+    ("solver",),
     ("cli",),
     ("__main__",),
 )

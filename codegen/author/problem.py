@@ -14,6 +14,7 @@ from codegen.author.measurements import Measurements
 from codegen.author.tables import Trajectory
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
+from codegen.tasks import Home
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
 """The arguments that may say how a system moves, and the form that each makes of a model."""
@@ -26,6 +27,8 @@ SAME_AT_BOTH_ENDS = (
     "start_conditions of the first phase and into the end_conditions of the last"
 )
 """How a motion of several phases is made periodic."""
+
+_LATEX = Home("notebooks.mathematics", "displayed")
 
 Relation = Any
 """A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
@@ -69,6 +72,9 @@ class Problem:
     start: Mapping[Any, Expression] = field(default_factory=dict)
     steps: int = 100
     drawing: Sequence[Item] = ()
+
+    def _repr_latex_(self) -> str:
+        return str(_LATEX(self))
 
 
 @dataclass(frozen=True)
@@ -166,6 +172,9 @@ class Phases:
             )
         object.__setattr__(self, "phases", phases)
         object.__setattr__(self, "jumps", jumps)
+
+    def _repr_latex_(self) -> str:
+        return str(_LATEX(self))
 
 
 def form_of(problem: Problem) -> str:

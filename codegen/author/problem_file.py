@@ -1,14 +1,13 @@
 """Reading a problem file: its text, `--set` arguments, and what its `problem(...)` returns, or what is wrong with it.
 
-Importing this module, `parse_arguments` and `input_digest` need no sympy, so that a build which is up to date can be
-recognised before anything slow is imported.
+Importing this module and reading a text need no sympy, so that a build which is up to date can be recognised before
+anything slow is imported.
 """
 
 from __future__ import annotations
 
 import ast
 import difflib
-import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -54,42 +53,13 @@ def _example(path: Path | None, name: str) -> str:
     return f"write for example --set {chosen.arg}={value}"
 
 
-def input_digest(path: Path, arguments: Mapping[str, str], *extra: str) -> str:
-    """The SHA-256, in hexadecimal, of a problem file's text, its arguments in any order, and further strings.
-
-    Line endings do not matter. Files that the problem file imports or reads are not seen. Raises ProblemFileError
-    when the file cannot be read.
-    """
-    pairs = [part for name in sorted(arguments) for part in (name, arguments[name])]
-    digest = hashlib.sha256()
-    for part in (_source(path), str(len(arguments)), *pairs, *extra):
-        data = part.encode(errors="surrogateescape")
-        # The length in front keeps ("ab", "c") and ("a", "bc") apart.
-        digest.update(f"{len(data)}:".encode() + data)
-    return digest.hexdigest()
-
-
-def split_points(path: Path | str, arguments: Mapping[str, object]) -> tuple[dict[str, str], str | None]:
-    """The arguments that shape a module, as text, and the file of points, if one is given, which is read for a solve.
-
-    Arguments of problem() that name files of points are known by their annotation, `Points`. Raises ProblemFileError
-    when the problem file cannot be read, and ArgumentError when two files of points are given.
-    """
-    path = Path(path)
-    names = _point_arguments(path)
-    given = [name for name in arguments if name in names]
-    if len(given) > 1:
-        raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
-    others = {name: str(value) for name, value in arguments.items() if name not in names}
-    return others, str(arguments[given[0]]) if given else None
-
-
-def argument_names(path: Path | str) -> tuple[str, ...]:
+def argument_names(path: Path) -> tuple[str, ...]:
     """The names of the arguments of problem(), from the text of the file alone; none where it cannot be read so."""
-    return tuple(argument.arg for argument, _ in _arguments(Path(path)))
+    return tuple(argument.arg for argument, _ in _arguments(path))
 
 
-def _point_arguments(path: Path) -> set[str]:
+def point_arguments(path: Path) -> set[str]:
+    """The names of those that are files of points, which are known by their annotation, `Points`."""
     return {
         argument.arg
         for argument, _ in _arguments(path)
@@ -100,7 +70,7 @@ def _point_arguments(path: Path) -> set[str]:
 def _arguments(path: Path) -> list[tuple[ast.arg, ast.expr | None]]:
     """The arguments of problem() with their defaults, from the text of the file alone."""
     try:
-        tree = ast.parse(_source(path))
+        tree = ast.parse(source_text(path))
     except (SyntaxError, ValueError, RecursionError, MemoryError):  # what is wrong is said where the file is run
         return []
     for node in tree.body:
@@ -188,7 +158,8 @@ def _location(path: Path, error: BaseException) -> str:
 # The file
 
 
-def _source(path: Path) -> str:
+def source_text(path: Path) -> str:
+    """The text of a problem file; ProblemFileError when it cannot be read."""
     try:
         if path.is_dir():
             raise _unusable(path, "is a directory", "give a problem file, such as pendulum.py")
@@ -205,7 +176,7 @@ def _source(path: Path) -> str:
 
 def _compiled(path: Path) -> tuple[str, CodeType]:
     """The title of a problem file and its code."""
-    source = _source(path)
+    source = source_text(path)
     if not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise _unusable(path, f"{path.stem!r} cannot name a module", "rename the file to a Python identifier")
     filename = str(path.absolute())

@@ -6,6 +6,7 @@ Each declaration is a symbol of its own, also where two share a name; `recorded_
 from __future__ import annotations
 
 import itertools
+import secrets
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,8 @@ from codegen.errors import SymbolError
 from codegen.expressions.checks import checked, tidied
 from codegen.mangling import MARK
 
-_serial_numbers = itertools.count()
+_serial_numbers = itertools.count(secrets.randbits(60) << 32)
+"""Beginning at another number in every process: what another one has pickled is none of its own symbols."""
 _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities", default=None)
 
 
@@ -44,8 +46,15 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
             recorded.append(symbol)
         return symbol
 
-    def __getnewargs_ex__(self) -> tuple[tuple[str], dict[str, Any]]:
-        return (self.name,), {}
+    def __reduce_ex__(self, protocol: Any) -> tuple[Any, ...]:
+        """What makes the same symbol, with all that was declared of it, from a pickle or for a copy."""
+        kinds = [kind for kind in type(self).__mro__ if issubclass(kind, Quantity)]
+        slots = [name for kind in kinds for name in vars(kind).get("__slots__", ()) if hasattr(self, name)]
+        return _restored, (type(self), self.name, self.declared), {name: getattr(self, name) for name in slots}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
 
     def _hashable_content(self) -> tuple[Any, ...]:
         return (*super()._hashable_content(), self.declared)
@@ -53,6 +62,13 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
     def delayed(self, tau: Any) -> Delayed:
         """Refuse the past of what has none; what moves has one."""
         raise SymbolError(f"{self}.delayed({tau})", f"{self} does not move: delay states, coordinates or controls")
+
+
+def _restored(kind: type[Quantity], name: str, declared: int) -> Quantity:
+    """A symbol as it was declared once; what else is known of it follows, since partners know each other."""
+    symbol: Quantity = sympy.Symbol.__xnew__(kind, name, real=True)
+    symbol.declared = declared
+    return symbol
 
 
 class Parameter(Quantity):
@@ -97,6 +113,7 @@ class Delayed(Quantity):
     """The value of its `partner`, a coordinate, state, velocity, momentum or control, at the time t - `lag`."""
 
     __slots__ = ("lag", "partner")
+    own = False
     partner: Moving
     lag: sympy.Expr
 
@@ -106,9 +123,6 @@ class Delayed(Quantity):
         symbol.declared = next(_serial_numbers)
         symbol.partner, symbol.lag = partner, lag
         return symbol
-
-    def __getnewargs_ex__(self) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        return (self.partner, self.lag), {}
 
     def delayed(self, tau: Any) -> Delayed:
         """The value still earlier."""

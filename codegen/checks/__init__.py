@@ -10,8 +10,8 @@ from pathlib import Path
 
 from codegen import compiler, emit, naming, schemes
 from codegen.author.data_files import recorded_files
-from codegen.author.problem_file import split_points
-from codegen.checks.base import Check, Context, Finding, does_not_apply, not_measured
+from codegen.author.sources import Source, source_of, split_points
+from codegen.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
 from codegen.checks.derivation import (
     area_preservation,
     boundary_rank,
@@ -47,7 +47,7 @@ from codegen.model.from_file import load_problem
 from codegen.model.segments import in_names_of_the_whole
 from codegen.naming import Choices
 
-__all__ = ["CHECKS", "Check", "Context", "Finding", "apply", "context_of", "run"]
+__all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "context_of", "run"]
 
 _ROWS = (
     Check("layout", layout.check, runs_the_module=False),
@@ -113,7 +113,7 @@ CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
 
 
 def run(
-    path: Path | str,
+    problem: Source | Path | str,
     arguments: Mapping[str, str] | None = None,
     *,
     scheme: str | None = None,
@@ -122,34 +122,35 @@ def run(
     sensitivities: bool = False,
     module: Path | None = None,
     time_limit: float = CHECK,
-) -> list[Finding]:
-    """Run all checks that apply to a problem file and return their findings.
+) -> Findings:
+    """Run all checks that apply to a problem file, or to an object, and return their findings.
 
     `module` is a generated file to be checked as it stands; by default the module is built in the cache. A check may
     take a quarter of what is left of `time_limit` seconds of processor time; what it has not found by then is a finding
     that says so. Raises a kind of CodegenError when the problem, a choice or the file is unusable.
     """
     end = time.process_time() + time_limit
-    path = Path(path)
-    arguments = split_points(path, arguments or {})[0]
+    source = source_of(problem)
+    arguments = split_points(source, arguments or {})[0]
     choices = naming.chosen(scheme, method, controls, sensitivities=sensitivities)
     if module is None:
         module = compiler.build(
-            path, arguments, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
+            source, arguments, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
         ).path
     if is_of_particles(load(module)):
-        return list(pairwise.findings(path, arguments, choices, module))
-    context, text = _prepared(path, arguments, choices, module)
-    inputs = naming.origin_of(path, arguments, choices).inputs
+        return Findings(pairwise.findings(source, arguments, choices, module))
+    context, text = _prepared(source, arguments, choices, module)
+    inputs = naming.origin_of(source, arguments, choices).inputs
     findings = list(provenance.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
-    return [replace(finding, subject=in_names_of_the_whole(context.model, finding.subject)) for finding in findings]
+    whole = context.model
+    return Findings(replace(own, subject=in_names_of_the_whole(whole, own.subject)) for own in findings)
 
 
-def context_of(path: Path, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:
-    """What checks read, for a problem file and a generated module on disk."""
-    return _prepared(path, arguments, choices, module)[0]
+def context_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:
+    """What checks read, for a problem and a generated module on disk."""
+    return _prepared(source_of(problem), arguments, choices, module)[0]
 
 
 def apply(name: str, context: Context, seconds: float = math.inf) -> list[Finding]:
@@ -190,16 +191,16 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
     yield from (replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found)
 
 
-def _prepared(path: Path, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
+def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
     """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
     from codegen import derive, lower, transcribe
 
     with recorded_files() as files:
-        model = load_problem(path, arguments)
+        model = load_problem(source, arguments)
     assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
     by_data = compiler.derivatives_by_data(program) if choices.sensitivities else None
     fresh = lower.lower(program, derive.derivatives(program), by_data)
-    text = emit.render(fresh, naming.origin_of(path, arguments, choices, files))
+    text = emit.render(fresh, naming.origin_of(source, arguments, choices, files))
     scheme = schemes.find(program.scheme, program.method)
     return Context(choices, model, program, scheme, load(module)), text

@@ -12,6 +12,7 @@ from codegen.mangling import plain
 from codegen.model import Model
 from codegen.naming import Choices
 from codegen.schemes import Scheme
+from codegen.tasks import Home
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.verify.control import guessed_points
 from codegen.verify.execution import Text
@@ -37,6 +38,28 @@ class Finding:
         """Say names as the problem's author wrote them."""
         object.__setattr__(self, "subject", plain(self.subject))
         object.__setattr__(self, "detail", plain(self.detail))
+
+
+class Findings(tuple[Finding, ...]):
+    """The findings of all checks in their order, which a notebook shows as a table."""
+
+    __slots__ = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check has failed."""
+        return all(finding.passed for finding in self)
+
+    @property
+    def failed(self) -> tuple[Finding, ...]:
+        """Those that have."""
+        return tuple(finding for finding in self if not finding.passed)
+
+    def _repr_html_(self) -> str:
+        return str(_HTML(self))
+
+
+_HTML = Home("notebooks.tables", "findings_html")
 
 
 @dataclass(frozen=True)

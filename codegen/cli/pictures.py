@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import shutil
 import sys
 from collections.abc import Iterable
@@ -42,31 +41,17 @@ class Pictures:
             self._save_animation(self.animation, result)
 
     def _save_plot(self, path: Path, module: GeneratedModule, result: Result) -> None:
-        from codegen import plots
-        from codegen.cli.scene import fine_times, scene
-        from codegen.loading import is_control
-        from codegen.model import Model
-        from codegen.plots.segments import first_guess
+        from codegen.pictures import figure_of
+        from codegen.plots.picture import Picture
+        from codegen.plots.style import STYLE
 
-        drawings: Any = None
-        if isinstance(self.model, Model) and self.model.drawing:
-            drawings = scene(self.model.authored, result, fine_times(result.t))
-            if is_control(module):
-                guess = first_guess(module, result)
-                drawings = plots.Drawings(drawings, scene(self.model.authored, guess, fine_times(guess.t)))
-        with replacing(path) as temporary:
-            plots.save(module, result, temporary, drawings, self.unit)
+        Picture(figure_of(module, self.model, result, self.unit), STYLE).save(path)
 
     def _save_animation(self, path: Path, result: Result) -> None:
-        from codegen.cli.scene import scene
-        from codegen.model import Model
-        from codegen.plots import animation as animate
+        from codegen.pictures import save_film
 
-        assert isinstance(self.model, Model), "particles have no drawing"
-        title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
         with replacing(path) as temporary:
-            film = scene(self.model.authored, result, animate.scene_times(result.t))
-            animate.save(film, title, temporary, _with_progress)
+            save_film(self.model, result, temporary, _with_progress)
 
 
 def requested(request: Request, plot: Path | None, animation: Path | None) -> Pictures:
@@ -84,21 +69,19 @@ def requested(request: Request, plot: Path | None, animation: Path | None) -> Pi
             raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
     if plot is None and animation is None:
         return Pictures()
-    from codegen.author.problem_file import split_points
+    from codegen.author.sources import split_points
     from codegen.model.from_file import load_problem
+    from codegen.pictures import unit_of
 
-    problem = Path(str(request.problem))
-    model = None if request.is_built else load_problem(problem, split_points(problem, request.arguments)[0])
+    model: Model | PairwiseModel | None = None
+    unit = ""
+    if not request.is_built:
+        model = load_problem(request.source, split_points(request.source, request.arguments)[0])
+        unit = unit_of(request.source)
     if animation is not None and not (model and model.drawing):
-        finding = f"--animate {animation}: {problem} says nothing about how to draw it"
+        finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
-    return Pictures(plot, animation, model, _unit(problem))
-
-
-def _unit(problem: Path) -> str:
-    """What the docstring of a problem file says about units, as far as it can be told: all quantities have none."""
-    docstring = ast.get_docstring(ast.parse(problem.read_bytes())) or ""
-    return "nondimensional" if "quantities are nondimensional" in " ".join(docstring.split()) else ""
+    return Pictures(plot, animation, model, unit)
 
 
 def _with_progress(frames: Iterable[Any], count: int) -> Iterable[Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from functools import cache
 from typing import Any
 
 from codegen.drivers.connect import newton as connect
@@ -16,6 +15,10 @@ __all__ = ["connect", "control", "simulate"]
 TOLERANCE = 1e-10
 _OWN = ("tolerance", "trajectories", "scaled")
 """What an attempt has beside what a module's solution calls the same, or modules of earlier versions do not have."""
+_CLAIMED: dict[type, tuple[str, ...]] = {
+    attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
+    for attempt in (ControlAttempt, SimulateAttempt)
+}
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
@@ -38,12 +41,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
     """What an attempt takes from a module's solution, which calls it the same."""
-    return {name: getattr(solution, name) for name in _names(attempt)}
-
-
-@cache
-def _names(attempt: type[ControlAttempt | SimulateAttempt]) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(attempt) if f.name not in _OWN)
+    return {name: getattr(solution, name) for name in _CLAIMED[attempt]}
 
 
 def _stops(run: Run) -> dict[str, Any]:

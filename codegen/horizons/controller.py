@@ -59,7 +59,7 @@ class Feedback:
 class Controller:
     """Solves a problem again and again, from the measured state on, and gives the inputs for the next sampling time.
 
-    `problem` is a problem file, a generated module or its file: an optimisation with all that is measured in `start`.
+    `problem` is as for `codegen.solve`: an optimisation with all that is measured in `start`.
     `arguments`, `scheme` and `method` are those of a build. The horizon lasts `horizon`, by default the problem's
     duration (whose parameter, if it stands in other formulas as well, is given instead), and has `steps` intervals;
     `sample` is the sampling time, by default one interval. `parameters` are run-time values by name: numbers, or

@@ -137,16 +137,19 @@ def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
 
 
 def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, method: str | None) -> ControlModule:
-    """A module, loaded, with machine code: from a problem file, from the file of a module, or as it is given.
+    """A module, loaded, with machine code: from a problem, from the file of a module, or as it is given.
 
     Raises what `codegen.solve` does for a problem that cannot be read, derived or stored.
     """
     request = Request(problem, arguments=arguments, scheme=scheme, method=method)
-    if not isinstance(problem, Path | str):
+    if request.is_built and not isinstance(problem, Path | str):
         return problem  # type: ignore[no-any-return]
-    path, is_new = Path(problem), False
-    if not request.is_built:
-        made = compiler.build(path, arguments, scheme=scheme, method=method)
+    if request.is_built:
+        path, is_new = Path(problem), False
+    else:
+        made = compiler.build(
+            request.source, request.arguments, scheme=request.scheme, method=request.method, controls=request.controls
+        )
         path, is_new = made.path, made.written
     module: Any = loading.load(path)
     ahead_of_time.require(path, module, is_new, nullcontext)

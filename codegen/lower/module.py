@@ -27,7 +27,7 @@ def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a generated module comes from: source file, the command that makes it again, hash, versions.
+    """Where a generated module comes from: source, the place and command that make it again, hash, versions.
 
     `reads` has a line for each further file that it was made from.
     """
@@ -37,6 +37,7 @@ class Origin:
     inputs: str
     versions: tuple[str, ...]
     reads: tuple[str, ...] = ()
+    place: str = "in the folder of the problem"
 
 
 @dataclass(frozen=True)

@@ -1,29 +1,31 @@
-"""From a problem file to a checked model, or to one line that says what is wrong."""
+"""From a problem file, or an object, to a checked model, or to one line that says what is wrong."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from codegen.author.problem_file import with_location, written_problem
+from codegen.author.problem_file import with_location
+from codegen.author.sources import Source, source_of
 from codegen.errors import CodegenError
 from codegen.model.definitions import Model
 from codegen.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.model.phases import normalise
 
 
-def load_problem(path: Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
+def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
     """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
 
-    The model is named after the file and titled by the first line of its docstring. Raises ProblemFileError when the
-    file cannot be read, imported or called; ArgumentError when an argument does not fit `problem`; another CodegenError
-    when the problem is not well posed. All name the file, in one line.
+    The model is named after the file and titled by the first line of its docstring; of an object its source has both.
+    Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an argument does not
+    fit `problem`; another CodegenError when the problem is not well posed. All name the file or the object, in one
+    line.
     """
-    path = Path(path)
-    title, problem, declared = written_problem(path, arguments)
+    source = source_of(problem)
+    title, written, declared = source.written(arguments)
     try:
-        if is_pairwise(problem):
-            return normalise_pairwise(problem, declared, name=path.stem, title=title)
-        return normalise(problem, declared, name=path.stem, title=title)
+        if is_pairwise(written):
+            return normalise_pairwise(written, declared, name=source.name, title=title)
+        return normalise(written, declared, name=source.name, title=title)
     except CodegenError as error:
-        raise with_location(error, str(path)) from error
+        raise with_location(error, source.location) from error

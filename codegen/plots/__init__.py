@@ -28,6 +28,8 @@ __all__ = [
     "closed_loop_figure",
     "connect_figure",
     "control_figure",
+    "figure",
+    "figure_of_sweep",
     "label",
     "pareto_figure",
     "save",
@@ -38,20 +40,23 @@ __all__ = [
 ]
 
 
+def figure(module: GeneratedModule, result: Result, drawings: Drawings | Scene | None = None, unit: str = "") -> Figure:
+    """Draw a module's result; `unit` is that of the time."""
+    with matplotlib.rc_context(STYLE):
+        if is_connect(module):
+            return connect_figure(module, result)
+        if is_control(module):
+            assert not isinstance(drawings, Scene)
+            return control_figure(module, result, drawings, unit)
+        assert not isinstance(drawings, Drawings)
+        return simulation_figure(result, drawings, unit)
+
+
 def save(
     module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
 ) -> None:
     """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
-    with matplotlib.rc_context(STYLE):
-        if is_connect(module):
-            figure = connect_figure(module, result)
-        elif is_control(module):
-            assert not isinstance(drawings, Scene)
-            figure = control_figure(module, result, drawings, unit)
-        else:
-            assert not isinstance(drawings, Drawings)
-            figure = simulation_figure(result, drawings, unit)
-        _write(figure, path)
+    _write(figure(module, result, drawings, unit), path)
 
 
 def save_sweep(data: Dataset, path: Path, pareto: str | None = None) -> None:
@@ -59,8 +64,13 @@ def save_sweep(data: Dataset, path: Path, pareto: str | None = None) -> None:
 
     Raises ArgumentError for objectives that the data set does not have.
     """
+    _write(figure_of_sweep(data, pareto), path)
+
+
+def figure_of_sweep(data: Dataset, pareto: str | None = None) -> Figure:
+    """Draw a sweep, or its front in two objectives; ArgumentError for objectives that the data set does not have."""
     with matplotlib.rc_context(STYLE):
-        _write(sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto)), path)
+        return sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto))
 
 
 def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
@@ -71,9 +81,11 @@ def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
 def save_closed_loop(loop: ClosedLoopData, path: Path, references: References) -> None:
     """Draw what came of a closed loop, and what it was to follow, into a file whose ending matplotlib knows."""
     with matplotlib.rc_context(STYLE):
-        _write(closed_loop_figure(loop, references), path)
+        drawn = closed_loop_figure(loop, references)
+    _write(drawn, path)
 
 
-def _write(figure: Figure, path: Path) -> None:
+def _write(drawn: Figure, path: Path) -> None:
     metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
-    figure.savefig(path, dpi=150, metadata=metadata)
+    with matplotlib.rc_context(STYLE):
+        drawn.savefig(path, dpi=150, metadata=metadata)

@@ -10,7 +10,7 @@ import sympy
 from sympy import Add, Expr, Symbol, expand_mul
 
 from codegen import schemes, transcribe
-from codegen.author.problem_file import split_points
+from codegen.author.sources import Source, source_of, split_points
 from codegen.discretise import (
     STEP,
     OneStepInterval,
@@ -52,7 +52,7 @@ _MOMENTA = ("the discrete momenta of the first and last node are those of the pr
 
 
 def equations(
-    path: Path | str,
+    problem: Source | Path | str,
     arguments: Mapping[str, str] | None = None,
     *,
     scheme: str | None = None,
@@ -60,12 +60,13 @@ def equations(
     controls: str = "interval",
     latex: bool = False,
 ) -> str:
-    """The equations of a problem file and of its discretisation, as text of about 100 columns or as LaTeX.
+    """The equations of a problem and of its discretisation, as text of about 100 columns or as LaTeX.
 
     The LaTeX needs the package amsmath and no other. Raises a kind of CodegenError when the problem or a choice is
     unusable.
     """
-    model = load_problem(Path(path), split_points(path, arguments or {})[0])
+    source = source_of(problem)
+    model = load_problem(source, split_points(source, arguments or {})[0])
     if isinstance(model, PairwiseModel):
         return pairwise_equations(model, scheme, method, latex)
     program = transcribe.transcribe(model, scheme, method, controls)

@@ -11,7 +11,7 @@ from sympy import Expr, Symbol
 
 from codegen import schemes, transcribe
 from codegen.analysis.modified_equations import ModifiedEquations, modified_equations
-from codegen.author.problem_file import split_points
+from codegen.author.sources import split_points
 from codegen.errors import ArgumentError
 from codegen.model import Model, legendre
 from codegen.model.from_file import load_problem

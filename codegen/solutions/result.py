@@ -13,6 +13,7 @@ from codegen.author.points import PointSet
 from codegen.errors import ArgumentError
 from codegen.loading import Grid, Matrix, Vector
 from codegen.solutions.derivatives import Sensitivities
+from codegen.solutions.display import Background, Display
 from codegen.solutions.estimates import Estimates
 
 STATUSES = {
@@ -142,7 +143,7 @@ class GridLevel:
     status: str
     error: float
     iterations: int
-    seconds: float
+    seconds: float = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -160,8 +161,8 @@ class Accuracy:
     levels: tuple[GridLevel, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Result:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result(Display):
     """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
@@ -170,7 +171,7 @@ class Result:
     tells how the grids of a refinement ended. `grid` holds the fractions of the duration, or of every phase, that
     intervals last where they are not equal, `accuracy` what came of a request for it, and `estimates` what measurements
     say of free parameters; `sensitivity` is what `sensitivities()` gives. `by_segments` is the result of a problem with
-    delays as its module has it, with columns for every segment.
+    delays as its module has it, with columns for every segment; `background` is what pictures need.
     """
 
     problem: str
@@ -196,9 +197,9 @@ class Result:
     unknowns: Vector | None = field(default=None, repr=False)
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
-    seconds_solve: float = float("nan")
-    seconds_first: float = float("nan")
-    compiled: bool = False
+    seconds_solve: float = field(default=float("nan"), compare=False)
+    seconds_first: float = field(default=float("nan"), compare=False)
+    compiled: bool = field(default=False, compare=False)
     attempts: tuple[str, ...] = ()
     levels: tuple[Result, ...] = ()
     stage_abscissae: tuple[float, ...] = ()
@@ -207,6 +208,7 @@ class Result:
     estimates: Estimates | None = None
     by_segments: Result | None = field(default=None, repr=False)
     sensitivity: Sensitivities | None = field(default=None, repr=False)
+    background: Background | None = field(default=None, repr=False, compare=False)
 
     def sensitivities(self) -> Sensitivities:
         """Derivatives by parameters, boundary values and a given duration, of a solve that was asked for them.

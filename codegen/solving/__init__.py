@@ -30,8 +30,9 @@ def _taking(request: Callable[Given, Request]) -> Callable[[Callable[..., Result
 def solve(*positional: Any, **options: Any) -> Result:
     """Solve a problem, building and compiling its module first where that is necessary, and judge what was found.
 
-    `problem` is the path of a problem file or of a generated module, or a module from `codegen.load`; `driver` is
-    newton (the generated solver), slsqp, trust-constr, ipopt, fsolve or fmin. For a problem file:
+    `problem` is the path of a problem file or of a generated module, a module from `codegen.load`, a Control or another
+    object that a problem file may return, or a solver from `codegen.compile`; `driver` is newton (the generated
+    solver), slsqp, trust-constr, ipopt, fsolve or fmin. For a problem file, and but for `arguments` for an object:
 
     - `arguments`: a dict of arguments of problem(), as `--set` has them, by name;
     - `scheme`, `method`, `controls`, `out`: as for `codegen.build`.

@@ -13,12 +13,13 @@ from typing import Any, TypeAlias
 
 from codegen import compiler, loading
 from codegen.author.points import PointSet, read_points
-from codegen.author.problem_file import split_points
+from codegen.author.sources import split_points
 from codegen.drivers import Driver
 from codegen.errors import SchemeError
 from codegen.loading import GeneratedModule, Matrix, Vector
 from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
+from codegen.solutions.display import Background
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
 from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
@@ -90,18 +91,26 @@ def outcome_of(
     said = [*said, *_rounded(request, module)]
     with following() as watch:
         result = _solved(request, module, driver, warm, points, request.watch or watch)
-    result = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
+    found = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
+    result = replace(found, background=_background(request, module))
     if result.compiled:
         return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
     return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)
 
 
+def _background(request: Request, module: Any) -> Background:
+    """What pictures of the result need."""
+    file = getattr(module, "__file__", None)
+    path = None if file is None else Path(file)
+    if request.is_built:
+        return Background(module, path)
+    return Background(module, path, request.source, split_points(request.source, request.arguments)[0])
+
+
 def _built(request: Request, working: Working) -> tuple[Path | None, bool, float]:
     """The file of the module, whether it is new, and the seconds of its derivation; no file of a loaded one."""
-    if not isinstance(request.problem, Path | str):
-        return None, False, 0.0
     if request.is_built:
-        return Path(request.problem), False, 0.0
+        return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
     with working("Deriving"):
         made = _made(request)
     return made.path, made.written, made.seconds
@@ -109,9 +118,8 @@ def _built(request: Request, working: Working) -> tuple[Path | None, bool, float
 
 def _made(request: Request) -> compiler.Build:
     """The module by the scheme that is asked for; where accuracy is, by one of order four if the problem allows it."""
-    assert isinstance(request.problem, Path | str), "a loaded module is not built"
     build = partial(
-        compiler.build, request.problem, request.arguments, method=request.method, controls=request.controls,
+        compiler.build, request.source, request.arguments, method=request.method, controls=request.controls,
         out=request.out, sensitivities=request.sensitivities,
     )  # fmt: skip
     if request.accuracy is not None and request.scheme is None:
@@ -157,8 +165,8 @@ def _looser(run: Run) -> float:
 def _points(request: Request, module: GeneratedModule) -> PointSet | None:
     """The points that are given, or those of the problem file, where there are any."""
     file, own = request.points, module.metadata.get("points")
-    if file is None and own and isinstance(request.problem, Path | str) and not request.is_built:
-        file = split_points(request.problem, request.arguments)[1] or Path(request.problem).parent / own
+    if file is None and own and not request.is_built:
+        file = split_points(request.source, request.arguments)[1] or request.source.folder / own
     if isinstance(file, Path | str):
         return read_points(Path(file), len(module.metadata["coordinates"]))
     return file

@@ -9,6 +9,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from codegen.author.sources import ProblemFile, ProblemObject, Source, is_author_object, source_of
 from codegen.drivers import DRIVERS, Driver, find
 from codegen.errors import ArgumentError, NumericsError
 from codegen.tasks import TASKS, Task, task_of
@@ -32,7 +33,7 @@ class Request:
     Raises ArgumentError for a choice that does not exist, and NumericsError for a number that is unusable.
     """
 
-    problem: Path | str | GeneratedModule
+    problem: Path | str | Source | GeneratedModule | Any
     driver: str = "newton"
     _: KW_ONLY
     arguments: Mapping[str, object] = field(default_factory=dict)
@@ -60,6 +61,7 @@ class Request:
 
     def __post_init__(self) -> None:
         """Refuse what is unusable whatever the problem is."""
+        self._take_what_is_compiled()
         find(self.driver)
         for name, least in _LEAST.items():
             value = getattr(self, name)
@@ -97,11 +99,24 @@ class Request:
             raise ArgumentError(f"watch is {self.watch!r}", "give a function of an iterate's number and row")
         self._require_problem()
 
+    def _take_what_is_compiled(self) -> None:
+        """Put what `codegen.compile` has returned, or an author's object, in terms of a source and its choices."""
+        made: Mapping[str, Any] | None = getattr(self.problem, "build_options", None)
+        if made is not None:
+            if given := next(filter(self._is_given, _OF_BUILDS), None):
+                finding = f"{_option(given)} is a choice of a build, and the problem is compiled already"
+                raise ArgumentError(finding, "leave it out, or compile the problem with it")
+            for name, value in made.items():
+                object.__setattr__(self, name, value)
+        elif is_author_object(self.problem):
+            object.__setattr__(self, "problem", source_of(self.problem))
+
     def _require_problem(self) -> None:
         """Refuse what is neither a problem nor a module, and choices of a build where there is nothing to build."""
-        if not isinstance(self.problem, Path | str) and "task" not in getattr(self.problem, "metadata", ()):
+        is_source = isinstance(self.problem, Path | str | ProblemFile | ProblemObject)
+        if not is_source and "task" not in getattr(self.problem, "metadata", ()):
             what = type(self.problem).__name__
-            remedy = "give the path of a problem file, or a generated module"
+            remedy = "give the path of a problem file, a Control or the like, or a generated module"
             raise ArgumentError(f"a solve begins with a problem, not with this {what}", remedy)
         given = next(filter(self._is_given, _OF_BUILDS), None)
         if given and self.is_built:
@@ -109,10 +124,16 @@ class Request:
             raise ArgumentError(finding, "leave it out, or give the problem file")
 
     @property
+    def source(self) -> Source:
+        """Where the problem comes from, which is no module."""
+        assert not self.is_built, "a module has been made already"
+        return source_of(self.problem)
+
+    @property
     def is_built(self) -> bool:
         """Whether the problem is a generated module, loaded or in a file."""
         if not isinstance(self.problem, Path | str):
-            return True
+            return not isinstance(self.problem, ProblemFile | ProblemObject)
         try:
             with Path(self.problem).open("rb") as file:
                 return file.read(len(_GENERATED)) == _GENERATED

@@ -59,7 +59,7 @@ def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[t
     if not is_connect(module):
         return ()
     from codegen.author.points import read_points
-    from codegen.author.problem_file import split_points
+    from codegen.author.sources import split_points
 
     given = split_points(problem, dict(arguments))[1]
     file = Path(given) if given is not None else problem.parent / module.metadata["points"]

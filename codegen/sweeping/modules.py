@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from codegen import compiler, loading
-from codegen.author.problem_file import argument_names
 from codegen.engines.team import Working
 from codegen.errors import ArgumentError, CodegenError
 from codegen.machine_code import ahead_of_time
@@ -55,8 +54,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
     """
     if request.is_built:
         return _built(request, cases)
-    assert isinstance(request.problem, str | Path), "what is not built is a file"
-    known = argument_names(request.problem)
+    known = request.source.arguments
     names = tuple(name for name in cases.columns if name in known)
     if twice := next((name for name in names if name in request.arguments), None):
         raise ArgumentError(f"{twice} varies and is given by --set", "leave one of them out")
@@ -92,9 +90,8 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
 
 def _derived(request: Request, arguments: dict[str, str]) -> tuple[Any, compiler.Build]:
     """A module, loaded, and where it is."""
-    assert isinstance(request.problem, str | Path), "what is not built is a file"
     made = compiler.build(
-        request.problem, {**request.arguments, **arguments}, scheme=request.scheme, method=request.method,
+        request.source, {**request.arguments, **arguments}, scheme=request.scheme, method=request.method,
         controls=request.controls, sensitivities=request.sensitivities,
     )  # fmt: skip
     return loading.load(made.path), made

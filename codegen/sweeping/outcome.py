@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from codegen.author.sources import ProblemFile, ProblemObject
 from codegen.engines import connected
 from codegen.engines.tally import Tally
 from codegen.engines.team import Progress, Team, Working, silent
 from codegen.engines.work import Done
 from codegen.machine import versions
 from codegen.solutions.result import Run
+from codegen.solving.request import Request
 from codegen.solving.run import require_memory
 from codegen.sweeping import store
 from codegen.sweeping.case import Attempt
@@ -208,8 +210,6 @@ def _tried(work: Work, team: Team) -> Attempt:
 def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str, Any]:
     """What a data set says of where it comes from; texts and numbers."""
     own = modules.first.metadata
-    problem = request.solve.problem
-    file = Path(problem) if isinstance(problem, str | Path) else Path(getattr(problem, "__file__", None) or "")
     known = {**versions(), **{name: metadata.version(name) for name in ("xarray", "zarr")}}
     counts = {work.steps or variant.shapes.steps for variant in work.variants.values() if variant.shapes}
     is_one = len(counts) == 1 and not any(quantity.kind == STEPS for quantity in work.quantities)
@@ -226,8 +226,18 @@ def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str
         "warm_starts": "on" if work.warm_starts else "off",
         "options": _options(request),
         "versions": ", ".join(f"{name} {version}" for name, version in known.items()),
-        "problem_text": file.read_text(encoding="utf-8", errors="replace") if file.is_file() else "",
+        "problem_text": _text(request.solve),
     }
+
+
+def _text(solve: Request) -> str:
+    """What the problem says: its file, the file of its module, or an object as text."""
+    problem = solve.problem if solve.is_built else solve.source
+    if isinstance(problem, ProblemObject):
+        return problem.text
+    own = problem.path if isinstance(problem, ProblemFile) else getattr(problem, "__file__", None) or ""
+    file = Path(problem if isinstance(problem, str | Path) else own)
+    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
 
 
 def _options(request: SweepRequest) -> str:

@@ -26,7 +26,6 @@ from codegen import (
     time,
 )
 from codegen.author.symbols import recorded_declarations
-from codegen.cli.scene import fine_times, scene
 from codegen.compiler import generate_from_model
 from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.errors import ExpressionError, SymbolError
@@ -34,6 +33,7 @@ from codegen.lower.module import Origin
 from codegen.model import Model, normalise
 from codegen.model.from_file import load_problem
 from codegen.naming import Choices
+from codegen.pictures.scene import fine_times, scene
 from codegen.solutions.result import Result
 
 DRAWN = (

@@ -11,6 +11,7 @@ import numpy as np
 import sympy
 
 from codegen import derive, emit, lower, naming, transcribe
+from codegen.author.sources import Source
 from codegen.checks.base import Finding
 from codegen.checks.module import provenance
 from codegen.checks.particles import tracers
@@ -26,13 +27,13 @@ _LENGTHS = tuple(0.05 / 8**k for k in range(7))
 """Of steps, until one can be made: particles at random positions may repel each other strongly."""
 
 
-def findings(path: Path, arguments: Mapping[str, str], choices: Choices, module_path: Path) -> Iterator[Finding]:
+def findings(source: Source, arguments: Mapping[str, str], choices: Choices, module_path: Path) -> Iterator[Finding]:
     """All evidence about a module of particles, as it lies on disk."""
-    model = load_problem(path, arguments)
+    model = load_problem(source, arguments)
     assert isinstance(model, PairwiseModel)
     program = transcribe.transcribe(model, choices.scheme, choices.method)
     fresh = lower.lower(program, derive.derivatives(program))
-    origin = naming.origin_of(path, arguments, choices)
+    origin = naming.origin_of(source, arguments, choices)
     text = emit.render(fresh, origin)
     module: Any = load(module_path)
     yield from provenance.compare(module_path, module, origin.inputs, text)

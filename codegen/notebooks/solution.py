@@ -1,0 +1,78 @@
+"""A solution in a notebook: a table with its figure, the figure alone, and its film."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from codegen import loading, pictures
+from codegen.author.sources import ProblemObject
+from codegen.errors import ArgumentError, CodegenError
+from codegen.model.from_file import load_problem
+from codegen.notebooks.tables import number, table
+from codegen.plots.picture import Film, Picture
+from codegen.plots.style import STYLE
+from codegen.solutions.display import Background
+from codegen.solutions.result import Result
+
+
+def html(result: Result) -> str:
+    """How it ended, with its figure where there may be one."""
+    rows = [
+        ("problem", f"{result.problem} ({result.task})"),
+        ("discretisation", f"{result.method}, {result.scheme}, {result.intervals}"),
+        ("status", f"{result.status}: {result.message}"),
+        *([("cost", number(result.cost, 12))] if result.cost is not None else []),
+        ("residual", number(result.residual)),
+        ("iterations", f"{result.iterations} ({result.driver})"),
+        *((name.replace("_", " "), number(value)) for name, value in result.summary.items()),
+        ("seconds", number(result.seconds_solve, 3)),
+    ]
+    own = table(rows, caption=result.title)
+    try:
+        png = base64.b64encode(picture(result)._repr_png_()).decode()
+    except CodegenError:  # the table says what there is; `plot` says why there is no figure
+        return own
+    words = f"Figure of {result.title.rstrip('.')}: {result.status}"
+    return f'{own}<img alt="{table_text(words)}" src="data:image/png;base64,{png}" style="max-width:100%">'
+
+
+def table_text(text: str) -> str:
+    """A text as the value of an attribute."""
+    from html import escape
+
+    return escape(text)
+
+
+def picture(result: Result) -> Picture:
+    """The figure of everything about a solution."""
+    own = _background(result)
+    module: Any = own.module if own.module is not None else loading.load(own.path or "")
+    return Picture(pictures.figure_of(module, _model(own), result, "" if own.source is None else _unit(own)), STYLE)
+
+
+def film(result: Result) -> Film:
+    """The film of its problem's drawing."""
+    own = _background(result)
+    model = _model(own)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.gif"
+        pictures.save_film(model, result, path)
+        return Film(path.read_bytes(), result.title, lambda file: pictures.save_film(model, result, file))
+
+
+def _background(result: Result) -> Background:
+    if result.background is None:
+        raise ArgumentError(f"{result.problem}: this solution does not know its module", "solve by codegen.solve")
+    return result.background
+
+
+def _model(own: Background) -> Any:
+    """What the author has written, checked; nothing for a module that was given without it."""
+    return None if own.source is None else load_problem(own.source, own.arguments)
+
+
+def _unit(own: Background) -> str:
+    return "" if isinstance(own.source, ProblemObject) else pictures.unit_of(own.source)
