@@ -1957,13 +1957,13 @@ def of_body(body):
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise; return (status, message, point, iterations). `scaling` has no effect."""
+    """Minimise; return (status, message, point, iterations, grid). `scaling` has no effect."""
     status, point, iterations = minimise(grid, unknowns, tolerance, max_iterations, warm, log)
     status = final_status(grid, unknowns, point, status)
     status, message = describe(grid, unknowns, point, status)
     if status == "solved":
         point = point._replace(cost=corrected_cost(grid, point))
-    return status, message, point, iterations
+    return status, message, point, iterations, grid
 
 
 def corrected_cost(grid, point):
@@ -1985,7 +1985,8 @@ class Solution(NamedTuple):
     Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
     discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution. `q`, `p` and
     `multipliers` have a column for each coordinate, `u` for each control (on intervals), of several bodies side by
-    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate.
+    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate. `scaled` is the grid with
+    the sizes of unknowns in parts of which the search began; it has none where the problem's own units will do.
     """
 
     status: str
@@ -2001,6 +2002,7 @@ class Solution(NamedTuple):
     multipliers: np.ndarray
     unknowns: np.ndarray
     log: np.ndarray
+    scaled: Grid
 
 
 @packed_operations()
@@ -2043,7 +2045,7 @@ def solve(
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     tolerance, max_iterations = checked_tolerance(tolerance, 1.0), checked_count("max_iterations", max_iterations)
     iterates = Log(time_limit, watch)
-    status, message, point, iterations = optimise(
+    status, message, point, iterations, scaled = optimise(
         grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
     )
     if log:
@@ -2058,6 +2060,7 @@ def solve(
         *unpack(grid, point.unknowns),
         point.unknowns,
         np.array(iterates.rows),
+        scaled,
     )
 
 
@@ -2228,7 +2231,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_a952dc8f43822309"
+_IDENTITY = "codegen_linear_pendulum_a9f19245e2bec30e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

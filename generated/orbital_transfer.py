@@ -3343,13 +3343,16 @@ LONG = 1000
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations)."""
+    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+
+    `scaled` is the grid with the sizes in parts of which the search began.
+    """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
         grid = with_sizes(grid, known)
-    start, limit = scaled_unknowns(grid, unknowns), max_iterations
+    scaled, start, limit = grid, scaled_unknowns(grid, unknowns), max_iterations
     if grid.sizes.size:
         known, limit = None, min(max_iterations, LONG)
     status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
@@ -3366,7 +3369,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
-    return status, message, own._replace(cost=cost), iterations
+    return status, message, own._replace(cost=cost), iterations, scaled
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
@@ -3476,7 +3479,8 @@ class Solution(NamedTuple):
     Where the status is "solved", `cost` is corrected by what residuals are worth. `residual` is the max-norm of all
     discrete equations, `stationarity` that of the optimality conditions, both evaluated at the solution. `q`, `p` and
     `multipliers` have a column for each coordinate, `u` for each control (on intervals), of several bodies side by
-    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate.
+    side; `unknowns` (n,) is the vector that `guess` takes, `log` has a row for each iterate. `scaled` is the grid with
+    the sizes of unknowns in parts of which the search began; it has none where the problem's own units will do.
     """
 
     status: str
@@ -3492,6 +3496,7 @@ class Solution(NamedTuple):
     multipliers: np.ndarray
     unknowns: np.ndarray
     log: np.ndarray
+    scaled: Grid
 
 
 @packed_operations()
@@ -3544,7 +3549,7 @@ def solve(
     unknowns = initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
     tolerance, max_iterations = checked_tolerance(tolerance, 1.0), checked_count("max_iterations", max_iterations)
     iterates = Log(time_limit, watch)
-    status, message, point, iterations = optimise(
+    status, message, point, iterations, scaled = optimise(
         grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
     )
     if log:
@@ -3559,6 +3564,7 @@ def solve(
         *unpack(grid, point.unknowns),
         point.unknowns,
         np.array(iterates.rows),
+        scaled,
     )
 
 
@@ -3750,7 +3756,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_c8e03f9e38eaafaa"
+_IDENTITY = "codegen_orbital_transfer_3b23a7cde549ffd8"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
