@@ -6,6 +6,7 @@ import hashlib
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -111,7 +112,13 @@ def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choi
 
 def versions() -> tuple[str, ...]:
     """The versions that a generated text depends on."""
-    return (f"codegen {__version__}", f"sympy {metadata.version('sympy')}")
+    return (f"codegen {__version__}", f"sympy {_version_of('sympy')}")
+
+
+@cache
+def _version_of(library: str) -> str:
+    """The version of an installed library, which its metadata tell, whose reading takes longer than a solve."""
+    return metadata.version(library)
 
 
 def choice_texts(choices: Choices) -> tuple[str, ...]:
