@@ -38,6 +38,13 @@ MALFORMED_DELAYS = (
     _lag("irrational", ExpressionError, "is no fixed rational part of the duration 1; write the one", "sqrt(2)/2"),
     _lag("many-segments", SizeError, "the delay 0.371 of x in the duration 1 makes 1000 equal segments", "0.371"),
     _lag("nearest", SizeError, "0.333333 or 0.5 divide it", "0.371"),
+    # 96 quantities are 32 segments of two states and a control; what divides the duration more often is no remedy.
+    _lag(
+        "too-short",
+        SizeError,
+        "where 32 can be derived; take a delay that goes into the duration fewer times as a whole; 0.03125 divides it",
+        "0.01",
+    ),
     _lag(
         "negative-parameter",
         ExpressionError,

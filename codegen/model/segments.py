@@ -234,13 +234,14 @@ def _too_many(model: Model, ratios: Sequence[Rational], number: int) -> tuple[st
     duration = expressions.rounded_at(model.duration, values) or 1.0
     worst = max(range(len(ratios)), key=lambda i: (ratios[i] < 1, ratios[i].q))
     times = int(1 / ratios[worst])
-    near = [f"{duration / n:.6g}" for n in dict.fromkeys((times + 1, times)) if n > 0]
-    lag = expressions.rounded_at(model.delays[worst].lag, values) or 0.0
     each = MOST_QUANTITIES // len((*model.coordinates, *model.rates, *model.controls))
+    near = [f"{duration / n:.6g}" for n in dict.fromkeys((times + 1, times, each)) if 0 < n <= each][:2]
+    these = f"{' or '.join(near)} {'divide' if len(near) > 1 else 'divides'}"
+    lag = expressions.rounded_at(model.delays[worst].lag, values) or 0.0
     return (
         f"the delay {lag:g} of {model.delays[worst].quantity} in the duration {duration:g} makes {number} equal "
         f"segments, where {each} can be derived",
-        f"take a delay that goes into the duration fewer times as a whole; {' or '.join(near)} divide it",
+        f"take a delay that goes into the duration fewer times as a whole; {these} it",
     )
 
 
