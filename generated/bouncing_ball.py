@@ -2026,7 +2026,7 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
 
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
 PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
-ROUNDING = 1e-14  # residuals up to it are taken for zero in steps: across a distance of 1e-12 they would turn duals
+ROUNDING = 1e-15  # residuals up to it are taken for zero in steps: across a distance of 1e-12 they would turn duals
 
 
 class Bounds(NamedTuple):
@@ -4766,7 +4766,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_7bfb52af5484544a"
+_IDENTITY = "codegen_bouncing_ball_5f8a14493dc9fde6"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
