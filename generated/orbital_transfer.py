@@ -2027,12 +2027,12 @@ class Globalisation:
 def settles_multipliers(search, iterate, step, trial):
     """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
 
-    Cost and violation, which the filter compares, tell nothing of it. Source: section 3.9.
+    Cost and violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
     """
     if not trial.point.error < CLOSER * iterate.point.error:
         return False
-    moves = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
-    return bool((moves | search.grid.is_multiplier).all())
+    rests = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
+    return bool((rests | search.grid.is_multiplier).all())
 
 
 def damped(damping, step, length, shortened):
@@ -3756,7 +3756,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_3b23a7cde549ffd8"
+_IDENTITY = "codegen_orbital_transfer_be74b26cf8a6a263"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -163,12 +163,12 @@ class Globalisation:
 def settles_multipliers(search, iterate, step, trial):
     """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
 
-    Cost and violation, which the filter compares, tell nothing of it. Source: section 3.9.
+    Cost and violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
     """
     if not trial.point.error < CLOSER * iterate.point.error:
         return False
-    moves = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
-    return bool((moves | search.grid.is_multiplier).all())
+    rests = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
+    return bool((rests | search.grid.is_multiplier).all())
 
 
 def damped(damping, step, length, shortened):
