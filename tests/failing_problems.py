@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-_HEAD = '''"""A problem without a solution."""
+HEAD = '''"""A problem without a solution."""
 from sympy import Eq, Rational, exp, log, sin, sqrt
 from codegen import Control, body_number, control, controls, coordinate, coordinates, free_parameter, states, time
 def problem():
@@ -23,7 +23,7 @@ class Failing:
     @property
     def text(self) -> str:
         """The problem file."""
-        return _HEAD + "".join(f"    {line}\n" for line in self.body.strip().splitlines())
+        return HEAD + "".join(f"    {line}\n" for line in self.body.strip().splitlines())
 
 
 def mass(declare: str = "", **changes: str) -> str:

@@ -214,7 +214,7 @@ class Controller:
                 return status, message, point.unknowns, iterations
             status, point, iterations = module.minimise(grid, guess, *how, log)
             if status == "solved":
-                return status, f"all equations hold to {point.error:.1e}", point.unknowns, iterations
+                return status, f"all {module.reached(point)}", point.unknowns, iterations
             if status in UNFINISHED:  # what is worst is not looked for: there is no time
                 return status, f"{status} after {iterations} iterations", point.unknowns, iterations
             status = module.final_status(grid, guess, point, status)

@@ -11,7 +11,7 @@ import machine_coded
 import numba
 import numpy as np
 import pytest
-from failing_problems import DEPENDENT_END, FAILING, RANK_DEFICIENT, STEEP, Failing, mass, plane, row
+from failing_problems import DEPENDENT_END, FAILING, HEAD, RANK_DEFICIENT, STEEP, Failing, mass, plane, row
 from interpreted import as_machine_code, of_problem, silent_math
 from sympy import Eq
 from typer.testing import CliRunner
@@ -20,6 +20,7 @@ from codegen import Control, controls, solving, states
 from codegen.cli import main
 from codegen.compiler import generate
 from codegen.errors import BoundaryError
+from codegen.loading import time_grid
 from codegen.naming import Choices
 from codegen.solutions.notes import notes
 from codegen.solutions.result import STATUSES
@@ -238,3 +239,43 @@ def test_bounds_that_contradict_each_other_are_named(tmp_path, limits, text):
     solution = module.solve(6, a=0.5)
     assert solution.status == "infeasible"
     assert text in solution.message
+
+
+IMPOSSIBLE = {
+    # From rest, with an acceleration of one at most, a mass moves by half of the squared time at most.
+    "push": mass(dynamics="{x: v, v: u - v**3/9}", end="{x: 1}", duration="1.3", bounds="{u: (-1, 1)}"),
+    "push held by a path": mass(
+        dynamics="{x: v, v: sin(u)}", end="{x: 1}", duration="1.3", path="[v + x >= -1]", guess="{u: 1/2}"
+    ),
+    # A disc that is to be avoided, within a strip that leaves no way past it, and steps too short to leap over it.
+    "obstacle": plane(
+        path="[x**2 + y**2 >= 1]", start="{x: -2, y: 0, dx: 0, dy: 0}", end="{x: 2, dx: 0, dy: 0}",
+        bounds="{y: (-Rational(1, 2), Rational(1, 2)), f: (-6, 6), g: (-6, 6)}", steps="24", duration="2",
+    ),
+    # A weight on a floor that the force cannot lift.
+    "height": (
+        'q, dq = coordinate("q")\nu = control("u")\nreturn Control(lagrangian=dq**2/2 - 10*q - q**4, force={q: u},'
+        " cost=u**2, duration=2, start={q: 0, dq: 0}, end={q: 1}, bounds={u: (-8, 8), q: (0, 2)}, steps=16)"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", IMPOSSIBLE)
+def test_impossible_is_infeasible_and_not_stalled(tmp_path, name):
+    """Each is impossible by the argument beside it; what is reported is the least violation nearby."""
+    module = module_of(tmp_path, HEAD + "".join(f"    {line}\n" for line in IMPOSSIBLE[name].splitlines()))
+    with np.errstate(all="ignore"):
+        solution = module.solve()
+    assert solution.status == "infeasible", solution.message
+    assert "nothing nearby satisfies the equations" in solution.message
+    assert solution.residual > 1e-4
+
+
+def test_rounding_of_unknowns_that_ran_away_is_no_solution(tmp_path):
+    """Far out residuals of 1e-7 are rounding: Howell's halo orbit was called solved at 4e8 times its size."""
+    module = module_of(tmp_path, HEAD + "".join(f"    {line}\n" for line in IMPOSSIBLE["push"].splitlines()))
+    grid = time_grid(module, 6)
+    guess = module.initial_guess(grid)
+    near, far = (module.evaluate(grid, guess + size)._replace(residual=1e-7, error=1e-7) for size in (1.0, 1e9))
+    assert module.final_status(grid, guess, near, "solved") == "solved"
+    assert module.final_status(grid, guess, far, "solved") == "unbounded"

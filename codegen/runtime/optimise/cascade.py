@@ -16,8 +16,10 @@ from codegen.runtime.optimise.convergence_test import is_solved, sizes_of_terms
 from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton import UNLUCKY, descend, restored
+from codegen.runtime.optimise.restoration import least_violation
 from codegen.runtime.optimise.saddle_points import ESCAPES, LEFT, escape_steps, is_below
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
+from codegen.runtime.optimise.termination import VIOLATED
 from codegen.runtime.optimise.unbounded import NEARBY
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 from codegen.runtime.unknowns.layout import free_unknowns
@@ -67,11 +69,31 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
             first = status, iterate  # equations that contradict each other are dependent as well
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
-    status, iterate = (status, iterate) if status == "solved" else first
+    if status != "solved":
+        status, iterate = first
+    if status in ("stalled", "infeasible") and iterate.point.residual > VIOLATED and total < max_iterations:
+        left = max_iterations - total
+        status, iterate, iterations = from_least_violation(search, iterate, status, tolerance, left, log)
+        total += iterations
     if INEQUALITIES:
         return status, within_bounds(search, iterate, tolerance), total
     else:
         return status, iterate.point, total
+
+
+def from_least_violation(search, iterate, status, tolerance, max_iterations, log):
+    """(status, iterate, iterations) after the violation has been brought to its minimum nearby.
+
+    Where that is not zero, nothing near the iterate obeys the equations: it is "infeasible", and not only a search that
+    has `status` because it found no way on. Where they hold, a last search begins there.
+    """
+    found, least = least_violation(search, iterate, tolerance, log.is_late)
+    if found == "infeasible":
+        return found, least, 0
+    if found != "restored":
+        return status, iterate, 0
+    ended, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, max_iterations, log)
+    return (ended, last, iterations) if ended == "solved" else (status, iterate, iterations)
 
 
 if UNBOUNDED:

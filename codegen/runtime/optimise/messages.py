@@ -44,8 +44,8 @@ REMEDIES = {
     "saddle point": "this point is stationary, but no minimum; start from another guess",
     "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
-    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
-    " relax a condition or bound",
+    "infeasible": "nothing nearby satisfies the equations; relax a condition or bound, change the duration or the"
+    " steps, or start from another guess",
 }
 if RANGED:
     REMEDIES[OUTSIDE_TABLE] = "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
@@ -70,10 +70,15 @@ def describe(grid, guess, point, status):
         if beyond:
             return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {beyond}; {REMEDIES[OUTSIDE_TABLE]}"
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all {reached(point)}"
     if SCALED and grid.sizes.size:
         grid = plain_grid(grid)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def reached(point):
+    """How far the equations hold, and the optimality conditions."""
+    return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
 
 
 def finding(grid, guess, point, status):
@@ -89,8 +94,7 @@ def finding(grid, guess, point, status):
     if status == "unbounded":
         return diverging_unknown(grid, guess, point)
     if status == "time limit":
-        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
-        return f"{reached}; {worst_row(grid, point)}"
+        return f"{reached(point)} so far; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 

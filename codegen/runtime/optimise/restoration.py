@@ -10,8 +10,10 @@ import numpy as np
 
 from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.bounded import (
+    FROM_GUESS,
     InertiaCorrection,
     barrier_objective,
+    begin,
     moved,
     newton_system,
     step_along,
@@ -21,6 +23,8 @@ from codegen.runtime.unknowns.point import evaluate
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+FEASIBILITY_STEPS = 1000  # of the search for the least violation
+STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # part of the residual that the violation's slope is where it is least
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
 if INEQUALITIES:
@@ -49,7 +53,7 @@ def restore(search, iterate, reduction, filtered, is_late):
             current = current._replace(mu=lower_weight(current.mu, error))
         taken = damped_step(search, current, pull, damping, largest)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
+            return ("infeasible" if error <= NEARLY_STATIONARY * point.residual else "stalled"), current
         current, damping = taken
         if current.point.violation <= reduction * first:
             accepted = current
@@ -58,6 +62,37 @@ def restore(search, iterate, reduction, filtered, is_late):
             if filtered.lets_pass(accepted.point.violation, barrier_objective(accepted)):
                 return "restored", accepted
     return "stalled", current
+
+
+def least_violation(search, iterate, tolerance, is_late):
+    """("infeasible", the iterate where the violation is least), or ("restored", one where the equations hold).
+
+    Otherwise (what went wrong, the last iterate). The first says that no small change of the unknowns brings the
+    equations closer to zero, as far as first derivatives tell. The search begins inside the bounds, and its steps are
+    those of Newton: where residuals do not vanish, steps without the equations' curvature converge slowly or not at
+    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals.
+    """
+    grid, damping = search.grid, 0.0
+    inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
+    current = restoration_start(search, inside)
+    for _ in range(FEASIBILITY_STEPS):
+        if is_late():
+            return "time limit", current
+        point = current.point
+        if point.residual <= tolerance:
+            return "restored", current
+        pull = residual_gradient(grid, point)
+        damping = damping or first_damping(grid, point, pull)
+        error = restoration_error(search, current, pull)
+        if error <= STATIONARY * point.residual:
+            return "infeasible", current
+        if INEQUALITIES:
+            current = current._replace(mu=lower_weight(current.mu, error))
+        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True)
+        if taken is None:
+            return "stalled", current
+        current, damping = taken
+    return ("infeasible" if error <= NEARLY_STATIONARY * point.residual else "stalled"), current
 
 
 def restoration_start(search, iterate):
@@ -107,20 +142,25 @@ if INEQUALITIES:
         return nu
 
 
-def damped_step(search, current, pull, damping, largest):
-    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none."""
+def damped_step(search, current, pull, damping, largest, curved=False):
+    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none.
+
+    The step is Newton's where it is to be `curved`, else that of Gauss and Newton. To the former any decrease will do,
+    and none but rounding: close to bounds slopes promise more than a step can keep, and duals may still have to settle.
+    """
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
+    unknowns = np.where(grid.is_multiplier, point.gradient, point.unknowns) if curved else point.unknowns
     least = restoration_objective(grid, current)
     while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right, step)):
+        if is_factored(factor_kkt(grid, unknowns, 0.0, diagonal, search.system, right, step)):
             step[grid.is_multiplier] = 0.0
             taken = step_along(search, current, slopes, step, InertiaCorrection())
             trial = moved(search, current, taken, taken.longest)
-            expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
-            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
+            enough = 1e-15 * abs(least) if curved else 1e-4 * taken.longest * min(0.0, slopes @ step)
+            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + enough:
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
