@@ -29,6 +29,7 @@ from codegen.runtime.optimise import (
     restoration,
     saddle_points,
     unbounded,
+    warm_start,
 )
 from codegen.runtime.optimise.iteration_log import Log
 
@@ -42,7 +43,7 @@ LINEAR_ALGEBRA = {
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        loop = cascade, newton, newton_steps, line_search, restoration
+        loop = cascade, newton, newton_steps, line_search, restoration, warm_start
         others = barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement, saddle_points
         for module in (*loop, *others):
             for name in set(vars(module)) & LINEAR_ALGEBRA:
@@ -62,7 +63,7 @@ def dense_linear_algebra() -> Iterator[None]:
 @pytest.fixture
 def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop as a module has it where no unknown is bounded."""
-    for module in (cascade, newton, newton_steps, line_search, restoration):
+    for module in (cascade, newton, newton_steps, line_search, restoration, warm_start):
         monkeypatch.setattr(module, "INEQUALITIES", 0)
         monkeypatch.setattr(module, "UNBOUNDED", 0, raising=False)  # no search from nearby, which the barrier has not
         for name in set(vars(module)) & set(vars(unbounded)) - LINEAR_ALGEBRA - {"np"}:

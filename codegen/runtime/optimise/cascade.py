@@ -5,7 +5,7 @@ import numpy as np
 from codegen.runtime.optimise.bounded import (
     CASCADE,
     FROM_GUESS,
-    WARM,
+    FROM_NEIGHBOUR,
     Iterate,
     barrier_curvature,
     begin,
@@ -19,6 +19,7 @@ from codegen.runtime.optimise.newton import UNLUCKY, descend, restored
 from codegen.runtime.optimise.saddle_points import ESCAPES, LEFT, escape_steps, is_below
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.optimise.unbounded import NEARBY
+from codegen.runtime.optimise.warm_start import begin_nearby
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.point import evaluate
@@ -33,8 +34,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
-    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
-    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
+    succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
+    search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
+    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
     `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
     steps of the restoration are not counted. `known` is the point without multipliers, if it has been evaluated.
     """
@@ -44,8 +46,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
         if (lower > upper).any():
             return "infeasible", evaluate(grid, unknowns), 0
     primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
-    cascade = WARM if warm else FROM_GUESS, *CASCADE
-    if UNBOUNDED and known is not None:
+    cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *CASCADE
+    near = begin_nearby(search, unknowns, tolerance) if warm else None
+    if near is not None:
+        guess, cascade = near, (FROM_NEIGHBOUR, *cascade)
+    elif UNBOUNDED and known is not None:
         guess = Iterate(known)
     else:
         guess = begin(search, primal, cascade[0])
