@@ -29,8 +29,8 @@ MOST = 3000
 """Iterations at most, as for every solve."""
 WARM_UPS = 10
 """Solves of one iteration before the first sampling time, which are timed."""
-RESERVE = 0.6
-"""Time before a deadline in which no iteration begins, in parts of a solve of one iteration, which factors twice."""
+RESERVE = 0.7
+"""Time before a deadline in which no iteration begins, in parts of a solve of one iteration, which factors once."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -36,9 +36,10 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
     succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
     search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
-    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
-    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
-    steps of the restoration are not counted. `known` is the point without multipliers, if it has been evaluated.
+    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
+    appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
+    searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
+    been evaluated.
     """
     search, first, total = search_on(grid), None, 0
     if INEQUALITIES:
@@ -47,13 +48,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
             return "infeasible", evaluate(grid, unknowns), 0
     primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
     cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *CASCADE
-    near = begin_nearby(search, unknowns, tolerance) if warm else None
-    if near is not None:
-        guess, cascade = near, (FROM_NEIGHBOUR, *cascade)
-    elif UNBOUNDED and known is not None:
-        guess = Iterate(known)
+    guess = begin_nearby(search, unknowns, tolerance) if warm else None
+    if guess is not None:
+        cascade = FROM_NEIGHBOUR, *cascade
     else:
-        guess = begin(search, primal, cascade[0])
+        guess = first_iterate(search, primal, cascade[0], known)
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
@@ -77,6 +76,14 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
         return status, within_bounds(search, iterate, tolerance), total
     else:
         return status, iterate.point, total
+
+
+def first_iterate(search, unknowns, attempt, known):
+    """The iterate without multipliers at a guess, whose point may be `known`."""
+    if UNBOUNDED and known is not None:
+        return Iterate(known)
+    else:
+        return begin(search, unknowns, attempt)
 
 
 if UNBOUNDED:
