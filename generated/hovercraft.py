@@ -2011,7 +2011,7 @@ class Attempt(NamedTuple):
 
 
 FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
-WARM = FROM_GUESS  # Newton's method needs no telling
+FROM_NEIGHBOUR = FROM_GUESS  # Newton's method needs no telling
 CASCADE = (
     Attempt(0.1, 1e-3, 2.0),
     Attempt(1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
@@ -2416,6 +2416,8 @@ def damped(damping, step, length, shortened):
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+FEASIBILITY_STEPS = 1000  # of the search for the least violation
+STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # part of the residual that the violation's slope is where it is least
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
 
@@ -2440,13 +2442,42 @@ def restore(search, iterate, reduction, filtered, is_late):
             return "infeasible", current
         taken = damped_step(search, current, pull, damping, largest)
         if taken is None:
-            return ("infeasible" if error <= 1e-3 * point.residual else "stalled"), current
+            return ("infeasible" if error <= NEARLY_STATIONARY * point.residual else "stalled"), current
         current, damping = taken
         if current.point.violation <= reduction * first:
             accepted = current
             if filtered.lets_pass(accepted.point.violation, barrier_objective(accepted)):
                 return "restored", accepted
     return "stalled", current
+
+
+def least_violation(search, iterate, tolerance, is_late):
+    """("infeasible", the iterate where the violation is least), or ("restored", one where the equations hold).
+
+    Otherwise (what went wrong, the last iterate). The first says that no small change of the unknowns brings the
+    equations closer to zero, as far as first derivatives tell. The search begins inside the bounds, and its steps are
+    those of Newton: where residuals do not vanish, steps without the equations' curvature converge slowly or not at
+    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals.
+    """
+    grid, damping = search.grid, 0.0
+    inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
+    current = restoration_start(search, inside)
+    for _ in range(FEASIBILITY_STEPS):
+        if is_late():
+            return "time limit", current
+        point = current.point
+        if point.residual <= tolerance:
+            return "restored", current
+        pull = residual_gradient(grid, point)
+        damping = damping or first_damping(grid, point, pull)
+        error = restoration_error(search, current, pull)
+        if error <= STATIONARY * point.residual:
+            return "infeasible", current
+        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True)
+        if taken is None:
+            return "stalled", current
+        current, damping = taken
+    return ("infeasible" if error <= NEARLY_STATIONARY * point.residual else "stalled"), current
 
 
 def restoration_start(search, iterate):
@@ -2478,20 +2509,25 @@ def restoration_error(search, current, pull):
     return np.abs(pull).max()
 
 
-def damped_step(search, current, pull, damping, largest):
-    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none."""
+def damped_step(search, current, pull, damping, largest, curved=False):
+    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none.
+
+    The step is Newton's where it is to be `curved`, else that of Gauss and Newton. To the former any decrease will do,
+    and none but rounding: close to bounds slopes promise more than a step can keep, and duals may still have to settle.
+    """
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
+    unknowns = np.where(grid.is_multiplier, point.gradient, point.unknowns) if curved else point.unknowns
     least = restoration_objective(grid, current)
     while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
-        if is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, right, step)):
+        if is_factored(factor_kkt(grid, unknowns, 0.0, diagonal, search.system, right, step)):
             step[grid.is_multiplier] = 0.0
             taken = step_along(search, current, slopes, step, InertiaCorrection())
             trial = moved(search, current, taken, taken.longest)
-            expected = 1e-4 * taken.longest * min(0.0, slopes @ step)
-            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + expected:
+            enough = 1e-15 * abs(least) if curved else 1e-4 * taken.longest * min(0.0, slopes @ step)
+            if trial.point.error < np.inf and restoration_objective(grid, trial) <= least + enough:
                 return trial, max(damping / 5.0, 1e-12)
         damping = max(8.0 * damping, 1e-8)
     return None
@@ -2509,6 +2545,30 @@ def sum_of_squares(grid, point):
     return 0.5 * (residual @ residual)
 
 
+# How a search begins at a neighbour's solution: with its multipliers, and duals of bounds that follow from them.
+#
+# Estimates by least squares are off by what the cost's and equations' curvature makes of it, and cost an iteration or
+# two. The barrier's weight begins where it ends, so that the path to the solution is not walked again, and unknowns stay
+# where they are, close to their bounds. Far from the equations both are worse than to begin anew: then bounds that become
+# active cut step after step short.
+
+NEAR = 0.1  # residuals above it are far: a pushed cart-pole then takes 8 iterations either way, 19 at most and not 16
+
+
+def has_multipliers(grid, unknowns):
+    """Whether any multiplier is not zero."""
+    return bool(unknowns[grid.is_multiplier].any())
+
+
+def begin_nearby(search, unknowns, tolerance):
+    """An iterate at a neighbour's unknowns, multipliers among them; None without any, or far from the equations."""
+    grid = search.grid
+    if not has_multipliers(grid, unknowns):
+        return None
+    iterate = Iterate(evaluate(grid, unknowns))
+    return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
+
+
 # Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior point method.
 #
 # Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
@@ -2517,23 +2577,31 @@ def sum_of_squares(grid, point):
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+PROGRESS = 0.5  # part of the error that a step leaves at most, of those that are worth more
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 
 
 def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
-    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
+    """Follow Newton's steps from an iterate; return (status, iterate, iterations).
+
+    Multipliers that are all zero are estimated; others are those of a neighbour.
 
     With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
     Beside a saddle point whose cost is `known`, the search ends as there once it is clear that it leads no lower.
     """
-    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
+    grid, is_warm, error = search.grid, has_multipliers(search.grid, iterate.point.unknowns), np.inf
+    if not is_warm:
+        iterate = with_least_squares_multipliers(search, iterate)
     course, first_cost = Globalisation(attempt, iterate.point.violation), abs(iterate.point.cost)
     late = 0  # iterations with the last weight
     for iteration in range(max_iterations + 1):
         log.append(grid, iterate.point, course.inertia.delta_w, course.length)
         converged = is_solved(grid, iterate.point, tolerance)
+        if is_warm:
+            converged = converged or is_at_rest(search, iterate, error, tolerance)
+            error = iterate.point.error
         # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
         doubtful = converged and (iteration == 0 or course.inertia.delta_w > 0.0)
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
@@ -2569,6 +2637,16 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
     if converged:
         return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
     return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+
+
+def is_at_rest(search, iterate, error, tolerance):
+    """Whether no more than rounding is left at an iterate, and the step to it, from an `error`, made little progress.
+
+    A search that begins near a solution may be there at once, and would go on until no step is accepted.
+    """
+    if iterate.point.error <= PROGRESS * error or not is_at_rounding_level(search.grid, iterate.point):
+        return False
+    return True
 
 
 def status_without_step(search, iterate, step, tolerance, is_last_weight):
@@ -2626,18 +2704,21 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
-    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
-    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
-    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
-    steps of the restoration are not counted. `known` is the point without multipliers, if it has been evaluated.
+    succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
+    search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
+    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
+    appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
+    searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
+    been evaluated.
     """
     search, first, total = search_on(grid), None, 0
     primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
-    cascade = WARM if warm else FROM_GUESS, *CASCADE
-    if known is not None:
-        guess = Iterate(known)
+    cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *CASCADE
+    guess = begin_nearby(search, unknowns, tolerance) if warm else None
+    if guess is not None:
+        cascade = FROM_NEIGHBOUR, *cascade
     else:
-        guess = begin(search, primal, cascade[0])
+        guess = first_iterate(search, primal, cascade[0], known)
     if guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
@@ -2656,8 +2737,36 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
             first = status, iterate  # equations that contradict each other are dependent as well
         if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
             break
-    status, iterate = (status, iterate) if status == "solved" else first
+    if status != "solved":
+        status, iterate = first
+    if status in ("stalled", "infeasible") and iterate.point.residual > VIOLATED and total < max_iterations:
+        left = max_iterations - total
+        status, iterate, iterations = from_least_violation(search, iterate, status, tolerance, left, log)
+        total += iterations
     return status, iterate.point, total
+
+
+def from_least_violation(search, iterate, status, tolerance, max_iterations, log):
+    """(status, iterate, iterations) after the violation has been brought to its minimum nearby.
+
+    Where that is not zero, nothing near the iterate obeys the equations: it is "infeasible", and not only a search that
+    has `status` because it found no way on. Where they hold, a last search begins there.
+    """
+    found, least = least_violation(search, iterate, tolerance, log.is_late)
+    if found == "infeasible":
+        return found, least, 0
+    if found != "restored":
+        return status, iterate, 0
+    ended, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, max_iterations, log)
+    return (ended, last, iterations) if ended == "solved" else (status, iterate, iterations)
+
+
+def first_iterate(search, unknowns, attempt, known):
+    """The iterate without multipliers at a guess, whose point may be `known`."""
+    if known is not None:
+        return Iterate(known)
+    else:
+        return begin(search, unknowns, attempt)
 
 
 def is_gross(grid, point):
@@ -3066,6 +3175,7 @@ def escape_steps(grid, unknowns, curvature, escapes):
 # The word for how a solution ended, corrected by what can be seen only afterwards.
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # the like where equations are said to hold, but leave residuals above the former
 FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -3076,10 +3186,13 @@ HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 def final_status(grid, guess, point, status):
     """The status that a solver gave, or a better one.
 
-    Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
-    hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
-    and are more than the unknowns, no better guess would help it.
+    Where unknowns grow and the cost falls, a duration is not positive, or equations hold by the rounding of unknowns
+    that have run away, the problem is unbounded. Where the equations hold, a solver that cannot go on has not found
+    them infeasible, but dependent on each other. Where they do not hold and are more than the unknowns, no better guess
+    would help it.
     """
+    if status == "solved" and has_run_away(grid, guess, point):
+        return "unbounded"
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
@@ -3095,6 +3208,17 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
+
+
+def has_run_away(grid, guess, point):
+    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+
+    Far out any residual is rounding, and a motion that ends there obeys nothing.
+    """
+    if point.residual <= ROUNDED:
+        return False
+    largest, first = np.abs(point.unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
+    return largest > RUN_AWAY * max(1.0, first)
 
 
 def unscaled_unknowns(grid, unknowns):
@@ -3158,8 +3282,8 @@ REMEDIES = {
     "saddle point": "this point is stationary, but no minimum; start from another guess",
     "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
-    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
-    " relax a condition or bound",
+    "infeasible": "nothing nearby satisfies the equations; relax a condition or bound, change the duration or the"
+    " steps, or start from another guess",
 }
 LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
@@ -3168,10 +3292,15 @@ NAMED = 3  # how many equations a message names
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all {reached(point)}"
     if grid.sizes.size:
         grid = plain_grid(grid)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def reached(point):
+    """How far the equations hold, and the optimality conditions."""
+    return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
 
 
 def finding(grid, guess, point, status):
@@ -3187,8 +3316,7 @@ def finding(grid, guess, point, status):
     if status == "unbounded":
         return diverging_unknown(grid, guess, point)
     if status == "time limit":
-        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
-        return f"{reached}; {worst_row(grid, point)}"
+        return f"{reached(point)} so far; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 
@@ -3793,7 +3921,8 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         same = same._replace(stationarity=slope, error=max(same.residual, slope))
         if is_solved(finer, same, tolerance) or same.error <= tolerance:
             return "solved", finer, begin, same, total
-        status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
+        bare = np.where(grid.is_multiplier, 0.0, begin)  # multipliers were found by coarse measures
+        status, better, iterations = minimise(finer, bare, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
             found = ("solved", grid, start, point) if same.error <= VIOLATED else (status, finer, begin, better)
@@ -4196,7 +4325,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_b215d0d98ef168ef"
+_IDENTITY = "codegen_hovercraft_58c2fee0784003d7"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

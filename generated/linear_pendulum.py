@@ -1652,6 +1652,7 @@ def negative_curvature_direction(grid, unknowns, curvature=0.0):
 # The word for how a solution ended, corrected by what can be seen only afterwards.
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # the like where equations are said to hold, but leave residuals above the former
 FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -1662,10 +1663,13 @@ HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 def final_status(grid, guess, point, status):
     """The status that a solver gave, or a better one.
 
-    Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
-    hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
-    and are more than the unknowns, no better guess would help it.
+    Where unknowns grow and the cost falls, a duration is not positive, or equations hold by the rounding of unknowns
+    that have run away, the problem is unbounded. Where the equations hold, a solver that cannot go on has not found
+    them infeasible, but dependent on each other. Where they do not hold and are more than the unknowns, no better guess
+    would help it.
     """
+    if status == "solved" and has_run_away(grid, guess, point):
+        return "unbounded"
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
@@ -1679,6 +1683,17 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
+
+
+def has_run_away(grid, guess, point):
+    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+
+    Far out any residual is rounding, and a motion that ends there obeys nothing.
+    """
+    if point.residual <= ROUNDED:
+        return False
+    largest, first = np.abs(point.unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
+    return largest > RUN_AWAY * max(1.0, first)
 
 
 def unscaled_unknowns(grid, unknowns):
@@ -1742,8 +1757,8 @@ REMEDIES = {
     "saddle point": "this point is stationary, but no minimum; start from another guess",
     "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
-    "infeasible": "the equations cannot be satisfied near the guess; change the guess, the duration or the steps, or"
-    " relax a condition or bound",
+    "infeasible": "nothing nearby satisfies the equations; relax a condition or bound, change the duration or the"
+    " steps, or start from another guess",
 }
 LONGEST = 80  # characters of a condition that a message quotes
 NAMED = 3  # how many equations a message names
@@ -1752,8 +1767,13 @@ NAMED = 3  # how many equations a message names
 def describe(grid, guess, point, status):
     """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
     if status == "solved":
-        return status, f"all equations hold to {point.error:.1e}"
+        return status, f"all {reached(point)}"
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def reached(point):
+    """How far the equations hold, and the optimality conditions."""
+    return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
 
 
 def finding(grid, guess, point, status):
@@ -1769,8 +1789,7 @@ def finding(grid, guess, point, status):
     if status == "unbounded":
         return diverging_unknown(grid, guess, point)
     if status == "time limit":
-        reached = f"equations hold to {point.residual:.1e} so far, optimality conditions to {point.stationarity:.1e}"
-        return f"{reached}; {worst_row(grid, point)}"
+        return f"{reached(point)} so far; {worst_row(grid, point)}"
     return worst_row(grid, point)
 
 
@@ -2231,7 +2250,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_a9f19245e2bec30e"
+_IDENTITY = "codegen_linear_pendulum_ed1dce7fb7056af8"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

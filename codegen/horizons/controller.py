@@ -17,7 +17,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.horizons.interface import Interface, interface_of, module_of, number
-from codegen.horizons.judgement import BestIterate, better, candidate, is_solution
+from codegen.horizons.judgement import BestIterate, FirstIterate, better, candidate, is_solution
 from codegen.horizons.options import Options
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
@@ -29,8 +29,11 @@ MOST = 3000
 """Iterations at most, as for every solve."""
 WARM_UPS = 10
 """Solves of one iteration before the first sampling time, which are timed."""
-RESERVE = 0.6
-"""Time before a deadline in which no iteration begins, in parts of a solve of one iteration, which factors twice."""
+RESERVE = 1.4
+"""Time before a deadline in which no iteration begins, in parts of that from an iterate to the next one's verdict.
+
+Where time runs out, two more plans are evaluated.
+"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,7 +117,8 @@ class Controller:
         self.last: Feedback | None = None
         self._plan: Vector | None = None
         self._feasible = math.sqrt(tolerance)
-        self._lock, self._scaling, self._reserve, self._is_plain = Lock(), scaling, 0.0, False
+        self._lock, self._scaling, self._is_plain = Lock(), scaling, False
+        self._beginning = self._reserve = 0.0
         self._warm_up(grid)
 
     def step(self, state: Any, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
@@ -165,7 +169,7 @@ class Controller:
         found, status, iterations = None, "time limit", 0
         message = f"{status}: there was no time for an iteration"
         log = BestIterate(limit, self._feasible)
-        if limit > 0.0:
+        if limit > self._beginning:
             most = None if is_first else self.options.newton_steps
             status, message, unknowns, iterations = self._solve(grid, guess, not is_first, log, most)
             best = found = candidate(module, grid, unknowns)
@@ -238,10 +242,11 @@ class Controller:
             is_ordinary = not self.module.scaled_grid(grid, unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
         self._is_plain = self._scaling == "none" and not hasattr(self.module, "tables_beyond")
-        seconds = []
+        beginnings, rests = [], []
         for _ in range(WARM_UPS):
-            begin = perf_counter()
-            again = self._solve(grid, self._shifted(grid, unknowns), True, BestIterate(math.inf, 0.0), 1)[2]
+            guess, log = self._shifted(grid, unknowns), FirstIterate()
+            again = self._solve(grid, guess, True, log, 1)[2]
             candidate(self.module, grid, again)
-            seconds.append(perf_counter() - begin)
-        self._reserve = RESERVE * min(seconds)
+            beginnings.append(log.first - log.begin)
+            rests.append(perf_counter() - log.first)
+        self._beginning, self._reserve = min(beginnings), RESERVE * min(rests)

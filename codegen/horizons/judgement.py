@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -44,6 +45,20 @@ class BestIterate:
     def is_late(self) -> bool:
         """Whether the time is up."""
         return perf_counter() > self._end
+
+
+class FirstIterate(BestIterate):
+    """A log that notes when the search is first at an iterate, from which on it may end; a linear one never asks."""
+
+    def __init__(self) -> None:
+        super().__init__(math.inf, 0.0)
+        self.begin = self.first = perf_counter()
+
+    def is_late(self) -> bool:
+        """There is time."""
+        if self.first == self.begin:
+            self.first = perf_counter()
+        return False
 
 
 def candidate(module: Any, grid: Grid, unknowns: Vector) -> Candidate:

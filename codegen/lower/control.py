@@ -256,7 +256,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
     if not derivatives.linear_quadratic:
         kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
         solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "line_search", "restoration")
-        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "newton", "cascade")
+        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "warm_start", "newton", "cascade")
     return (
         "arrays", "times", *(("inner_number",) if program.inner.times else ()),
         *(("shared",) if program.shared else ()),

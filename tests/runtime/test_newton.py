@@ -29,6 +29,7 @@ from codegen.runtime.optimise import (
     restoration,
     saddle_points,
     unbounded,
+    warm_start,
 )
 from codegen.runtime.optimise.iteration_log import Log
 
@@ -42,7 +43,7 @@ LINEAR_ALGEBRA = {
 def dense_linear_algebra() -> Iterator[None]:
     """Give the runtime the functions of `dense_problem` where a generated module has its own."""
     with pytest.MonkeyPatch.context() as patch:
-        loop = cascade, newton, newton_steps, line_search, restoration
+        loop = cascade, newton, newton_steps, line_search, restoration, warm_start
         others = barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement, saddle_points
         for module in (*loop, *others):
             for name in set(vars(module)) & LINEAR_ALGEBRA:
@@ -62,7 +63,7 @@ def dense_linear_algebra() -> Iterator[None]:
 @pytest.fixture
 def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop as a module has it where no unknown is bounded."""
-    for module in (cascade, newton, newton_steps, line_search, restoration):
+    for module in (cascade, newton, newton_steps, line_search, restoration, warm_start):
         monkeypatch.setattr(module, "INEQUALITIES", 0)
         monkeypatch.setattr(module, "UNBOUNDED", 0, raising=False)  # no search from nearby, which the barrier has not
         for name in set(vars(module)) & set(vars(unbounded)) - LINEAR_ALGEBRA - {"np"}:
@@ -243,6 +244,64 @@ def test_warm_start_takes_fewer_iterations() -> None:
     assert status == "solved"
     assert point.cost == pytest.approx(2.0 * np.sqrt(1.02), rel=1e-9)
     assert iterations < cold[2]
+
+
+def test_a_solution_is_where_a_search_with_its_multipliers_ends() -> None:
+    """Its own multipliers leave nothing to do, but to move unknowns back onto their bounds."""
+    grid = transcribe(double_integrator(), 20)
+    _, point, _ = solve(grid)
+    status, same, iterations = solve(grid, warm=True, guess=point.unknowns)
+    bare = np.where(grid.is_multiplier, 0.0, point.unknowns)
+    assert status == "solved"
+    assert iterations <= 1 < solve(grid, warm=True, guess=bare)[2]
+    assert same.cost == pytest.approx(point.cost, rel=1e-9)
+
+
+@pytest.mark.usefixtures("without_bounds")
+def test_steps_that_change_rounding_alone_end_a_search_that_is_warm() -> None:
+    """Where the tolerance is out of reach; half of an error is progress, and what is no rounding has to go."""
+    grid = nlp((3, 3), (x1 - 1) ** 2 + exp(-x2), [exp(x1) * x2 - 1])
+    _, point, _ = solve(grid)
+    search = unbounded.search_on(grid)
+
+    def rests(stationarity: float, before: float) -> bool:
+        found = point._replace(residual=0.0, stationarity=stationarity, error=stationarity)
+        return newton.is_at_rest(search, unbounded.Iterate(found), before, 1e-30)
+
+    assert rests(1e-15, 1.5e-15)
+    assert not rests(1e-15, 1e-14)
+    assert not rests(1e-6, 1.5e-6)
+
+
+def test_duals_of_a_neighbour_are_slopes_towards_bounds_that_are_closer() -> None:
+    """min x1 + (x2 - 3)^2 with x1 >= 0 and x2 <= 2 has the slopes 1 and -2 at (0, 2), where x3 is free to be 5."""
+    grid = nlp((0, 2, 5), x1 + (x2 - 3) ** 2 + (x3 - 5) ** 2, [x1 + x2 + x3 - 7], [], {
+        x1: POSITIVE, x2: (-INFINITY, 2), x3: POSITIVE,
+    })  # fmt: skip
+    search = bounded.search_on(grid)
+    unknowns = grid.guess.copy()
+    unknowns[grid.is_multiplier] = 1e-9  # of an equation that is not worth anything
+    iterate = warm_start.begin_nearby(search, unknowns, 1e-8)
+    values = dict(zip(search.bounds.indices.tolist(), iterate.duals, strict=True))
+    first, second, third = np.flatnonzero(~grid.is_multiplier)[:3]
+    assert values[first] == pytest.approx(1.0, abs=1e-6)
+    assert values[second] == pytest.approx(2.0, abs=1e-6)
+    assert values[third] == pytest.approx(1e-9 / 5.0, rel=1e-6)  # on the central path
+
+
+def test_far_from_the_equations_a_search_estimates_multipliers() -> None:
+    """Beyond a residual of a tenth, or where there are none, those of a neighbour are not used."""
+    grid = transcribe(double_integrator(), 20)
+    _, point, _ = solve(grid)
+    search, primal = bounded.search_on(grid), np.flatnonzero(~grid.is_multiplier & grid.free)
+    assert warm_start.begin_nearby(search, point.unknowns, 1e-10) is not None
+    assert warm_start.begin_nearby(search, np.where(grid.is_multiplier, 0.0, point.unknowns), 1e-10) is None
+    away = point.unknowns.copy()
+    away[primal[:4]] += 1.0
+    assert warm_start.begin_nearby(search, away, 1e-10) is None
+    status, found, _ = solve(grid, warm=True, guess=away)
+    assert status == "solved"
+    assert found.cost == pytest.approx(point.cost, rel=1e-9)
 
 
 def test_unknowns_stay_inside_in_spite_of_rounding() -> None:

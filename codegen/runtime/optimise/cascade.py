@@ -5,7 +5,7 @@ import numpy as np
 from codegen.runtime.optimise.bounded import (
     CASCADE,
     FROM_GUESS,
-    WARM,
+    FROM_NEIGHBOUR,
     Iterate,
     barrier_curvature,
     begin,
@@ -21,6 +21,7 @@ from codegen.runtime.optimise.saddle_points import ESCAPES, LEFT, escape_steps, 
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.optimise.termination import VIOLATED
 from codegen.runtime.optimise.unbounded import NEARBY
+from codegen.runtime.optimise.warm_start import begin_nearby
 from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.point import evaluate
@@ -35,10 +36,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
-    succeeds, the end of the first one is reported. With `warm`, the barrier of bounds begins with a small weight and
-    leaves unknowns close to them. A row (cost, residual, stationarity, Hessian's shift, step length) is appended to
-    `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all searches together;
-    steps of the restoration are not counted. `known` is the point without multipliers, if it has been evaluated.
+    succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
+    search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
+    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
+    appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
+    searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
+    been evaluated.
     """
     search, first, total = search_on(grid), None, 0
     if INEQUALITIES:
@@ -46,11 +49,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
         if (lower > upper).any():
             return "infeasible", evaluate(grid, unknowns), 0
     primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
-    cascade = WARM if warm else FROM_GUESS, *CASCADE
-    if UNBOUNDED and known is not None:
-        guess = Iterate(known)
+    cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *CASCADE
+    guess = begin_nearby(search, unknowns, tolerance) if warm else None
+    if guess is not None:
+        cascade = FROM_NEIGHBOUR, *cascade
     else:
-        guess = begin(search, primal, cascade[0])
+        guess = first_iterate(search, primal, cascade[0], known)
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
@@ -94,6 +98,14 @@ def from_least_violation(search, iterate, status, tolerance, max_iterations, log
         return status, iterate, 0
     ended, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, max_iterations, log)
     return (ended, last, iterations) if ended == "solved" else (status, iterate, iterations)
+
+
+def first_iterate(search, unknowns, attempt, known):
+    """The iterate without multipliers at a guess, whose point may be `known`."""
+    if UNBOUNDED and known is not None:
+        return Iterate(known)
+    else:
+        return begin(search, unknowns, attempt)
 
 
 if UNBOUNDED:

@@ -30,9 +30,11 @@ from codegen.runtime.optimise.negative_curvature import FLAT
 from codegen.runtime.optimise.restoration import restore
 from codegen.runtime.optimise.saddle_points import is_below, is_nearly_stationary
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
+from codegen.runtime.optimise.warm_start import has_multipliers
 from codegen.runtime.stand_ins.example import INEQUALITIES
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+PROGRESS = 0.5  # part of the error that a step leaves at most, of those that are worth more
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 if INEQUALITIES:
     LARGEST = 1e20  # unknowns beyond it are taken for infinite
@@ -41,14 +43,18 @@ if INEQUALITIES:
 
 
 def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
-    """Follow Newton's steps from an iterate without multipliers; return (status, iterate, iterations).
+    """Follow Newton's steps from an iterate; return (status, iterate, iterations).
+
+    Multipliers that are all zero are estimated; others are those of a neighbour.
 
     With bounds, the barrier's weight is lowered where its minimum is reached. The weight ends at a fortieth of the
     tolerance, so that each complementarity is far below it, as in (5); by their sum the cost of an optimum is
     corrected. Where rounding does not allow the tolerance, the optimality conditions are relative to the multipliers.
     Beside a saddle point whose cost is `known`, the search ends as there once it is clear that it leads no lower.
     """
-    grid, iterate = search.grid, with_least_squares_multipliers(search, iterate)
+    grid, is_warm, error = search.grid, has_multipliers(search.grid, iterate.point.unknowns), np.inf
+    if not is_warm:
+        iterate = with_least_squares_multipliers(search, iterate)
     course, first_cost = Globalisation(attempt, iterate.point.violation), abs(iterate.point.cost)
     late = 0  # iterations with the last weight
     if INEQUALITIES:
@@ -61,6 +67,9 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
         else:
             log.append(grid, iterate.point, course.inertia.delta_w, course.length)
             converged = is_solved(grid, iterate.point, tolerance)
+        if is_warm:
+            converged = converged or is_at_rest(search, iterate, error, tolerance)
+            error = iterate.point.error
         # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
         doubtful = converged and (iteration == 0 or course.inertia.delta_w > 0.0)
         status = status_of(search, iterate, tolerance, converged, doubtful, first_cost)
@@ -108,6 +117,19 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
     if converged:
         return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
     return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+
+
+def is_at_rest(search, iterate, error, tolerance):
+    """Whether no more than rounding is left at an iterate, and the step to it, from an `error`, made little progress.
+
+    A search that begins near a solution may be there at once, and would go on until no step is accepted.
+    """
+    if iterate.point.error <= PROGRESS * error or not is_at_rounding_level(search.grid, iterate.point):
+        return False
+    if INEQUALITIES:
+        return is_closed(search, iterate, tolerance)
+    else:
+        return True
 
 
 def status_without_step(search, iterate, step, tolerance, is_last_weight):

@@ -89,7 +89,8 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         same = same._replace(stationarity=slope, error=max(same.residual, slope))
         if is_solved(finer, same, tolerance) or same.error <= tolerance:
             return "solved", finer, begin, same, total
-        status, better, iterations = minimise(finer, begin, tolerance, max_iterations - total, True, log)
+        bare = np.where(grid.is_multiplier, 0.0, begin)  # multipliers were found by coarse measures
+        status, better, iterations = minimise(finer, bare, tolerance, max_iterations - total, True, log)
         total += iterations
         if status != "solved":
             found = ("solved", grid, start, point) if same.error <= VIOLATED else (status, finer, begin, better)

@@ -29,7 +29,7 @@ class Attempt(NamedTuple):
 
 
 FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
-WARM = FROM_GUESS  # Newton's method needs no telling
+FROM_NEIGHBOUR = FROM_GUESS  # Newton's method needs no telling
 CASCADE = (
     Attempt(0.1, 1e-3, 2.0),
     Attempt(1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone

@@ -1,0 +1,62 @@
+"""How a search begins at a neighbour's solution: with its multipliers, and duals of bounds that follow from them.
+
+Estimates by least squares are off by what the cost's and equations' curvature makes of it, and cost an iteration or
+two. The barrier's weight begins where it ends, so that the path to the solution is not walked again, and unknowns stay
+where they are, close to their bounds. Far from the equations both are worse than to begin anew: then bounds that become
+active cut step after step short.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.optimise.barrier import push_inside, relaxation, sum_of_logarithms
+from codegen.runtime.optimise.bounded import Iterate
+from codegen.runtime.stand_ins.example import INEQUALITIES, TIED
+from codegen.runtime.unknowns.point import evaluate
+from codegen.runtime.unknowns.tied import with_tied_values
+
+NEAR = 0.1  # residuals above it are far: a pushed cart-pole then takes 8 iterations either way, 19 at most and not 16
+if INEQUALITIES:
+    # Weights between it and a thousand times as much take an iteration more: they have yet to be lowered once.
+    PART = 0.1  # of the tolerance is the weight of the barrier
+    CLOSE = 1e-8  # unknowns are at least so far inside their bounds: closer than the weight's own distances
+
+
+def has_multipliers(grid, unknowns):
+    """Whether any multiplier is not zero."""
+    return bool(unknowns[grid.is_multiplier].any())
+
+
+def begin_nearby(search, unknowns, tolerance):
+    """An iterate at a neighbour's unknowns, multipliers among them; None without any, or far from the equations."""
+    grid = search.grid
+    if not has_multipliers(grid, unknowns):
+        return None
+    if INEQUALITIES:
+        bounds, mu = search.bounds, PART * tolerance
+        unknowns = push_inside(*search.box, unknowns, CLOSE)
+        if TIED:
+            unknowns = with_tied_values(grid, unknowns)
+        point, duals = evaluate(grid, unknowns), np.empty(bounds.side.size)
+        distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
+        distance += relaxation(mu, search.least) * bounds.magnitude
+        logarithms = fill_duals(point.gradient, bounds.indices, bounds.side, distance, mu, duals)
+        iterate = Iterate(point, mu, distance, logarithms, duals)
+    else:
+        iterate = Iterate(evaluate(grid, unknowns))
+    return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
+
+
+if INEQUALITIES:
+
+    @njit(cache=True, error_model="numpy")
+    def fill_duals(gradient, indices, side, distance, mu, duals):
+        """Fill `duals` (bounds,); return the sum of the logarithms of distances.
+
+        Where the Lagrangian falls towards a bound, by more than the distance to it, the bound is active, and its dual
+        is that slope; the others are on the central path.
+        """
+        for j in range(indices.size):
+            slope = side[j] * gradient[indices[j]]
+            duals[j] = slope if slope > distance[j] else min(mu / distance[j], 1e3)
+        return sum_of_logarithms(distance)
