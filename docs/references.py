@@ -1,0 +1,71 @@
+"""What is known of the problems of the gallery, from the references of the tests, in one form; and where records are."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PROBLEMS = ROOT / "problems"
+STORED = ROOT / "docs" / "gallery" / "stored"
+if str(ROOT / "tests") not in sys.path:
+    sys.path.append(str(ROOT / "tests"))
+
+from gallery_references import REFERENCES
+from published_references import PUBLISHED
+
+
+@dataclass(frozen=True)
+class Known:
+    """A value from elsewhere: `factor` times the cost is at most `allowed` away from `value`.
+
+    `optimum` is the least cost of the same discrete program on `steps` intervals, by CasADi and IPOPT.
+    """
+
+    value: float
+    allowed: float
+    source: str
+    factor: float = 1.0
+    optimum: float | None = None
+    steps: int | None = None
+    scheme: str | None = None
+    arguments: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """The options with which the problem is solved, as on the command line."""
+        words = [f"--set {key}={value}" for key, value in self.arguments.items()]
+        words += [f"--scheme {self.scheme}"] if self.scheme else []
+        words += [f"--steps {self.steps}"] if self.steps else []
+        return " ".join(words) or "as it is"
+
+
+def known_of(problem: str) -> list[Known]:
+    """All that is known of a problem."""
+    ours = [
+        Known(
+            own.value, own.error, own.source, optimum=own.optima[max(own.optima)], steps=max(own.optima),
+            scheme=own.scheme, arguments=own.arguments,
+        )
+        for own in REFERENCES
+        if own.problem == problem
+    ]  # fmt: skip
+    published = [
+        Known(own.value, own.tolerance * abs(own.value), own.source, own.factor, arguments=own.arguments)
+        for own in PUBLISHED
+        if own.problem == problem
+    ]
+    return ours + published
+
+
+def problem_files() -> list[Path]:
+    """The files of the gallery, those of the project first."""
+    return [*sorted(PROBLEMS.glob("*.py")), *sorted((PROBLEMS / "published").glob("*.py"))]
+
+
+def digest(path: Path) -> str:
+    """A digest of a problem file, which changes when the problem does."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
