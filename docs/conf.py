@@ -54,4 +54,5 @@ nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_execution_in_temp = True
 nb_merge_streams = True
+nb_output_stderr = "remove"
 nb_mime_priority_overrides = [("html", "text/markdown", 0), ("html", "text/latex", 1)]

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PROBLEMS = ROOT / "problems"
@@ -16,6 +17,9 @@ if str(ROOT / "tests") not in sys.path:
 
 from gallery_references import REFERENCES
 from published_references import PUBLISHED
+
+DISCRETE = 1e-7
+"""Relative; by as much a cost may differ from another program's optimum of the same discrete problem."""
 
 
 @dataclass(frozen=True)
@@ -69,3 +73,14 @@ def problem_files() -> list[Path]:
 def digest(path: Path) -> str:
     """A digest of a problem file, which changes when the problem does."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def misses(known: Known, case: dict[str, Any]) -> str:
+    """Why a value does not agree with what is known, or nothing."""
+    if case["status"] != "solved":
+        return f"is {case['status']}"
+    if abs(known.factor * case["cost"] - known.value) > known.allowed:
+        return f"gives {known.factor * case['cost']}, known is {known.value}"
+    if known.optimum is not None and abs(case["cost"] - known.optimum) > DISCRETE * max(1, abs(known.optimum)):
+        return f"gives {case['cost']}, CasADi and IPOPT {known.optimum}"
+    return ""

@@ -9,14 +9,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from references import PROBLEMS, ROOT, STORED, Known, digest, known_of, problem_files
+from references import PROBLEMS, ROOT, STORED, digest, known_of, misses, problem_files
 from sphinx.errors import ExtensionError
 from sphinx.util import logging
 
 logger = logging.getLogger(__name__)
 DOCS = ROOT / "docs"
-DISCRETE = 1e-7
-"""Relative; by as much a cost may differ from another program's optimum of the same discrete problem."""
 
 
 def write(path: Path, text: str) -> None:
@@ -38,17 +36,6 @@ def read_record(path: Path) -> dict[str, Any] | None:
     if read["digest"] != digest(path):
         logger.warning("%s has changed since it was recorded; run: python docs/record.py", path.name)
     return read
-
-
-def misses(known: Known, case: dict[str, Any]) -> str:
-    """Why a value does not agree with what is known, or nothing."""
-    if case["status"] != "solved":
-        return f"is {case['status']}"
-    if abs(known.factor * case["cost"] - known.value) > known.allowed:
-        return f"gives {known.factor * case['cost']}, known is {known.value}"
-    if known.optimum is not None and abs(case["cost"] - known.optimum) > DISCRETE * max(1, abs(known.optimum)):
-        return f"gives {case['cost']}, CasADi and IPOPT {known.optimum}"
-    return ""
 
 
 def mathematics(path: Path) -> str:
