@@ -20,7 +20,7 @@ sys.path.append(str(DOCS))
 
 from references import STORED, digest, known_of, misses, problem_files
 
-MADE = {DOCS / "reference" / "commands.md", DOCS / "gallery" / "index.md"}
+MADE = {DOCS / "reference" / "commands.md", DOCS / "gallery" / "index.md", DOCS / "benchmarks.md"}
 MADE |= {DOCS / "gallery" / f"{path.stem}.md" for path in problem_files()}
 """Pages that are made when the site is built."""
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts and path not in MADE)

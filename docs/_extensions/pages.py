@@ -160,7 +160,7 @@ def gallery(stamp: str) -> None:
 def card(name: str, title: str, has_figure: bool) -> str:
     """A figure with a link and a title, or these alone."""
     if not has_figure:
-        return f":::{{div}} card\n[{name}]({name}.md): {title}\n:::"
+        return f":::{{container}} card\n[{name}]({name}.md): {title}\n:::"
     return (
         f":::{{figure}} stored/{name}.png\n:alt: Figure of {name}\n:loading: lazy\n:figclass: card\n\n"
         f"[{name}]({name}.md): {title}\n:::"
@@ -212,11 +212,36 @@ def choices(own: Any) -> str:
     return "|".join(str(each.value) for each in type(own.default)) if isinstance(own.default, Enum) else "VALUE"
 
 
+# Benchmarks.
+
+
+def benchmarks() -> str:
+    """The page of benchmarks with the figures that are on record for this version."""
+    record = json.loads(newest_figures().read_text(encoding="utf-8"))
+    own = record["environment"]
+    rows = [
+        f"| `{case['case']}` | {case['iterations']} | {1e3 * case['seconds']:.3g} | {case['lines']} |"
+        for case in record["cases"]
+    ]
+    machine = (
+        f"{own['processors']} cores of {own['processor']}, Python {own['python']}, numba {own['numba']}, numpy "
+        f"{own['numpy']}, at a load of {own['load of the machine when the page was made']}"
+    )
+    front = (DOCS / "benchmarks.in").read_text(encoding="utf-8")
+    return front.replace("@ROWS@", "\n".join(rows)).replace("@MACHINE@", machine)
+
+
+def newest_figures() -> Path:
+    """The record that `tests/figures.py` keeps of the newest version."""
+    return max((ROOT / "tests" / "figures").glob("*.json"), key=lambda path: [int(n) for n in path.stem.split(".")])
+
+
 def make(app: Any) -> None:
     """Write all pages that are made."""
     stamp = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
     gallery(stamp)
     write(DOCS / "reference" / "commands.md", commands())
+    write(DOCS / "benchmarks.md", benchmarks())
 
 
 def setup(app: Any) -> dict[str, bool]:
