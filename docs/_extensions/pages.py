@@ -112,7 +112,7 @@ def values_section(path: Path, record: dict[str, Any]) -> list[str]:
         other = "" if known.optimum is None else f"{known.optimum:.11g}"
         rows.append(
             f"| `{known.title}` | {computed:.11g} | {other} | {known.value:.11g} | {abs(computed - known.value):.1e} "
-            f"| {known.allowed:.1e} | {known.source} |"
+            f"| {known.allowed:.1e} | {known.source}{f'; **differs**: {known.differs}' if known.differs else ''} |"
         )
     return [
         "## Beside what is known",
