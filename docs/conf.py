@@ -39,6 +39,7 @@ html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "codegen"
 html_static_path = ["_static"]
+html_favicon = "_static/favicon.svg"
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_copy_source = False

@@ -153,7 +153,7 @@ def gallery(stamp: str) -> None:
     write(
         DOCS / "gallery" / "index.md",
         front.replace("@OWN@", "\n".join(cards[""])).replace("@PUBLISHED@", "\n".join(cards["published"]))
-        + "\n```{toctree}\n:hidden:\n\n" + "\n".join(pages) + "\n```\n",
+        + "\n```{toctree}\n:hidden:\n\n" + "\n".join(f"{name} <{name}>" for name in pages) + "\n```\n",
     )  # fmt: skip
 
 
