@@ -1,4 +1,4 @@
-"""How Sphinx makes the site: MyST pages, notebooks that are executed once, formulas as MathML, nothing from elsewhere."""
+"""How Sphinx makes the site: MyST pages, notebooks that are executed, formulas as MathML, nothing from elsewhere."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""What is known of the problems of the gallery, from the references of the tests, in one form; and where records are."""
+"""What is known of the problems of the gallery, from the references of the tests; and where records are."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-PROBLEMS = ROOT / "problems"
-STORED = ROOT / "docs" / "gallery" / "stored"
-if str(ROOT / "tests") not in sys.path:
-    sys.path.append(str(ROOT / "tests"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
 from gallery_references import REFERENCES
 from published_references import PUBLISHED
+
+ROOT = Path(__file__).resolve().parents[1]
+PROBLEMS = ROOT / "problems"
+STORED = ROOT / "docs" / "gallery" / "stored"
 
 DISCRETE = 1e-7
 """Relative; by as much a cost may differ from another program's optimum of the same discrete problem."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import pytest
 from conftest import PROBLEMS
+from references import STORED, digest, known_of, misses, problem_files
 
 import codegen
 from codegen import errors
@@ -16,10 +16,6 @@ from codegen.solutions.result import STATUSES
 
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"
-sys.path.append(str(DOCS))
-
-from references import STORED, digest, known_of, misses, problem_files
-
 MADE = {DOCS / "reference" / "commands.md", DOCS / "gallery" / "index.md", DOCS / "benchmarks.md"}
 MADE |= {DOCS / "gallery" / f"{path.stem}.md" for path in problem_files()}
 """Pages that are made when the site is built."""
@@ -34,7 +30,8 @@ def text_of(path: Path) -> str:
 
 def prose_of(path: Path) -> str:
     """A page without its blocks of code."""
-    return re.sub(r"^(```|    ).*?(^```$|$)", "", re.sub(r"^```.*?^```$", "", text_of(path), flags=re.M | re.S), flags=re.M)
+    without_fences = re.sub(r"^```.*?^```$", "", text_of(path), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"^    .*$", "", without_fences, flags=re.MULTILINE)
 
 
 def anchors_of(path: Path) -> set[str]:

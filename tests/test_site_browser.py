@@ -1,6 +1,6 @@
-"""The built site in Chromium, where CODEGEN_SITE names its folder: every page on a telephone, dark and light; search; links.
+"""The built site in Chromium: every page on a telephone, dark and light; search; links.
 
-    python -m sphinx -W -n -b html docs docs/_build/html && CODEGEN_SITE=docs/_build/html pytest tests/test_site_browser.py
+CODEGEN_SITE=docs/_build/html pytest tests/test_site_browser.py
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def values_section(path: Path, record: dict[str, Any]) -> list[str]:
     rows = []
     for known in known_values:
         if known.title not in cases:
-            raise ExtensionError(f"{path.stem} {known.title} was never recorded; run: python docs/record.py {path.stem}")
+            raise ExtensionError(f"{path.stem} {known.title} has no record; run: python docs/record.py {path.stem}")
         case = cases[known.title]
         if why := misses(known, case):
             raise ExtensionError(f"{path.stem}, {known.title}, {why}")
@@ -125,12 +125,13 @@ def values_section(path: Path, record: dict[str, Any]) -> list[str]:
 
 
 def parts_of_docstring(path: Path) -> tuple[str, str]:
-    """The first line, and the rest, of a problem file's docstring."""
+    """The first line, and the rest, of a problem file's docstring, whose paragraphs become lines but for tables."""
     import ast
 
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or path.stem
     first, _, rest = text.partition("\n")
-    return first.rstrip("."), rest.strip()
+    paragraphs = [each if "\n " in each else " ".join(each.split("\n")) for each in rest.strip().split("\n\n")]
+    return first.rstrip("."), "\n\n".join(paragraphs)
 
 
 def gallery(stamp: str) -> None:
@@ -180,8 +181,8 @@ def commands() -> str:
     lines = [
         "# Command line",
         "",
-        "Made from the parsers of the program itself; `codegen COMMAND --help` says the same. What the commands are for "
-        "is told in [Commands](../guide/commands.md).",
+        "Made from the parsers of the program itself; `codegen COMMAND --help` says the same. What the commands are "
+        "for is told in [Commands](../guide/commands.md).",
         "",
     ]
     for name, command in group.commands.items():

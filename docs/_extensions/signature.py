@@ -14,7 +14,7 @@ from sphinx.util.docutils import SphinxDirective
 
 
 def found(name: str) -> Any:
-    """The object of a dotted name in `codegen`, or of one that begins with a module of it, as `solutions.result:Result`."""
+    """The object of a dotted name in `codegen`, or in a module of it, as in `solutions.result:Result`."""
     module, _, own = name.rpartition(":")
     return reduce(getattr, own.split("."), import_module(f"codegen.{module}" if module else "codegen"))
 
