@@ -13,17 +13,12 @@ STATED = 6.65692363
 """As docs/coming_from.md says."""
 
 
-@pytest.mark.parametrize(
-    ("tool", "cost", "error"),
-    [
-        ("casadi", STATED, 1e-8),  # the same discrete problem
-        ("opty", 6.65701, 1e-5),  # controls at nodes
-    ],
-)
-def test_the_program_for_another_tool(tool, cost, error, tmp_path, monkeypatch):
-    pytest.importorskip(tool)
+def test_the_program_for_casadi(tmp_path, monkeypatch):
+    """The same discrete problem; that for opty compiles for long, and is run by hand."""
+    pytest.importorskip("casadi")
     monkeypatch.chdir(tmp_path)
-    assert runpy.run_path(str(EXAMPLES / f"swing_up_{tool}.py"))["cost"] == pytest.approx(cost, abs=error)
+    found = runpy.run_path(str(EXAMPLES / "swing_up_casadi.py"))
+    assert found["cost"] == pytest.approx(STATED, abs=1e-8)
 
 
 def test_the_program_for_this_tool(interpreted: Interpreted):
