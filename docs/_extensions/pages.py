@@ -110,6 +110,7 @@ def values_section(path: Path, record: dict[str, Any]) -> list[str]:
             raise ExtensionError(f"{path.stem}, {known.title}, {why}")
         computed = known.factor * case["cost"]
         other = "" if known.optimum is None else f"{known.optimum:.11g}"
+        other += " (a higher local optimum)" if known.is_lower else ""
         rows.append(
             f"| `{known.title}` | {computed:.11g} | {other} | {known.value:.11g} | {abs(computed - known.value):.1e} "
             f"| {known.allowed:.1e} | {known.source}{f'; **differs**: {known.differs}' if known.differs else ''} |"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from functools import reduce
 from importlib import import_module
 from typing import Any
@@ -28,19 +27,29 @@ def call(name: str) -> str:
     except (TypeError, ValueError):
         return own
     parameters = [each for each in signature.parameters.values() if each.name != "self"]
-    whole = str(signature.replace(parameters=parameters))
-    whole = re.sub(r"'([^']*)'", r"\1", whole) if "'" in whole and '"' not in whole else whole
-    line = f"{own}{whole}"
-    if len(line) <= 88:
-        return line
-    written, kinds = [], set()
-    for each in parameters:
-        if each.kind is each.KEYWORD_ONLY and not kinds & {each.KEYWORD_ONLY, each.VAR_POSITIONAL}:
-            written.append("*")
-        kinds.add(each.kind)
-        written.append(str(each).replace("'", ""))
-    returned = "" if signature.return_annotation is signature.empty else f" -> {signature.return_annotation}"
-    return f"{own}(\n" + "".join(f"    {each},\n" for each in written) + ")" + str(returned).replace("'", "")
+    written = []
+    for before, each in zip([None, *parameters], parameters):
+        is_first = each.kind is each.KEYWORD_ONLY and (before is None or before.kind is each.POSITIONAL_OR_KEYWORD)
+        written += ["*", one(each)] if is_first else [one(each)]
+    returned = signature.return_annotation
+    tail = "" if returned in (signature.empty, "None", None) else f" -> {annotation(returned)}"
+    line = f"{own}({', '.join(written)}){tail}"
+    return line if len(line) <= 88 else f"{own}(\n" + "".join(f"    {each},\n" for each in written) + f"){tail}"
+
+
+def one(parameter: inspect.Parameter) -> str:
+    """A parameter with its annotation and default, as in code."""
+    mark = {parameter.VAR_POSITIONAL: "*", parameter.VAR_KEYWORD: "**"}.get(parameter.kind, "")
+    told = "" if parameter.annotation is parameter.empty else f": {annotation(parameter.annotation)}"
+    if parameter.default is parameter.empty:
+        return f"{mark}{parameter.name}{told}"
+    default = "..." if "factory" in repr(parameter.default) else repr(parameter.default)
+    return f"{mark}{parameter.name}{told} = {default}"
+
+
+def annotation(written: Any) -> str:
+    """An annotation, which is text already where modules postpone them."""
+    return written if isinstance(written, str) else getattr(written, "__name__", str(written))
 
 
 class Signature(SphinxDirective):
