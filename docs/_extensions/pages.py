@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from references import PROBLEMS, ROOT, STORED, digest, known_of, misses, problem_files
+from references import PROBLEMS, ROOT, STORED, Known, digest, known_of, misses, problem_files
 from sphinx.errors import ExtensionError
 from sphinx.util import logging
 
@@ -113,7 +113,7 @@ def values_section(path: Path, record: dict[str, Any]) -> list[str]:
         other += " (a higher local optimum)" if known.is_lower else ""
         rows.append(
             f"| `{known.title}` | {computed:.11g} | {other} | {known.value:.11g} | {abs(computed - known.value):.1e} "
-            f"| {known.allowed:.1e} | {known.source}{f'; **differs**: {known.differs}' if known.differs else ''} |"
+            f"| {known.allowed:.1e} | {known.source}{remark(known)} |"
         )
     return [
         "## Beside what is known",
@@ -123,6 +123,13 @@ def values_section(path: Path, record: dict[str, Any]) -> list[str]:
         *rows,
         "",
     ]
+
+
+def remark(known: Known) -> str:
+    """What a reader must know of a value that does not agree."""
+    if known.status != "solved":
+        return f"; **not solved** with default options: {known.status}"
+    return f"; **differs**: {known.differs}" if known.differs else ""
 
 
 def parts_of_docstring(path: Path) -> tuple[str, str]:
