@@ -61,9 +61,9 @@ def test_few_newton_steps_keep_it_upright_as_well(cart_pole, newton_steps, push)
     assert np.abs(loop.states[-1]).max() < 0.2
 
 
-def test_the_example_of_the_readme(cart_pole, tmp_path, monkeypatch, capsys):
+def test_the_example_of_the_site(cart_pole, tmp_path, monkeypatch, capsys):
     """What stands there word for word, with the problem files of this checkout."""
-    text = (PROBLEMS.parent / "README.md").read_text(encoding="utf-8").split("## Moving horizons")[1]
+    text = (PROBLEMS.parent / "docs" / "guide" / "controllers.md").read_text(encoding="utf-8")
     code = text.split("```python\n")[1].split("```")[0].replace('"problems/', f'"{PROBLEMS}/')
     monkeypatch.chdir(tmp_path)
     found = {"codegen": codegen}

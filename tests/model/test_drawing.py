@@ -91,10 +91,10 @@ class TestItems:
         assert remedy in caught.value.remedy
 
     @pytest.mark.parametrize("kind", ITEMS)
-    def test_the_readme_lists_the_arguments_of_every_kind(self, kind):
+    def test_the_site_lists_the_arguments_of_every_kind(self, kind):
         arguments = list(inspect.signature(kind.__init__).parameters.values())[1:-1]
         written = ", ".join(a.name if a.default is a.empty else f"{a.name}={a.default}" for a in arguments)
-        assert f"| `{kind.__name__}({written})` |" in (PROBLEMS.parent / "README.md").read_text()
+        assert f"| `{kind.__name__}({written})` |" in (PROBLEMS.parent / "docs" / "guide" / "problems.md").read_text()
 
     def test_copies_are_equal(self):
         box = Box((0, 1), 2, 3, label="cart")

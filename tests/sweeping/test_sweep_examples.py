@@ -1,4 +1,4 @@
-"""The README's examples of other programs around sweeps, as they stand there; skipped where those are not installed."""
+"""The site's examples of other programs around sweeps, as they stand there; skipped where those are not installed."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from conftest import PROBLEMS
 
 import codegen
 
-README = PROBLEMS.parent / "README.md"
+PAGE = PROBLEMS.parent / "docs" / "guide" / "sweeps.md"
 LIMITS = {"r1": (4.5, 6.5), "m": (90.0, 110.0)}
 
 
 def example(of: str) -> str:
-    """The block of Python in the README that imports a package."""
-    blocks = re.findall(r"^```python\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    """The block of Python in the page that imports a package."""
+    blocks = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     (found,) = (block for block in blocks if re.search(rf"^(import|from) {of}\b", block, re.MULTILINE))
     return found
 
 
 @pytest.fixture
 def names(orbital_transfer, monkeypatch):
-    """What the blocks have before them: imports, and the function of costs, in the folder of the README."""
-    monkeypatch.chdir(README.parent)
+    """What the blocks have before them: imports, and the function of costs, in the folder of the checkout."""
+    monkeypatch.chdir(PROBLEMS.parent)
     found = {"codegen": codegen, "numpy": np}
     exec(example("scipy.optimize").partition("\n\n\ndifferential_evolution(")[0], found)
     return found

@@ -1,4 +1,4 @@
-"""Loops of others around sweeps: an array of cases in, an array of costs out, as the README shows."""
+"""Loops of others around sweeps: an array of cases in, an array of costs out, as the site shows."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def _cubic() -> Iterator[Case]:
 
 
 def _units() -> Iterator[Case]:
-    """The same transfer in other units has the same cost, times its unit; the solver does not rescale, README says."""
+    """The same transfer in other units has the same cost, times its unit; see docs/guide/limits.md for scaling."""
     made = setup("transfer")
     for name in ("m", "GM", "r0"):
         for exponent in (-24, -12, -6, 6, 12, 24):

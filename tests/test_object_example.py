@@ -1,4 +1,4 @@
-"""The README's example of a problem in Python, as it stands there."""
+"""The site's example of a problem in Python, as it stands there."""
 
 import re
 
@@ -6,12 +6,11 @@ import matplotlib.image
 import pytest
 from conftest import PROBLEMS
 
-README = PROBLEMS.parent / "README.md"
+PAGE = PROBLEMS.parent / "docs" / "guide" / "python.md"
 
 
 def test_the_example_of_an_object_runs_as_it_stands(capsys):
-    section = README.read_text(encoding="utf-8").split("## From Python and in notebooks")[1].split("\n## ")[0]
-    (block,) = re.findall(r"^```python\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
+    (block,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     given: dict = {}
     exec(block, given)
     assert capsys.readouterr().out.startswith("solved ")
