@@ -13,7 +13,7 @@ from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import Registration
 from codegen.registration.noise import SigmaEstimate, choose_sigma, estimate_sigma
 from codegen.registration.outliers import Outliers, find_outliers
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs, flipped
 from codegen.registration.register import register
 from codegen.registration.warp import WarpReport, warp, warp_reported
 
@@ -35,6 +35,7 @@ __all__ = [
     "displacement_field",
     "estimate_sigma",
     "find_outliers",
+    "flipped",
     "leave_one_out",
     "register",
     "warp",

@@ -75,9 +75,7 @@ def outliers_of(matching: Matching) -> Outliers:
     return Outliers(tuple(int(k) for k in order if not trusted[k]), errors)
 
 
-def _predicted(
-    matching: Matching, trusted: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _predicted(matching: Matching, trusted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors of all landmarks in pixels, predicted by the trusted ones but themselves, and their standard deviations."""
     pairs, alignment, whole = matching.pairs, matching.realigned(trusted), matching.covariance
     displacements = alignment.apply(pairs.moving) - pairs.fixed

@@ -62,6 +62,11 @@ class LandmarkPairs:
         return LandmarkPairs(self.fixed, self.moving, self.names)
 
 
+def flipped(pairs: LandmarkPairs, width: int) -> LandmarkPairs:
+    """The pairs for a moving image of so many columns that is mirrored left to right."""
+    return LandmarkPairs(pairs.moving * [-1.0, 1.0] + [width - 1.0, 0.0], pairs.fixed, pairs.names)
+
+
 def as_points(values: Any) -> PointArray:
     """An array of points, shape (n, 2), from whatever numpy makes one of; LandmarkError when it makes none."""
     return _points("", values)
