@@ -56,6 +56,8 @@ def chosen_alignment(pairs: LandmarkPairs, shape: Sequence[int], **options: Any)
             continue
         if matching.alignment.kind == kind:
             errors[kind] = found
+    if not errors:  # which says why as soon as it is used
+        return AlignmentChoice(CANDIDATES[0], {})
     best = min(errors, key=lambda kind: errors[kind] if kind == CANDIDATES[0] else errors[kind] / CLEARLY)
     return AlignmentChoice(next(kind for kind in CANDIDATES if kind == best), errors)
 

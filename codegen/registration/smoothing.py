@@ -44,7 +44,7 @@ def registered(
     shape: Sequence[int],
     *,
     fixed_shape: Sequence[int] | None = None,
-    align: Kind = "similarity",
+    align: Kind = "auto",
     sigma: float = 0.0,
     loss: Loss = "linear",
     scheme: str = DEFAULT_SCHEME,
