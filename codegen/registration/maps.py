@@ -98,6 +98,12 @@ class Registration:
         """The number of the flow's steps."""
         return self.flow.steps
 
+    @property
+    def distance(self) -> float:
+        """The length of the motion: the square root of its cost, in units in which the disc's radius is 1."""
+        pulls = (self.flow.velocities * self.flow.path[0, 1]).sum()
+        return float(np.sqrt(max(0.0, pulls) * self.flow.case.duration))
+
     def map_points(self, xy: Any) -> PointArray:
         """Moving to fixed, points in pixels of shape (n, 2)."""
         return self.positions(1.0, xy)
