@@ -31,8 +31,8 @@ class Certificate:
     `det_min` and `det_max` are the extremes of det J, the factor by which the map moving to fixed enlarges areas there;
     `det_min_at` is the pixel (x, y) of the least. `folded` counts the pixels at which it is not positive, `first_fold`
     is the first of them in reading order. `round_trip` and `residual_max` are in pixels.
-    Where bounds of the derivative decide, it is `proved` that det J is positive everywhere, and within `det_bounds`; the
-    extremes are then those of `evaluated` pixels.
+    Where bounds of the derivative decide, it is `proved` that det J is positive everywhere, and within `det_bounds`;
+    the extremes are then those of `evaluated` pixels.
     """
 
     det_min: float
@@ -52,14 +52,14 @@ class Certificate:
 def certify(registration: Registration, shape: Sequence[int] | None = None, *, inverse: bool = False) -> Certificate:
     """Certify that the map does not fold, by bounds of its derivative where they decide, or pixel by pixel.
 
-    Where every step is proved to differ from the identity by less than the identity (`codegen.registration.step_bounds`)
-    the map folds nowhere, between pixels neither; det J is then evaluated at every `SPACING`-th pixel, at those about
-    landmarks, and at all about the extremes that were found. Otherwise every pixel of the fixed image is evaluated, or
-    of an image of another shape. The derivative is that of the discrete inverse map, carried along its steps, not a
-    difference of neighbouring pixels; its determinant is that of the map where the pixel comes from, turned over. With
-    `inverse`, the pixels are those of the moving image, and the derivative is that of the map itself. Every pixel of a
-    grid of at most 129 by 129, and every landmark, is also sent there and back. What passes comes back to within 1e-8
-    pixels.
+    Where every step is proved to differ from the identity by less than the identity, as in
+    `codegen.registration.step_bounds`, the map folds nowhere, between pixels neither; det J is then evaluated at every
+    `SPACING`-th pixel, at those about landmarks, and at all about the extremes that were found. Otherwise every pixel
+    of the fixed image is evaluated, or of an image of another shape. The derivative is that of the discrete inverse
+    map, carried along its steps, not a difference of neighbouring pixels; its determinant is that of the map where the
+    pixel comes from, turned over. With `inverse`, the pixels are those of the moving image, and the derivative is that
+    of the map itself. Every pixel of a grid of at most 129 by 129, and every landmark, is also sent there and back.
+    What passes comes back to within 1e-8 pixels.
     """
     return certificate_of(registration, shape, inverse=inverse)[0]
 

@@ -26,7 +26,10 @@ MOST_LEFT_OUT = 100
 
 @dataclass(frozen=True)
 class Options:
-    """How pairs are registered and warped; `sigma` in pixels. With `flip` the moving image is mirrored left to right first."""
+    """How pairs are registered and warped; `sigma` in pixels.
+
+    With `flip` the moving image is mirrored left to right before anything else.
+    """
 
     inverse: bool = False
     sigma: float | Literal["auto"] = 0.0

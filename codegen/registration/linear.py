@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The covariance of n displacements, shape (n, n), the displacements in pixels, shape (n, 2), and what else is fitted.
+    """The covariance of n displacements, shape (n, n), and the displacements in pixels, shape (n, 2).
 
     `fitted` is the number of parameters of the alignment, which takes part of the errors for itself.
     """

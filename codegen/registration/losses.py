@@ -20,8 +20,8 @@ RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 def weights_of(loss: Loss, distances: NDArray[np.float64]) -> NDArray[np.float64]:
     """The weights of iteratively reweighted least squares, for distances in units of sigma, shape (n,).
 
-    Tuning constants are the usual ones (Holland and Welsch 1977, Commun. Stat. A 6(9)) times the square root of 2, since
-    a landmark has two coordinates. Raises ArgumentError for an unknown loss.
+    Tuning constants are the usual ones (Holland and Welsch 1977, Commun. Stat. A 6(9)) times the square root of 2,
+    since a landmark has two coordinates. Raises ArgumentError for an unknown loss.
     """
     if loss not in LOSSES:
         raise ArgumentError(f"the loss is {loss!r}", f"use {', '.join(LOSSES)}")

@@ -152,9 +152,10 @@ class Matching:
     ) -> tuple[Flow, Any, str]:
         """The motion that carries the landmarks in so many steps, the generated solver's account, and what led to it.
 
-        The solver starts from guessed `velocities` of the pairs at the start, shape (n, 2), if there are any, from those of the
-        straight way, and from a path of least action; unless it is to be `quick`, it then climbs its ladder of further
-        attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt succeeds.
+        The solver starts from guessed `velocities` of the pairs at the start, shape (n, 2), if there are any, from
+        those of the straight way, and from a path of least action; unless it is to be `quick`, it then climbs its
+        ladder of further attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt
+        succeeds.
         """
         module = registration_module(self.scheme)
         case = self._case(steps)

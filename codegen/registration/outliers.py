@@ -76,7 +76,7 @@ def outliers_of(matching: Matching) -> Outliers:
 
 
 def _predicted(matching: Matching, trusted: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Errors of all landmarks in pixels, predicted by the trusted ones but themselves, and their standard deviations."""
+    """Errors of all landmarks in pixels, predicted by the other trusted ones, and their standard deviations."""
     pairs, alignment, whole = matching.pairs, matching.realigned(trusted), matching.covariance
     displacements = alignment.apply(pairs.moving) - pairs.fixed
     linear = Linear(whole[np.ix_(trusted, trusted)], displacements[trusted], alignment.parameters)

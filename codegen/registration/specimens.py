@@ -99,9 +99,8 @@ def superimposed(specimens: Specimens) -> tuple[Array, Array]:
             try:
                 shapes[k] = align(LandmarkPairs(points, mean), "similarity").apply(points)
             except LandmarkError as error:
-                raise LandmarkError(
-                    f"specimen {specimens.names[k]}: {error.finding}", "mirror that specimen"
-                ) from error
+                remedy = "mirror that specimen" if "mirror" in error.finding else error.remedy
+                raise LandmarkError(f"specimen {specimens.names[k]}: {error.finding}", remedy) from error
         before, mean = mean, _normal(shapes.mean(axis=0))
         if np.abs(mean - before).max() < SETTLED:
             break

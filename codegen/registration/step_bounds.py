@@ -7,7 +7,8 @@ D Phi is positive at every point of the disc, not at pixels alone, and so is tha
 L_s is the largest gradient at the nodes of a grid, plus what gradients can change by on the way to the nearest node.
 The second derivative of the Green's function is
 
-    (|q|^2 (1 - s/t) - log(t/s)) I + 2 z z^T,   s = |x - q|^2,  t = |1 - x q*|^2 <= 4,  |z| = (1 - |q|^2)/sqrt(t) <= 1 + |q|
+    (|q|^2 (1 - s/t) - log(t/s)) I + 2 z z^T,
+    s = |x - q|^2,   t = |1 - x q*|^2 <= 4,   |z| = (1 - |q|^2)/sqrt(t) <= 1 + |q|,
 
 so its norm is at most the larger of log(4/s) and |q|^2 + 2 (1 + |q|)^2 <= 9. On a way of length r that is worst if q
 lies in its middle, which gives the integral in `_change`. Rounding, some 1e-15 of these sums, is left out of account.

@@ -126,7 +126,7 @@ def test_landmarks_that_contradict_each_other_have_errors_and_exact_ones_do_not(
 def test_what_is_proved_is_found_at_every_pixel(registration):
     """Bounds decide; the extremes, which are looked for from a coarse grid on, are those of all pixels."""
     found, every = certify(registration), certify_with_positions(registration)[0]
-    assert found.proved and not every.proved
+    assert (found.proved, every.proved) == (True, False)
     assert found.evaluated < every.evaluated == SHAPE[0] * SHAPE[1]
     assert (found.det_min, found.det_max) == pytest.approx((every.det_min, every.det_max), rel=1e-9)
     assert found.det_bounds[0] <= every.det_min <= every.det_max <= found.det_bounds[1]

@@ -58,7 +58,7 @@ def test_superimposed_copies_are_one(specimens):
     np.testing.assert_allclose(shapes, np.broadcast_to(mean, shapes.shape), atol=1e-6)
     mirrored = specimens.landmarks.copy()
     mirrored[3, :, 0] *= -1.0
-    with pytest.raises(LandmarkError, match="specimen d: .*mirror"):
+    with pytest.raises(LandmarkError, match=r"specimen d: .*mirror"):
         superimposed(Specimens(mirrored, tuple("abcde")))
 
 

@@ -1,4 +1,4 @@
-"""Errors of landmarks: residuals as large as sigma, its estimate, outliers, losses, alignments, landmarks given twice."""
+"""Errors of landmarks: residuals as large as sigma, its estimate, outliers, losses, alignments, near duplicates."""
 
 import numpy as np
 import pytest

@@ -37,8 +37,8 @@ MOST = 16
 class Distances:
     """Distances between m specimens, shape (m, m), NaN where none was found, and what is made of them.
 
-    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table; they are NaN where
-    a distance is missing. `mean` is the mean shape, shape (n, 2), in a square of SIDE pixels.
+    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table; they are NaN
+    where a distance is missing. `mean` is the mean shape, shape (n, 2), in a square of SIDE pixels.
     """
 
     names: tuple[str, ...]

@@ -53,6 +53,7 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 
 
 def specimens_of(source: Source) -> Iterator[Specimen]:
+    """The specimens of a file one after the other; PointsError names the line that is none of theirs."""
     text = source.text.replace("\r\n", "\n").replace("\r", "\n")
     lines = ((k, line.strip()) for k, line in enumerate(text.split("\n"), 1))
     specimen: Specimen | None = None
