@@ -35,8 +35,12 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -
 
     Displacements after the alignment are smoothed by the linear theory, as strongly as makes the generalised
     cross-validation score least; the estimate is what that leaves, by its degrees of freedom. Landmarks that are out of
-    place do not take part. `options` are those of `Matching.of`. Raises LandmarkError for fewer than six landmarks.
+    place do not take part. `options` are those of `Matching.of`; errors do not depend on the alignment, and something
+    is aligned in any case, since without it 20 landmarks were estimated at a fifth of their errors. Raises
+    LandmarkError for fewer than six landmarks.
     """
+    if options.get("align") != "affine":
+        options = {**options, "align": "similarity"}
     matching = Matching.of(pairs, shape, **options)
     if len(pairs) < FEWEST:
         raise LandmarkError(f"{len(pairs)} landmarks do not tell how large their errors are", "give a sigma in pixels")

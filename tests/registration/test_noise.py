@@ -34,9 +34,9 @@ def test_residuals_are_of_the_size_of_sigma(count, noise):
     assert found.solves <= MOST_SOLVES
 
 
-@pytest.mark.parametrize(("count", "noise"), [(50, 3.0), (100, 1.0), (100, 10.0), (200, 3.0)])
+@pytest.mark.parametrize(("count", "noise"), [(20, 3.0), (20, 10.0), (50, 3.0), (100, 1.0), (100, 10.0), (200, 3.0)])
 def test_sigma_is_estimated(count, noise):
-    estimates = [estimate_sigma(noisy_pairs(count, noise, seed), SHAPE).sigma for seed in range(3)]
+    estimates = [estimate_sigma(noisy_pairs(count, noise, seed), SHAPE, align="none").sigma for seed in range(6)]
     assert min(estimates) > noise / 1.5
     assert max(estimates) < noise * 1.5
 
