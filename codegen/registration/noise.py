@@ -14,7 +14,7 @@ from codegen.registration.matching import Matching
 from codegen.registration.outliers import outliers_of
 from codegen.registration.pairs import LandmarkPairs
 
-FEWEST = 6
+FEWEST = 4
 """Of fewer landmarks, no error can be told from a deformation."""
 FEW = 15
 """With fewer landmarks an estimate is uncertain by a factor, which is said."""
@@ -37,7 +37,7 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -
     cross-validation score least; the estimate is what that leaves, by its degrees of freedom. Landmarks that are out of
     place do not take part. `options` are those of `Matching.of`; errors do not depend on the alignment, and something
     is aligned in any case, since without it 20 landmarks were estimated at a fifth of their errors. Raises
-    LandmarkError for fewer than six landmarks.
+    LandmarkError for fewer than four landmarks.
     """
     if options.get("align") != "affine":
         options = {**options, "align": "similarity"}

@@ -16,7 +16,7 @@ from codegen.registration import LandmarkPairs
 from codegen.registration.app.reading import LIMITS
 from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.images import read_image, write_image
-from codegen.registration.leave_one_out import choose_sigma
+from codegen.registration.noise import choose_sigma
 
 pytest.importorskip("panel", reason="panel is not installed")
 pytest.importorskip("bokeh", reason="bokeh is not installed")
