@@ -1431,11 +1431,15 @@ class Linearised:
 
 
 def preconditioner(case):
-    """The Cholesky factor of duration times H_pp at the start, shape (n, n) or (nd, nd); None if it is not definite."""
+    """The Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
+
+    It is what `end_residual` changes by where momenta are small. None if it is not definite.
+    """
     size = case.start.shape[0] if BLOCKS == 1 else case.start.size
     matrix = np.empty((size, size))
     momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
     matrix *= case.duration
+    matrix[np.diag_indices(size)] += np.repeat(case.sigma**2, size // case.start.shape[0])
     return matrix if cholesky(matrix) else None
 
 
@@ -2365,7 +2369,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_18063485536a5f5c"
+_IDENTITY = "codegen_image_registration_8bb3033f8882b688"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

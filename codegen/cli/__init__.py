@@ -20,7 +20,7 @@ main = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,  # plain help needs no rich
 )
-COMMANDS = ("build", "solve", "sweep", "check", "show", "analyse", "report", "stress", "warp", "app")
+COMMANDS = ("build", "solve", "sweep", "check", "show", "analyse", "report", "stress", "warp", "distances", "app")
 """Each has a file of that name here, with a function of that name; help lists them in this order."""
 
 for name in COMMANDS:

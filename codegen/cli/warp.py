@@ -23,9 +23,19 @@ if TYPE_CHECKING:
 class Align(StrEnum):
     """What is taken out before the flow."""
 
+    AUTO = "auto"
     NONE = "none"
     SIMILARITY = "similarity"
     AFFINE = "affine"
+
+
+class Loss(StrEnum):
+    """How much a landmark that misses by many sigmas may pull."""
+
+    LINEAR = "linear"
+    HUBER = "huber"
+    CAUCHY = "cauchy"
+    TUKEY = "tukey"
 
 
 class Interpolation(StrEnum):
@@ -52,7 +62,8 @@ Inverse = Annotated[
     bool, typer.Option("--inverse", help="Bring the fixed image into the frame of the moving one instead.")
 ]
 Sigma = Annotated[
-    str, typer.Option(metavar="S", help="Pixels by which landmarks may miss, or auto: by leaving landmarks out.")
+    str,
+    typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels, or auto: by cross-validation."),
 ]
 Scheme = Annotated[str, typer.Option(help="The scheme that integrates the flow.")]
 Steps = Annotated[
@@ -98,7 +109,11 @@ def warp(
     fixed: Fixed = None,
     inverse: Inverse = False,
     sigma: Sigma = "0",
-    align: Annotated[Align, typer.Option(help="What is taken out before the flow.")] = Align.SIMILARITY,
+    loss: Annotated[Loss, typer.Option(help="With a sigma: robust ones let outliers pull less.")] = Loss.LINEAR,
+    align: Annotated[
+        Align, typer.Option(help="What is taken out before the flow; auto: by leaving landmarks out.")
+    ] = Align.AUTO,
+    flip: Annotated[bool, typer.Option("--flip", help="Mirror the moving image left to right first.")] = False,
     scheme: Scheme = "rk4",
     steps: Steps = None,
     interpolation: Annotated[Interpolation, typer.Option(help="Between pixels.")] = Interpolation.LINEAR,
@@ -117,8 +132,10 @@ def warp(
         )
     from codegen.registration.jobs import Options
 
+    if loss is not Loss.LINEAR and sigma == "0":
+        raise ArgumentError(f"--loss {loss.value} is for landmarks that may miss", "give a --sigma as well, or auto")
     options = Options(
-        inverse, _sigma(sigma), align.value, scheme, steps, interpolation.value, coarse,
+        inverse, _sigma(sigma), align.value, scheme, steps, interpolation.value, coarse, loss.value, flip,
     )  # fmt: skip
     if moving.is_dir() or moving.suffix.lower() == ".csv":
         who = Who(workers, cluster, resume)
@@ -153,12 +170,15 @@ def _one(
     if out is None or not landmarks:
         missing = "--out" if out is None else "--landmarks"
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
-    with working("Registering"):
-        result = job.run(Job(moving, landmarks, out, fixed, field, report), options)
+    with working("Registering") as status:
+        progress = None if status is None else status.update
+        result = job.run(Job(moving, landmarks, out, fixed, field, report), options, progress=progress)
     if json:
         typer.echo(output.as_json(result.record))
     else:
         console().print(warp_text.table(result.record))
+    if result.record["summary"].get("sigma_message"):
+        typer.echo(f"codegen: {result.record['summary']['sigma_message']}", err=True)
     if not result.passed:
         typer.echo(one_line(f"codegen: {result.record['message']}"), err=True)
         raise typer.Exit(1)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -16,6 +17,7 @@ from codegen.plots.control import Drawings, control_figure
 from codegen.plots.objectives import Objective, objectives_of, require_objectives
 from codegen.plots.pareto import pareto_figure
 from codegen.plots.simulation import simulation_figure
+from codegen.plots.specimens import specimen_figure
 from codegen.plots.style import STYLE, label
 from codegen.plots.sweep import sweep_figure
 from codegen.solutions.result import Result
@@ -34,8 +36,10 @@ __all__ = [
     "pareto_figure",
     "save",
     "save_closed_loop",
+    "save_specimens",
     "save_sweep",
     "simulation_figure",
+    "specimen_figure",
     "sweep_figure",
 ]
 
@@ -82,6 +86,13 @@ def save_closed_loop(loop: ClosedLoopData, path: Path, references: References) -
     """Draw what came of a closed loop, and what it was to follow, into a file whose ending matplotlib knows."""
     with matplotlib.rc_context(STYLE):
         drawn = closed_loop_figure(loop, references)
+    _write(drawn, path)
+
+
+def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:
+    """Draw specimens in two dimensions into a file whose ending matplotlib knows."""
+    with matplotlib.rc_context(STYLE):
+        drawn = specimen_figure(points, names, share)
     _write(drawn, path)
 
 

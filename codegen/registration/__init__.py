@@ -6,28 +6,36 @@ points have shape (n, 2). Forward is from the moving image to the fixed one.
 
 from codegen.registration.alignment import Alignment, align
 from codegen.registration.certificate import Certificate, certify
+from codegen.registration.choice import AlignmentChoice, chosen_alignment
 from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.frame import Frame
-from codegen.registration.leave_one_out import LeaveOneOut, SigmaChoice, choose_sigma, compare_sigmas, leave_one_out
+from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import Registration
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.noise import SigmaEstimate, choose_sigma, estimate_sigma
+from codegen.registration.outliers import Outliers, find_outliers
+from codegen.registration.pairs import LandmarkPairs, flipped
 from codegen.registration.register import register
 from codegen.registration.warp import WarpReport, warp, warp_reported
 
 __all__ = [
     "Alignment",
+    "AlignmentChoice",
     "Certificate",
     "Frame",
     "LandmarkPairs",
     "LeaveOneOut",
+    "Outliers",
     "Registration",
-    "SigmaChoice",
+    "SigmaEstimate",
     "WarpReport",
     "align",
     "certify",
     "choose_sigma",
-    "compare_sigmas",
+    "chosen_alignment",
     "displacement_field",
+    "estimate_sigma",
+    "find_outliers",
+    "flipped",
     "leave_one_out",
     "register",
     "warp",

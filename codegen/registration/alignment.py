@@ -16,8 +16,12 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, LandmarkError
 from codegen.registration.pairs import LandmarkPairs, PointArray
 
-Kind: TypeAlias = Literal["none", "similarity", "affine"]
+Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
+"""What can be fitted; "auto" is one of these, which is chosen before."""
+
+MIRRORED = 0.2
+"""Landmarks are mirrored where a mirrored similarity leaves less than this share of what the best one leaves."""
 
 THIN = 1e-6
 """Landmarks whose width across the line that fits them best is less than this share of their length are collinear."""
@@ -40,6 +44,11 @@ class Alignment:
     def is_identity(self) -> bool:
         """Whether the map leaves every point where it is, to the last bit."""
         return bool((self.matrix == np.eye(2)).all() and not self.shift.any())
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers were fitted."""
+        return {"none": 0, "translation": 2, "similarity": 4, "affine": 6}[self.kind]
 
     @property
     def determinant(self) -> float:
@@ -78,10 +87,12 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
     """Fit a map of the given kind to landmarks, or the next simpler one where they do not determine it.
 
     An affine map needs three landmarks that are not on one line, a similarity two; one landmark gives a translation.
-    Raises ArgumentError for an unknown kind and LandmarkError where the best affine map turns the image over.
+    Raises ArgumentError for an unknown kind, and LandmarkError where the landmarks mirror the image, or where the best
+    affine map turns it over.
     """
     if kind not in KINDS:
         raise ArgumentError(f"alignment is {kind!r}", f"use {', '.join(KINDS)}")
+    require_unmirrored(pairs)
     if kind == "none" or (pairs.moving == pairs.fixed).all():
         return Alignment("none" if kind == "none" else kind, np.eye(2), np.zeros(2))
     if kind == "affine":
@@ -94,6 +105,22 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
         return _similarity(pairs)
     found = _translation(pairs)
     return Alignment(found.kind, found.matrix, found.shift, "a similarity needs two landmarks; translation instead")
+
+
+def require_unmirrored(pairs: LandmarkPairs) -> None:
+    """Refuse landmarks that a mirrored similarity fits and no other does: LandmarkError.
+
+    Squared residuals are those of Umeyama's equation (33), which in the plane are two sums of complex numbers.
+    """
+    if len(pairs) < 3 or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
+        return
+    x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
+    before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
+    whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
+    turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
+    if mirrored < MIRRORED * turned:
+        remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
+        raise LandmarkError("the landmarks mirror the image, and no map without a fold does that", remedy)
 
 
 def _is_thin(points: PointArray) -> bool:

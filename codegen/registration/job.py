@@ -8,37 +8,47 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import fields
-from codegen.registration.certificate import Certificate, certify_with_positions
+from codegen.registration.certificate import Certificate, certificate_of
+from codegen.registration.choice import chosen_alignment
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
 from codegen.registration.jobs import MOST_LEFT_OUT, Job, Options, Result
-from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
+from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import Registration
+from codegen.registration.matching import Matching
+from codegen.registration.noise import estimate_sigma
+from codegen.registration.outliers import outliers_of
 from codegen.registration.pair_report import write_report
-from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs, flipped
 from codegen.registration.register import register
 from codegen.registration.solver import registration_module
-from codegen.registration.warp import warp_reported
+from codegen.registration.warp import sources, warp_reported
 from codegen.solutions import output
 
 
-def run(job: Job, options: Options, limits: Limits | None = None) -> Result:
-    """Do a job; CodegenError for wrong input, and a result that has not passed where the numerics failed."""
+def run(
+    job: Job, options: Options, limits: Limits | None = None, progress: Callable[[str], None] | None = None
+) -> Result:
+    """Do a job; CodegenError for wrong input, and a result that has not passed where the numerics failed.
+
+    `progress` is told a line after each solve, where there are several.
+    """
     seconds: dict[str, float] = {}
     require_writable(job, options)
     with _timed(seconds, "read"):
         moving, fixed, pairs = _read(job, options, limits)
     with _timed(seconds, "build"):
         registration_module(options.scheme)
-    result = _solved(job, options, moving, fixed, pairs, seconds)
+    result = _solved(job, options, moving, fixed, pairs, seconds, progress)
     if job.report is not None:
         with _timed(seconds, "report"):
             write_report(job.report, result)
@@ -80,13 +90,17 @@ def _read(job: Job, options: Options, limits: Limits | None) -> tuple[Image, Ima
         job.fixed.name if job.fixed is not None else "",
     )  # fmt: skip
     pairs = read_landmarks(*job.landmarks, frames=frames)
+    if options.flip:
+        moving = replace(moving, pixels=np.ascontiguousarray(moving.pixels[:, ::-1]))
+        pairs = flipped(pairs, moving.shape[1])
     require_fitting(job.out, (fixed if options.inverse and fixed is not None else moving).pixels)
     return moving, fixed, pairs
 
 
 def _solved(
-    job: Job, options: Options, moving: Image, fixed: Image | None, pairs: LandmarkPairs, seconds: dict[str, float]
-) -> Result:
+    job: Job, options: Options, moving: Image, fixed: Image | None, pairs: LandmarkPairs, seconds: dict[str, float],
+    progress: Callable[[str], None] | None = None,
+) -> Result:  # fmt: skip
     """Register, certify and warp; a result without an image where that fails."""
     record = _heading(job, options, len(pairs))
     record["seconds"] = seconds
@@ -94,16 +108,22 @@ def _solved(
     shape = moving.shape[:2]
     method: dict[str, Any] = {
         "fixed_shape": (fixed or moving).shape[:2], "align": options.align, "scheme": options.scheme,
-        "steps": options.steps,
     }  # fmt: skip
+    summary = record["summary"]
     try:
         with _timed(seconds, "solve"):
+            if options.align == "auto":
+                choice = chosen_alignment(pairs, shape, fixed_shape=method["fixed_shape"], scheme=options.scheme)
+                method["align"], summary["alignment_choice"] = choice.kind, choice.text
             sigma = options.sigma
             if sigma == "auto":
-                sigma = choose_sigma(pairs, shape, **method)
-            found = register(pairs, shape, **method, sigma=sigma)
+                estimate = estimate_sigma(pairs, shape, **method)
+                sigma, summary["sigma_message"] = estimate.sigma, estimate.message
+            method |= {"steps": options.steps, "loss": options.loss}
+            outliers = outliers_of(Matching.of(pairs, shape, fixed_shape=method["fixed_shape"], align=method["align"]))
+            found = register(pairs, shape, **method, sigma=sigma, progress=progress)
         with _timed(seconds, "certify"):
-            certificate, positions = certify_with_positions(found, inverse=options.inverse)
+            certificate, positions = certificate_of(found, inverse=options.inverse)
         with _timed(seconds, "leave one out"):
             left_out = _left_out(found, method)
     except RegistrationError as error:
@@ -112,18 +132,23 @@ def _solved(
     except LandmarkError as error:
         raise PointsError(f"{job.landmarks[0]}: {error.finding}", error.remedy) from error
     warped = None
-    record |= _findings(found, certificate, left_out)
-    record["summary"]["sigma_chosen"] = options.sigma == "auto"
+    result = Result(record, pairs, moving, fixed, found, certificate, left_out, None, outliers, positions)
+    findings = _findings(found, certificate, left_out)
+    summary |= findings.pop("summary") | {"sigma_chosen": options.sigma == "auto"}
+    summary["outliers"] = [pairs.names[k] for k in result.out_of_place]
+    record |= findings
     if certificate.passed:
         with _timed(seconds, "warp"):
+            if options.coarse or positions is None:
+                frame = found.shape if options.inverse else found.fixed_shape
+                positions = sources(found, frame, options.inverse, "auto" if options.coarse else None)
             source = fixed if options.inverse and fixed is not None else moving
             warped, how = warp_reported(
                 source.pixels, found, interpolation=options.interpolation, inverse=options.inverse,
-                spacing="auto" if options.coarse else None,
-                positions=None if options.coarse else positions,
+                positions=positions,
             )  # fmt: skip
-        record["summary"] |= {"spacing": how.spacing, "spacing_bound": how.bound, "outside": how.outside}
-    return Result(record, pairs, moving, fixed, found, certificate, left_out, warped, positions)
+        summary |= {"spacing": how.spacing, "spacing_bound": how.bound, "outside": how.outside}
+    return replace(result, warped=warped, positions=positions)
 
 
 def _left_out(found: Registration, method: dict[str, Any]) -> LeaveOneOut | None:
@@ -151,11 +176,13 @@ def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneO
         "landmarks": len(found.pairs), "names": list(found.pairs.names), "residuals": found.residuals.tolist(),
         "det_min": certificate.det_min, "det_max": certificate.det_max, "det_min_at": certificate.det_min_at,
         "folded": certificate.folded, "first_fold": certificate.first_fold, "round_trip": certificate.round_trip,
+        "proved": certificate.proved,
         "scheme_error": found.error, "alignment": found.alignment.kind, "rung": found.rung,
+        "deviation": float(np.sqrt((found.residuals**2).mean() / 2.0)), "strength": found.matching.strength,
+        "solves": found.solves,
     }  # fmt: skip
     if left_out is not None:
         summary["leave_one_out"] = left_out.errors.tolist()
-        summary["outliers"] = [found.pairs.names[k] for k in left_out.outliers]
     summary = {name: _strict(value) for name, value in summary.items()}
     return {
         "align": found.alignment.kind, "sigma": found.sigma, "steps": found.steps, "status": status,

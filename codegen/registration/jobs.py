@@ -6,12 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate
 from codegen.registration.coarse import Positions
 from codegen.registration.images import Image
 from codegen.registration.leave_one_out import LeaveOneOut
+from codegen.registration.losses import Loss
 from codegen.registration.maps import Registration
+from codegen.registration.outliers import Outliers
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
 from codegen.registration.warp import Interpolation
@@ -22,15 +26,20 @@ MOST_LEFT_OUT = 100
 
 @dataclass(frozen=True)
 class Options:
-    """How pairs are registered and warped; `sigma` in pixels."""
+    """How pairs are registered and warped; `sigma` in pixels.
+
+    With `flip` the moving image is mirrored left to right before anything else.
+    """
 
     inverse: bool = False
     sigma: float | Literal["auto"] = 0.0
-    align: Kind = "similarity"
+    align: Kind = "auto"
     scheme: str = DEFAULT_SCHEME
     steps: int | None = None
     interpolation: Interpolation = "linear"
     coarse: bool = False
+    loss: Loss = "linear"
+    flip: bool = False
 
 
 def _absolute(path: Path) -> Path:
@@ -76,7 +85,15 @@ class Result:
     certificate: Certificate | None = None
     left_out: LeaveOneOut | None = None
     warped: Any = None
+    outliers: Outliers | None = None
     positions: Positions | None = None  # where the pixels of the warped image come from
+
+    @property
+    def out_of_place(self) -> tuple[int, ...]:
+        """The numbers of the landmarks that are named as outliers; of few landmarks, by leaving each out."""
+        if self.outliers is not None and not np.isnan(self.outliers.errors).all():
+            return self.outliers.numbers
+        return self.left_out.outliers if self.left_out is not None else ()
 
     @property
     def passed(self) -> bool:

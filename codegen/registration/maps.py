@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.alignment import Alignment, Kind
+from codegen.registration.alignment import Alignment
 from codegen.registration.flow import Flow
-from codegen.registration.frame import MARGIN, Frame, coarse_grid
+from codegen.registration.frame import Frame, coarse_grid
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
-from codegen.registration.solver import DEFAULT_SCHEME
 
 TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
@@ -35,7 +33,8 @@ class Registration:
     `residuals` are the distances, in pixels of the fixed image, between where moving landmarks arrive and the fixed
     ones, shape (n,). `error` estimates how far the map is from that of infinitely many steps, in pixels, NaN where
     steps were given. `round_trip` is the farthest from where it was, in pixels, that a landmark or a point of a coarse
-    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how. The `status` is "solved",
+    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how; `solves` counts those of
+    a search for the strength of roughness. The `status` is "solved",
     or "folded" where a map that should meet the landmarks misses some, because its few steps have no inverse there.
     """
 
@@ -47,6 +46,7 @@ class Registration:
     status: str
     rung: str
     message: str
+    solves: int = 1
 
     def __repr__(self) -> str:
         found = f"{self.status} in {self.steps} steps of {self.scheme}"
@@ -80,8 +80,13 @@ class Registration:
 
     @property
     def sigma(self) -> float:
-        """How far landmarks may miss, in pixels."""
+        """The standard deviation of a landmark's error, in pixels."""
         return self.matching.sigma
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """What the landmarks' velocities are at the start of the flow, in units of the disc, shape (n, 2)."""
+        return self.flow.velocities[self.matching.groups]
 
     @property
     def scheme(self) -> str:
@@ -92,6 +97,12 @@ class Registration:
     def steps(self) -> int:
         """The number of the flow's steps."""
         return self.flow.steps
+
+    @property
+    def distance(self) -> float:
+        """The length of the motion: the square root of its cost, in units in which the disc's radius is 1."""
+        pulls = (self.flow.velocities * self.flow.path[0, 1]).sum()
+        return float(np.sqrt(max(0.0, pulls) * self.flow.case.duration))
 
     def map_points(self, xy: Any) -> PointArray:
         """Moving to fixed, points in pixels of shape (n, 2)."""
@@ -172,34 +183,15 @@ def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
-def registered(
-    pairs: LandmarkPairs,
-    shape: Sequence[int],
-    *,
-    fixed_shape: Sequence[int] | None = None,
-    align: Kind = "similarity",
-    sigma: float = 0.0,
-    scheme: str = DEFAULT_SCHEME,
-    steps: int | None = None,
+def solved(
+    matching: Matching,
+    steps: int | None,
     tolerance: float = TOLERANCE,
-    margin: float = MARGIN,
-    start: Registration | None = None,
+    velocities: NDArray[np.float64] | None = None,
     quick: bool = False,
 ) -> Registration:
-    """The map for a given `sigma`; all arguments, and what is raised, are those of `register.register`."""
-    matching = Matching.of(
-        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, margin=margin
-    )
-    velocities = None if start is None or len(start.pairs) != len(pairs) else _guess(matching, start)
-    if steps is not None:
-        return in_steps(matching, steps, velocities, quick)
-    return _refined(matching, tolerance, velocities)
-
-
-def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
-    """Velocities at the start from those of nearly the same landmarks: what differs is taken for a straight way."""
-    (start, target), (known_start, known_target) = matching.ends, known.matching.ends
-    return np.asarray(known.flow.velocities + (target - start) - (known_target - known_start))
+    """The registration in a given number of steps, or in as many as leave an error below `tolerance` pixels."""
+    return refined(matching, tolerance, velocities) if steps is None else in_steps(matching, steps, velocities, quick)
 
 
 def in_steps(
@@ -233,14 +225,16 @@ def _probe(matching: Matching) -> PointArray:
     return np.vstack([matching.pairs.moving, coarse_grid(matching.shape)])
 
 
-def _refined(matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None) -> Registration:
+def refined(
+    matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None, first: int = FIRST_STEPS
+) -> Registration:
     """Double the steps until the map no longer changes, and keep the smallest number whose error is small enough."""
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
-    coarse, steps, probe = None, FIRST_STEPS, _probe(matching)
+    coarse, steps, probe = None, first, _probe(matching)
     while True:
         try:
-            fine = in_steps(matching, steps, velocities if coarse is None else coarse.flow.velocities, quick=True)
+            fine = in_steps(matching, steps, velocities if coarse is None else coarse.velocities, quick=True)
         except RegistrationError:
             # A few steps may have no solution, or one that has nothing to do with that of more steps.
             if 2 * steps > MOST_FIRST_STEPS:

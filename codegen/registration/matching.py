@@ -13,11 +13,16 @@ from numpy.typing import NDArray
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
+from codegen.registration.coincident import groups_of
 from codegen.registration.flow import Flow
 from codegen.registration.frame import MARGIN, Frame, corners
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
+TRUSTED = 0.5
+"""The least weight of landmarks that are aligned."""
+FAR = 1.5
+"""How many times what the linear theory expects landmarks may miss before another solution is looked for."""
 PATIENCE = 20
 """Iterations after which momenta that do not lead to a solution are given up."""
 
@@ -29,8 +34,14 @@ class Matching:
     Images are warped by looking up where each pixel comes from, and that is the way in which the flow runs: it carries
     the fixed landmarks to where the alignment has the moving ones, so that explicit schemes need no iterations there.
 
-    `shape` and `fixed_shape` are (height, width) of the moving and the fixed image; `sigma`, in pixels, says how far
-    landmarks may miss.
+    `shape` and `fixed_shape` are (height, width) of the moving and the fixed image. `sigma` is the standard deviation
+    of a landmark's error in pixels; where it is not zero, the motion has the least
+
+        strength * roughness / 2 + sum_k weights_k |miss_k|^2 / (2 sigma^2),
+
+    with misses where the flow ends, in pixels of the fixed image, and as roughness the squared length of the motion,
+    in units in which the disc's radius is 1, as sigma is there. Pairs that are one to within `coincident.ONE` pixels in
+    both images are carried as one; `groups`, shape (n,), says by which number.
     """
 
     pairs: LandmarkPairs
@@ -40,6 +51,11 @@ class Matching:
     frame: Frame
     sigma: float
     scheme: str
+    strength: float
+    weights: NDArray[np.float64]
+    groups: NDArray[np.intp]
+    align: Kind
+    margin: float
 
     @classmethod
     def of(
@@ -52,35 +68,99 @@ class Matching:
         sigma: float = 0.0,
         scheme: str = DEFAULT_SCHEME,
         margin: float = MARGIN,
+        strength: float = 1.0,
+        weights: NDArray[np.float64] | None = None,
     ) -> Matching:
-        """Align the landmarks and lay the frame around both images; LandmarkError when something is unusable."""
+        """Align the landmarks and lay the frame around both images; LandmarkError when something is unusable.
+
+        Only landmarks of a weight of `TRUSTED` and more are aligned.
+        """
         moving_shape = _extent(shape)
         other_shape = moving_shape if fixed_shape is None else _extent(fixed_shape)
         if not 0.0 <= sigma < np.inf:
             raise LandmarkError(f"sigma is {sigma!r}", "give a distance in pixels that is not negative")
-        alignment = _aligned(pairs, align)
+        if weights is None:
+            weights = np.ones(len(pairs))
+        alignment = _aligned(pairs.chosen(weights >= TRUSTED) if (weights >= TRUSTED).any() else pairs, align)
         moved = [alignment.apply(corners(moving_shape)), alignment.apply(pairs.moving)]
         frame = Frame.around(np.vstack([corners(other_shape), pairs.fixed, *moved]), margin)
-        return cls(pairs, moving_shape, other_shape, alignment, frame, float(sigma), scheme)
+        groups = groups_of(pairs.moving, pairs.fixed)
+        return cls(
+            pairs, moving_shape, other_shape, alignment, frame, float(sigma), scheme, float(strength), weights, groups,
+            align, margin,
+        )  # fmt: skip
 
     @property
     def ends(self) -> tuple[PointArray, PointArray]:
         """Where the flow takes the landmarks up in the disc, and where, by the alignment, it is to bring them."""
+        fixed, moving = self.pairs.fixed, self.alignment.apply(self.pairs.moving)
+        return self.frame.to_disc(self._grouped(fixed)), self.frame.to_disc(self._grouped(moving))
+
+    @property
+    def all_ends(self) -> tuple[PointArray, PointArray]:
+        """The same of every pair, whether or not it is carried as one with others."""
         return self.frame.to_disc(self.pairs.fixed), self.frame.to_disc(self.alignment.apply(self.pairs.moving))
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64]:
+        """The Green's function at the places where the flow takes the pairs up, shape (n, n)."""
+        return self._covariance(self._case(1))[np.ix_(self.groups, self.groups)]
+
+    def _covariance(self, case: Any) -> NDArray[np.float64]:
+        """The same of what is carried, shape (m, m)."""
+        matrix = np.empty((len(case.start), len(case.start)))
+        state = np.stack([case.start, np.zeros_like(case.start)])
+        registration_module(self.scheme).momentum_matrix(state, case.own, case.parameters, matrix)
+        return matrix
+
+    @property
+    def ridge(self) -> float:
+        """The square of how far a landmark of weight 1 misses for a unit of momentum, in units of the disc."""
+        return float((self.sigma * self.frame.scale) ** 2 * self.strength)
+
+    def realigned(self, trusted: NDArray[np.bool_]) -> Alignment:
+        """The alignment of the same kind that fits some of the landmarks, shape (n,), best."""
+        return _aligned(self.pairs.chosen(trusted), self.align)
+
+    def weighted(self, weights: NDArray[np.float64]) -> Matching:
+        """The same with other weights, shape (n,), and the alignment of those that are trusted."""
+        return self._of(self.pairs, weights)
+
+    def without(self, k: int) -> Matching:
+        """The same without pair number k, aligned anew, in a frame of its own."""
+        return self._of(self.pairs.without(k), np.delete(self.weights, k))
+
+    def _of(self, pairs: LandmarkPairs, weights: NDArray[np.float64]) -> Matching:
+        return Matching.of(
+            pairs, self.shape, fixed_shape=self.fixed_shape, align=self.align, sigma=self.sigma, scheme=self.scheme,
+            margin=self.margin, strength=self.strength, weights=weights,
+        )  # fmt: skip
+
+    def _grouped(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The weighted means of values of pairs, shape (n, 2), in their groups, shape (m, 2)."""
+        if len(self.pairs) == self.groups.max() + 1:
+            return values
+        sums = [np.bincount(self.groups, self.weights * column) for column in values.T]
+        return np.stack(sums, axis=1) / self._group_weights[:, None]
+
+    @property
+    def _group_weights(self) -> NDArray[np.float64]:
+        return np.asarray(np.bincount(self.groups, self.weights))
 
     def solve(
         self, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
     ) -> tuple[Flow, Any, str]:
         """The motion that carries the landmarks in so many steps, the generated solver's account, and what led to it.
 
-        The solver starts from guessed `velocities` at the start, shape (n, 2), if there are any, from those of the
-        straight way, and from a path of least action; unless it is to be `quick`, it then climbs its ladder of further
-        attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt succeeds.
+        The solver starts from guessed `velocities` of the pairs at the start, shape (n, 2), if there are any, from
+        those of the straight way, and from a path of least action; unless it is to be `quick`, it then climbs its
+        ladder of further attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt
+        succeeds.
         """
         module = registration_module(self.scheme)
         case = self._case(steps)
         with quiet_single_thread():
-            found = self._cheapest(case, velocities)
+            found = self._cheapest(case, None if velocities is None else self._grouped(velocities))
             if found is not None:
                 return self._flow(case, found[0]), *found
             if not quick:
@@ -94,7 +174,8 @@ class Matching:
         """The solution to be taken and what led to it, if any attempt had one.
 
         With a sigma, equations are solved by any stationary point of the cost, such as two landmarks that ought to
-        change places and end together half way. One that misses by far is compared with what other momenta lead to.
+        change places and end together half way. One that misses by more than the linear theory expects is compared with
+        what other momenta lead to.
         """
         module, least = registration_module(self.scheme), np.inf
         best: tuple[Any, str] | None = None
@@ -104,15 +185,27 @@ class Matching:
                 penalised = module.penalised(case, solution.cost, solution.q[-1])
                 if best is None or penalised < least:
                     best, least = (solution, f"shooting from {name}"), penalised
-                if not module.misses_by_far(case, best[0].q[-1]):
+                if not self._misses_by_far(case, best[0].q[-1]):
                     break
         return best
+
+    def _misses_by_far(self, case: Any, end: NDArray[np.float64]) -> bool:
+        """Whether the root mean square of misses is much larger than that of small momenta for small displacements."""
+        if self.ridge == 0.0:
+            return False
+        start, target = self.all_ends
+        ridges = self.ridge / self.weights
+        pulls = np.linalg.solve(self.covariance + np.diag(ridges), target - start)
+        expected = np.linalg.norm(np.sqrt(ridges)[:, None] * pulls)
+        missed = (end - case.target) / case.sigma[:, None]
+        return bool(np.linalg.norm(missed) > FAR * expected)
 
     def _case(self, steps: int) -> Any:
         """The generated module's account of what is to be connected."""
         start, target = self.ends
+        sigma = np.sqrt(self.ridge / self._group_weights)
         try:
-            return registration_module(self.scheme).make_case(start, target, steps, sigma=self.sigma * self.frame.scale)
+            return registration_module(self.scheme).make_case(start, target, steps, sigma=sigma)
         except ValueError as error:
             raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
 
@@ -123,10 +216,18 @@ class Matching:
         module = registration_module(self.scheme)
         if velocities is not None:
             yield "a known registration", module.momenta_of(case.start, velocities, case.own, case.parameters)
-        straight = (case.target - case.start) / case.duration
-        yield "the straight way", module.momenta_of(case.start, straight, case.own, case.parameters)
+        yield "the straight way", self._straight_momenta(case)
         if np.isfinite(self._of_least_action).all():
             yield "a path of least action", self._of_least_action
+
+    def _straight_momenta(self, case: Any) -> NDArray[np.float64]:
+        """Those of the linear theory: the straight way, as far as landmarks are to go it."""
+        module = registration_module(self.scheme)
+        if self.ridge == 0.0:
+            straight = (case.target - case.start) / case.duration
+            return module.momenta_of(case.start, straight, case.own, case.parameters)
+        matrix = self._covariance(case) * case.duration + np.diag(case.sigma**2)
+        return np.asarray(np.linalg.solve(matrix, case.target - case.start))
 
     @cached_property
     def _of_least_action(self) -> NDArray[np.float64]:
@@ -142,14 +243,18 @@ class Matching:
         return Flow(module, case, path, module.stages_of(case, path))
 
     def _failure(self, steps: int) -> str:
-        """What is reported of landmarks that no motion was found for: the two whose distance changes most."""
+        """What is reported of landmarks that no motion was found for: the two whose way apart changes most.
+
+        It is measured by the shorter of both, so that two that are nearly one in either image come first.
+        """
         before, after = self.alignment.apply(self.pairs.moving), self.pairs.fixed
         said = f"no motion of {steps} steps of {self.scheme} was found that carries the landmarks to their places"
         if len(before) < 2:
             return said
         i, j = np.triu_indices(len(before), 1)
-        apart = np.linalg.norm(before[i] - before[j], axis=1)
-        worst = int(np.argmax(np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart))
+        apart = np.minimum(*(np.linalg.norm(points[i] - points[j], axis=1) for points in (before, after)))
+        changes = np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart
+        worst = int(np.argmax(np.where(self.groups[i] == self.groups[j], 0.0, changes)))
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
         x, y = self.pairs.moving[i[worst]]
         return f"{said}; hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f})"

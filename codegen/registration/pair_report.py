@@ -69,7 +69,7 @@ def _rows(result: Result) -> list[Row]:
     pairs = result.pairs
     residuals = result.registration.residuals if result.registration is not None else np.full(len(pairs), np.nan)
     left_out = result.left_out.errors if result.left_out is not None else np.full(len(pairs), np.nan)
-    outliers = set(result.left_out.outliers) if result.left_out is not None else set()
+    outliers = set(result.out_of_place)
     made = []
     for k in range(min(len(pairs), MOST_ROWS)):
         places = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]

@@ -50,12 +50,21 @@ class LandmarkPairs:
 
     def without(self, k: int) -> LandmarkPairs:
         """All pairs but number k, counted from zero; LandmarkError when none would be left."""
-        kept = np.arange(len(self)) != k
-        return LandmarkPairs(self.moving[kept], self.fixed[kept], self.names[:k] + self.names[k + 1 :])
+        return self.chosen(np.arange(len(self)) != k)
+
+    def chosen(self, kept: NDArray[np.bool_]) -> LandmarkPairs:
+        """The pairs that are marked, shape (n,); LandmarkError when there are none."""
+        names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
+        return LandmarkPairs(self.moving[kept], self.fixed[kept], names)
 
     def swapped(self) -> LandmarkPairs:
         """The pairs with the fixed image as the moving one."""
         return LandmarkPairs(self.fixed, self.moving, self.names)
+
+
+def flipped(pairs: LandmarkPairs, width: int) -> LandmarkPairs:
+    """The pairs for a moving image of so many columns that is mirrored left to right."""
+    return LandmarkPairs(pairs.moving * [-1.0, 1.0] + [width - 1.0, 0.0], pairs.fixed, pairs.names)
 
 
 def as_points(values: Any) -> PointArray:

@@ -17,13 +17,17 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     if "det_min" not in seen:
         return found
     sigma = f", sigma {record['sigma']:.3g} px" if record["sigma"] or seen["sigma_chosen"] else ""
-    sigma += " by leave-one-out" if seen["sigma_chosen"] else ""
+    sigma += " by cross-validation" if seen["sigma_chosen"] else ""
+    found += [
+        (name, seen[key]) for name, key in (("alignment", "alignment_choice"), ("sigma", "sigma_message"))
+        if seen.get(key)
+    ]  # fmt: skip
     x, y = seen["det_min_at"]
     found += [
         ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
-        ("residual", f"{number(record['residual'])} px at most"),
+        ("residual", f"{number(record['residual'])} px at most, standard deviation {number(seen['deviation'])} px"),
         ("det J", f"{number(seen['det_min'])} at ({x:g}, {y:g}) to {number(seen['det_max'])}"),
-        ("folded", f"{seen['folded']} pixels"),
+        ("folded", "nowhere, which is proved" if seen["proved"] else f"{seen['folded']} pixels"),
         ("round trip", f"{number(seen['round_trip'])} px"),
     ]
     if seen["scheme_error"] is not None:
@@ -31,9 +35,9 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     if seen.get("leave_one_out"):
         finite = [error for error in seen["leave_one_out"] if error is not None]
         found.append(("leave one out", f"{number(statistics.median(finite)) if finite else '–'} px (median)"))
-        found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
     elif seen["landmarks"] > MOST_LEFT_OUT:
         found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
+    found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
     if seen.get("spacing", 1) != 1:
         text = f"every {seen['spacing']} pixels, error below {number(seen['spacing_bound'])} px"
         found.append(("grid", text))

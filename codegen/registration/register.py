@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from codegen.registration.alignment import Kind
+from codegen.registration.choice import chosen_alignment
 from codegen.registration.frame import MARGIN
-from codegen.registration.leave_one_out import choose_sigma
-from codegen.registration.maps import TOLERANCE, Registration, registered
+from codegen.registration.losses import Loss
+from codegen.registration.maps import TOLERANCE, Registration
+from codegen.registration.noise import choose_sigma
 from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.smoothing import registered
 from codegen.registration.solver import DEFAULT_SCHEME
 
 
@@ -18,31 +21,38 @@ def register(
     shape: Sequence[int],
     *,
     fixed_shape: Sequence[int] | None = None,
-    align: Kind = "similarity",
+    align: Kind = "auto",
     sigma: float | Literal["auto"] = 0.0,
+    loss: Loss = "linear",
     scheme: str = DEFAULT_SCHEME,
     steps: int | None = None,
     tolerance: float = TOLERANCE,
     margin: float = MARGIN,
     start: Registration | None = None,
     quick: bool = False,
+    progress: Callable[[str], None] | None = None,
 ) -> Registration:
     """Find the map that carries the moving landmarks to the fixed ones.
 
-    `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. With a
-    `sigma`, in pixels, landmarks may miss for the sake of a smoother map: what the inverse map makes of a fixed one
-    lies beside the moving one by sigma^2/radius times its momentum there, in pixels of the fixed image. Zero means that
-    they are met exactly, "auto" takes the sigma with the least leave-one-out error. Without `steps` as many are taken
-    as leave an error of the map below `tolerance` pixels. The solver starts from an earlier registration, `start`, of
-    as many landmarks, as when a landmark is dragged; it gives up soon where it is to be `quick`.
+    `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. `sigma`
+    is the standard deviation of the error of a landmark's coordinates, in pixels of the fixed image: the map is then
+    the smoothest whose residuals are of that size, to within 5 percent, and the strength with which its roughness
+    counts follows from that (`Registration.matching.strength`; the cost is in `Matching`). Zero means that landmarks
+    are met exactly, "auto" takes the estimate of `estimate_sigma`. A robust `loss`, "huber", "cauchy" or "tukey", lets
+    landmarks that miss by many sigmas pull less. "auto" for `align` takes the kind with the least leave-one-out error.
 
-    Raises LandmarkError when the landmarks cannot be used, RegistrationError when no solution is found.
+    Without `steps` as many are taken as leave an error of the map below `tolerance` pixels. The solver starts from an
+    earlier registration, `start`, of as many landmarks, as when a landmark is dragged; it gives up soon where it is to
+    be `quick`. With a sigma there are up to 20 solves, and `progress` is told a line after each.
+
+    Raises LandmarkError when the landmarks cannot be used, ArgumentError for an unknown alignment or loss, and
+    RegistrationError when no solution is found, or none whose residuals are as small as sigma.
     """
+    if align == "auto":
+        align = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=scheme, margin=margin).kind
     if sigma == "auto":
-        sigma = choose_sigma(
-            pairs, shape, fixed_shape=fixed_shape, align=align, scheme=scheme, steps=steps, margin=margin
-        )
+        sigma = choose_sigma(pairs, shape, fixed_shape=fixed_shape, align=align, scheme=scheme, margin=margin)
     return registered(
-        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, steps=steps,
-        tolerance=tolerance, margin=margin, start=start, quick=quick,
+        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, loss=loss, scheme=scheme, steps=steps,
+        tolerance=tolerance, margin=margin, start=start, quick=quick, progress=progress,
     )  # fmt: skip

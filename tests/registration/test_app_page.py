@@ -16,7 +16,7 @@ from codegen.registration import LandmarkPairs
 from codegen.registration.app.reading import LIMITS
 from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.images import read_image, write_image
-from codegen.registration.leave_one_out import choose_sigma
+from codegen.registration.noise import choose_sigma
 
 pytest.importorskip("panel", reason="panel is not installed")
 pytest.importorskip("bokeh", reason="bokeh is not installed")
@@ -108,6 +108,7 @@ def test_pairs_are_added_dragged_undone_saved_and_exported_as_the_command_line_d
     assert read_landmarks(landmarks).fixed[5] == pytest.approx(dragged[:2], abs=0)
     out = tmp_path / "by_command.png"
     command = ["warp", files / "moving.png", "--fixed", files / "fixed.png", "--landmarks", landmarks, "--out", out]
+    command += ["--align", "similarity"]  # which is the page's own
     done = CliRunner().invoke(main, [str(word) for word in command])
     assert done.exit_code == 0, done.output
     assert image.read_bytes() == out.read_bytes()

@@ -7,9 +7,10 @@ import pytest
 from registered_images import SHAPE
 
 from codegen.errors import LandmarkError
-from codegen.registration import LandmarkPairs, certify, choose_sigma, compare_sigmas, leave_one_out, register
+from codegen.registration import LandmarkPairs, certify, choose_sigma, leave_one_out, register
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.frame import pixel_grid
+from codegen.registration.step_bounds import bound_of_steps
 
 
 def known_map(determinant, back=lambda p: p):
@@ -17,7 +18,8 @@ def known_map(determinant, back=lambda p: p):
     return SimpleNamespace(
         status="solved", message="", fixed_shape=(9, 11), residuals=np.array([0.25, 0.5]),
         pairs=LandmarkPairs([[1, 1]], [[2, 2]]), arriving=lambda p: (p, determinant(p)), map_points=lambda p: p,
-        map_points_inverse=back,
+        map_points_inverse=back, alignment=SimpleNamespace(determinant=1.0),
+        flow=SimpleNamespace(module=None),  # which carries no bounds
     )  # fmt: skip
 
 
@@ -109,16 +111,44 @@ def test_one_landmark_predicts_nothing(solver):
         choose_sigma(LandmarkPairs([[1, 1], [5, 5]], [[2, 2], [5, 6]]), SHAPE)
 
 
-def test_landmarks_that_contradict_each_other_ask_for_a_sigma_and_exact_ones_do_not(solver):
+def test_landmarks_that_contradict_each_other_have_errors_and_exact_ones_do_not(solver):
     x, y = np.meshgrid([30.0, 80.0, 130.0], [35.0, 85.0])
     sites = np.stack([x.ravel(), y.ravel()], axis=1)
     moving = np.vstack([sites - np.array([1.0, 0.0]), sites + np.array([1.0, 0.0])])
     smooth = moving + np.stack([4 * np.sin(moving[:, 1] / 60), 3 * np.cos(moving[:, 0] / 70)], axis=1)
     twofold = smooth + np.repeat([[0.0, 1.5], [0.0, -1.5]], 6, axis=0)
-    options = {"steps": 3, "candidates": (0.0, 40.0)}
-    assert choose_sigma(LandmarkPairs(moving, smooth), SHAPE, **options) == 0.0
-    found = compare_sigmas(LandmarkPairs(moving, twofold), SHAPE, **options)
-    # From its neighbour alone, a landmark is predicted twice as far off as from the mean of both.
-    assert found.sigma == 40.0
-    assert found.errors[0] == pytest.approx(3.0, abs=0.4)
-    assert found.errors[1] < 0.8 * found.errors[0]
+    assert choose_sigma(LandmarkPairs(moving, smooth), SHAPE) < 0.1
+    # Each of two neighbours is 1.5 pixels from their mean in y alone: 1.5 sqrt(n / 2n) in each coordinate, but for
+    # the degrees of freedom that six sites take.
+    assert 0.7 * 1.5 < choose_sigma(LandmarkPairs(moving, twofold), SHAPE) < 1.5 * 1.5
+
+
+def test_what_is_proved_is_found_at_every_pixel(registration):
+    """Bounds decide; the extremes, which are looked for from a coarse grid on, are those of all pixels."""
+    found, every = certify(registration), certify_with_positions(registration)[0]
+    assert (found.proved, every.proved) == (True, False)
+    assert found.evaluated < every.evaluated == SHAPE[0] * SHAPE[1]
+    assert (found.det_min, found.det_max) == pytest.approx((every.det_min, every.det_max), rel=1e-9)
+    assert found.det_bounds[0] <= every.det_min <= every.det_max <= found.det_bounds[1]
+
+
+def test_bounds_of_steps_hold_for_difference_quotients(registration):
+    """|D Phi - I| of a step, by differences of carried points that are no nodes of any grid."""
+    flow, generator, d = registration.flow, np.random.default_rng(3), 1e-6
+    bounds = bound_of_steps(flow, 10**6)
+    angle, radius = generator.uniform(0, 2 * np.pi, 4000), np.sqrt(generator.uniform(0, 1, 4000))
+    points = np.vstack([np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1), flow.path[0, 0] + 1e-9])
+    for k in range(flow.steps):
+        first, last = k / flow.steps, (k + 1) / flow.steps
+        ends = [(flow.carry(points + e, first, last) - flow.carry(points - e, first, last)) / (2 * d)
+                for e in d * np.eye(2)]  # fmt: skip
+        changes = np.linalg.norm(np.stack(ends, axis=-1) - np.eye(2), ord=2, axis=(1, 2))
+        assert changes.max() <= bounds[k] < 1.0
+
+
+def test_too_few_steps_are_not_proved(pairs):
+    """Where the landmarks' way is much too long for one step, no bound decides and every pixel is evaluated."""
+    away = LandmarkPairs(pairs.moving, pairs.fixed + 60.0 * np.sin(pairs.moving[:, ::-1] / 25.0))
+    found = certify(register(away, SHAPE, sigma=5.0, steps=2, align="none"))
+    assert not found.proved
+    assert found.evaluated == SHAPE[0] * SHAPE[1]

@@ -8,7 +8,7 @@ from registered_images import SHAPE
 from scipy.integrate import solve_ivp
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration import LandmarkPairs, align, register
+from codegen.registration import LandmarkPairs, register
 from codegen.registration.frame import coarse_grid
 from codegen.registration.matching import Matching
 
@@ -59,7 +59,7 @@ def test_landmarks_arrive_and_points_return(registration):
 def test_the_map_is_the_one_that_an_adaptive_integrator_finds(pairs):
     fine = register(pairs, SHAPE, steps=160)
     carried = fine.frame.to_pixels(integrated(fine, fine.frame.to_disc(PROBE)))
-    np.testing.assert_allclose(fine.map_points_inverse(PROBE), align(pairs).apply_inverse(carried), atol=1e-7)
+    np.testing.assert_allclose(fine.map_points_inverse(PROBE), fine.alignment.apply_inverse(carried), atol=1e-7)
 
 
 def test_the_estimated_error_of_the_map_is_right(registration, pairs):
@@ -116,13 +116,20 @@ def test_dragging_a_landmark_finds_what_a_fresh_start_finds(registration, pairs)
     np.testing.assert_allclose(warm.map_points(PROBE), register(moved, SHAPE, steps=10).map_points(PROBE), atol=1e-8)
 
 
-def test_a_sigma_lets_landmarks_miss(registration, pairs):
-    loose = register(pairs, SHAPE, sigma=20.0, steps=registration.steps)
+@pytest.mark.parametrize("sigma", [0.2, 1.0])
+def test_a_sigma_lets_landmarks_miss_by_so_much(registration, pairs, sigma):
+    loose = register(pairs, SHAPE, sigma=sigma, steps=registration.steps)
+    assert np.sqrt((loose.residuals**2).mean() / 2.0) == pytest.approx(sigma, rel=0.06)
     scale = loose.frame.radius
     misses = loose.alignment.apply(loose.map_points_inverse(pairs.fixed)) - loose.alignment.apply(pairs.moving)
-    # The end condition q + sigma^2 p = target, in pixels of the fixed image.
-    np.testing.assert_allclose(misses, -((20.0 / scale) ** 2) * loose.flow.path[-1, 1] * scale, atol=1e-7)
-    assert loose.residuals.max() > 0.1
+    # The end condition q + strength sigma^2 p = target, in pixels of the fixed image.
+    weight = loose.matching.strength * (sigma / scale) ** 2
+    np.testing.assert_allclose(misses, -weight * loose.flow.path[-1, 1] * scale, atol=1e-7)
+
+
+def test_a_sigma_beyond_the_residuals_of_the_alignment_leaves_the_alignment(pairs):
+    loose = register(pairs, SHAPE, sigma=50.0)
+    np.testing.assert_allclose(loose.map_points(PROBE), loose.alignment.apply(PROBE), atol=1e-2)
 
 
 @pytest.fixture

@@ -218,3 +218,29 @@ def test_help_imports_nothing_slow():
     folder = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, check=False)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_landmarks_that_mirror_the_image_are_refused_and_flipped(files):
+    """With --flip the mirror image of a picture is brought back, pixel by pixel."""
+    pixels, pairs = picture(SHAPE), files / "mirrored.csv"
+    write_image(files / "grey.png", pixels)
+    write_landmarks(pairs, pairs=LandmarkPairs(CORNERS * [-1, 1] + [SHAPE[1] - 1, 0], CORNERS))
+    asked = (files / "grey.png", "--landmarks", pairs, "--out", files / "flipped.png")
+    assert "--flip" in refused(*asked)
+    run(*asked, "--flip")
+    np.testing.assert_array_equal(read_image(files / "flipped.png").pixels, pixels[:, ::-1])
+
+
+def test_sigma_loss_and_alignment_are_told(files):
+    generator = np.random.default_rng(5)
+    moving = generator.uniform(2, 22, (30, 2))
+    fixed = moving + generator.normal(size=moving.shape) * 0.3
+    fixed[4] += [6.0, 5.0]
+    write_landmarks(files / "noisy.csv", pairs=LandmarkPairs(moving, fixed))
+    asked = (files / "moving.png", "--landmarks", files / "noisy.csv", "--out", files / "out.png")
+    record = json.loads(run(*asked, "--sigma", "auto", "--loss", "tukey", "--json").stdout)
+    assert 0.2 < record["sigma"] < 0.45
+    assert record["summary"]["outliers"] == ["5"]
+    assert record["summary"]["folded"] == 0
+    assert "by leave-one-out" in record["summary"]["alignment_choice"]
+    assert "give a --sigma" in refused(*asked, "--loss", "huber")

@@ -15,8 +15,9 @@ from scipy.ndimage import map_coordinates
 from codegen.errors import RegistrationError
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Task
-from codegen.registration.leave_one_out import LeaveOneOut, choose_sigma, leave_one_out
+from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration
+from codegen.registration.noise import choose_sigma
 from codegen.registration.register import register
 
 COARSE = 8.0

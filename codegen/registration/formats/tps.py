@@ -24,7 +24,7 @@ REMEDY = "give LM=, as many lines x y, and IMAGE= for the moving and for the fix
 
 
 @dataclass
-class _Specimen:
+class Specimen:
     """Points as they stand in the file, None where one is missing, and what IMAGE= and ID= say."""
 
     points: list[tuple[float, float] | None] = field(default_factory=list)
@@ -40,7 +40,7 @@ def recognises(text: str) -> bool:
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     """Read two specimens; PointsError names the file and the line, or the image whose height is not known."""
     (source,) = sources
-    specimens = list(_specimens(source))
+    specimens = list(specimens_of(source))
     moving, fixed = _chosen(source, specimens, frames)
     if len(moving.points) != len(fixed.points):
         finding = f"{source.name}: {len(moving.points)} moving landmarks, but {len(fixed.points)} fixed ones"
@@ -52,10 +52,11 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     return made(sources, before, after, names)
 
 
-def _specimens(source: Source) -> Iterator[_Specimen]:
+def specimens_of(source: Source) -> Iterator[Specimen]:
+    """The specimens of a file one after the other; PointsError names the line that is none of theirs."""
     text = source.text.replace("\r\n", "\n").replace("\r", "\n")
     lines = ((k, line.strip()) for k, line in enumerate(text.split("\n"), 1))
-    specimen: _Specimen | None = None
+    specimen: Specimen | None = None
     for number, line in lines:
         if not line:
             continue
@@ -68,7 +69,7 @@ def _specimens(source: Source) -> Iterator[_Specimen]:
         if key == "LM":
             if specimen is not None:
                 yield specimen
-            specimen = _Specimen(list(_points(source, number, value, lines)))
+            specimen = Specimen(list(_points(source, number, value, lines)))
         elif key == "POINTS":
             for _ in _points(source, number, value, lines):
                 pass
@@ -101,7 +102,7 @@ def _points(
             yield x, y
 
 
-def _chosen(source: Source, specimens: Sequence[_Specimen], frames: Frames) -> tuple[_Specimen, _Specimen]:
+def _chosen(source: Source, specimens: Sequence[Specimen], frames: Frames) -> tuple[Specimen, Specimen]:
     """The specimens of the two images: by IMAGE= where it names both, the first and the second of two otherwise."""
     named = [_of_image(source, specimens, name) for name in (frames.moving_name, frames.fixed_name)]
     if named[0] is not None and named[1] is not None and named[0] is not named[1]:
@@ -117,7 +118,7 @@ def _chosen(source: Source, specimens: Sequence[_Specimen], frames: Frames) -> t
     )
 
 
-def _of_image(source: Source, specimens: Sequence[_Specimen], name: str) -> _Specimen | None:
+def _of_image(source: Source, specimens: Sequence[Specimen], name: str) -> Specimen | None:
     """The specimen of an image file, without regard to its folder and to capitals."""
     wanted = PureWindowsPath(name).name.lower()
     found = [entry for entry in specimens if wanted and PureWindowsPath(entry.image).name.lower() == wanted]

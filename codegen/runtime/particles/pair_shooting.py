@@ -153,11 +153,15 @@ class Linearised:
 
 
 def preconditioner(case):
-    """The Cholesky factor of duration times H_pp at the start, shape (n, n) or (nd, nd); None if it is not definite."""
+    """The Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
+
+    It is what `end_residual` changes by where momenta are small. None if it is not definite.
+    """
     size = case.start.shape[0] if BLOCKS == 1 else case.start.size
     matrix = np.empty((size, size))
     momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
     matrix *= case.duration
+    matrix[np.diag_indices(size)] += np.repeat(case.sigma**2, size // case.start.shape[0])
     return matrix if cholesky(matrix) else None
 
 

@@ -1,0 +1,120 @@
+"""Errors of landmarks: residuals as large as sigma, its estimate, outliers, losses, alignments, near duplicates."""
+
+import numpy as np
+import pytest
+from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
+
+from codegen.errors import ArgumentError, LandmarkError, RegistrationError
+from codegen.registration import LandmarkPairs, chosen_alignment, estimate_sigma, find_outliers, register
+from codegen.registration.frame import coarse_grid
+from codegen.registration.smoothing import MOST_SOLVES
+
+pytestmark = pytest.mark.usefixtures("solver")
+SHAPE = (SIDE, SIDE)
+
+
+def deviation(found):
+    """The standard deviation of a coordinate's residual in pixels."""
+    return np.sqrt((found.residuals**2).mean() / 2.0)
+
+
+def error(found, seed):
+    """The root mean square of the map's distance from the known warp over the image."""
+    points = coarse_grid(SHAPE, 25)
+    return np.sqrt(((found.map_points(points) - known_warp(seed)(points)) ** 2).sum(axis=1).mean())
+
+
+@pytest.mark.parametrize("count", [20, 60])
+@pytest.mark.parametrize("noise", [1.0, 3.0, 10.0])
+def test_residuals_are_of_the_size_of_sigma(count, noise):
+    pairs = noisy_pairs(count, noise, seed=1)
+    found = register(pairs, SHAPE, sigma=noise)
+    assert found.status == "solved"
+    assert deviation(found) == pytest.approx(noise, rel=0.06)
+    assert found.solves <= MOST_SOLVES
+
+
+@pytest.mark.parametrize(("count", "noise"), [(20, 3.0), (20, 10.0), (50, 3.0), (100, 1.0), (100, 10.0), (200, 3.0)])
+def test_sigma_is_estimated(count, noise):
+    estimates = [estimate_sigma(noisy_pairs(count, noise, seed), SHAPE, align="none").sigma for seed in range(6)]
+    assert min(estimates) > noise / 1.5
+    assert max(estimates) < noise * 1.5
+
+
+def test_a_smoothed_map_is_nearer_to_the_truth_than_an_exact_one():
+    pairs, said = noisy_pairs(60, 3.0, seed=2), list[str]()
+    smooth = register(pairs, SHAPE, sigma="auto", progress=said.append)
+    assert error(smooth, 2) < 0.85 * error(register(pairs, SHAPE), 2)
+    assert len(said) == smooth.solves
+
+
+def test_an_implausible_sigma_is_said():
+    generator = np.random.default_rng(4)
+    pairs = LandmarkPairs(generator.uniform(30, 480, (40, 2)), generator.uniform(30, 480, (40, 2)))
+    assert "implausible" in estimate_sigma(pairs, SHAPE).message
+    assert estimate_sigma(noisy_pairs(100, 3.0, 1), SHAPE).message == ""
+    with pytest.raises(LandmarkError, match="3 landmarks do not tell"):
+        estimate_sigma(LandmarkPairs(pairs.moving[:3], pairs.fixed[:3]), SHAPE)
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_planted_outliers_are_named_and_few_others(noise):
+    for seed in range(3):
+        pairs, planted = misplaced(noisy_pairs(200, noise, seed), 20, seed)
+        found = set(find_outliers(pairs, SHAPE).numbers)
+        assert len(found & planted) >= 18
+        assert len(found - planted) <= 2
+
+
+def test_where_half_are_out_of_place_nobody_is_blamed_but_sigma_is_implausible():
+    pairs, _ = misplaced(noisy_pairs(60, 1.0, 1), 30, 1)
+    assert not find_outliers(pairs, SHAPE).numbers
+    assert "implausible" in estimate_sigma(pairs, SHAPE).message
+
+
+@pytest.mark.parametrize("loss", ["cauchy", "tukey"])
+def test_robust_losses_forget_outliers(loss):
+    clean = noisy_pairs(100, 2.0, seed=5)
+    pairs, planted = misplaced(clean, 10, 5)
+    found = register(pairs, SHAPE, sigma=2.0, loss=loss)
+    assert error(found, 5) < 1.3 * error(register(clean, SHAPE, sigma=2.0), 5)
+    assert set(np.argsort(found.residuals)[-10:].tolist()) == planted
+
+
+def test_an_unknown_loss_is_refused():
+    with pytest.raises(ArgumentError, match="linear, huber, cauchy, tukey"):
+        register(noisy_pairs(20, 1.0, 1), SHAPE, sigma=1.0, loss="squares")
+
+
+@pytest.mark.parametrize("exponent", range(-1, -13, -1))
+def test_landmarks_that_are_nearly_one_are_met(exponent):
+    moving = noisy_pairs(20, 0.0, seed=3).moving
+    moving = np.vstack([moving, moving[0] + [10.0**exponent, 0.0]])
+    found = register(LandmarkPairs(moving, known_warp(3)(moving)), SHAPE)
+    assert found.status == "solved"
+    assert found.residuals.max() < 1e-4
+
+
+@pytest.mark.parametrize("exponent", [-5, -12])
+def test_landmarks_that_are_nearly_one_and_contradict_each_other_are_named(exponent):
+    moving = noisy_pairs(20, 0.0, seed=3).moving
+    moving = np.vstack([moving, moving[0] + [10.0**exponent, 0.0]])
+    fixed = known_warp(3)(moving)
+    fixed[-1] += [3.0, 1.0]
+    for pairs in (LandmarkPairs(moving, fixed), LandmarkPairs(fixed, moving)):
+        with pytest.raises(RegistrationError, match="hardest are landmarks 1 and 21,"):
+            register(pairs, SHAPE)
+
+
+def test_the_alignment_that_predicts_best_is_chosen():
+    generator = np.random.default_rng(6)
+    moving = generator.uniform(0.05, 0.95, (40, 2)) * SIDE
+    noise = generator.normal(size=(40, 2)) * 0.5
+    sheared = LandmarkPairs(moving, moving @ np.array([[1.0, 0.5], [0.0, 0.8]]).T + noise)
+    turned = LandmarkPairs(moving, 1.2 * moving @ np.array([[0.6, -0.8], [0.8, 0.6]]).T + noise)
+    chosen = chosen_alignment(sheared, SHAPE)
+    assert chosen.kind == "affine"
+    assert "affine by leave-one-out" in chosen.text
+    assert chosen_alignment(turned, SHAPE).kind == "similarity"
+    assert register(sheared, SHAPE, sigma=0.5).alignment.kind == "affine"
+    assert chosen_alignment(LandmarkPairs(moving[:3], moving[:3]), SHAPE).kind == "similarity"
