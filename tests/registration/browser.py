@@ -15,6 +15,7 @@ import pytest
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
+
 def free_port():
     with socket.socket() as probe:
         probe.bind(("localhost", 0))
@@ -22,12 +23,12 @@ def free_port():
 
 
 @contextmanager
-def server(state, *images):
-    """The address of a running `codegen app`."""
+def server(state, *images, with_process=False):
+    """The address of a running `codegen app`, and its process if that is wanted."""
     port = free_port()
     command = [sys.executable, "-m", "codegen", "app", *map(str, images), "--port", str(port), "--no-browser"]
     environment = os.environ | {"CODEGEN_STATE_DIR": str(state), "OPENBLAS_NUM_THREADS": "1"}
-    log = Path(state).with_suffix(".log")
+    log = Path(state).with_name(f"{Path(state).name}-{port}.log")
     with log.open("w") as said:
         process = subprocess.Popen(command, env=environment, stdout=said, stderr=said)
     address = f"http://localhost:{port}/"
@@ -39,7 +40,7 @@ def server(state, *images):
                 break
             except OSError:
                 time.sleep(0.2)
-        yield address
+        yield (address, process) if with_process else address
     finally:
         process.terminate()
         process.wait(timeout=30)
@@ -79,13 +80,18 @@ class Visit:
         page.on("console", self._said)
         page.on("request", lambda request: self._requested(request.url))
         page.goto(address)
-        page.wait_for_function("document.querySelector('#pane-moving h2').textContent && location.search")
-        page.wait_for_function("window.__page?.model.images")
-        return page
+        # The page's policy forbids what wait_for_function does.
+        for _ in range(1200):
+            if page.evaluate("Boolean(window.__page?.model.images && location.search)"):
+                return page
+            page.wait_for_timeout(50)
+        pytest.fail("the page never showed its images")
 
     def _said(self, said):
         if said.type == "error":
-            (self.refused if "the server responded with a status of 4" in said.text else self.problems).append(said.text)
+            (self.refused if "the server responded with a status of 4" in said.text else self.problems).append(
+                said.text
+            )
 
     def _requested(self, url):
         if not url.startswith(("http://localhost:", "ws://localhost:", "blob:", "data:")):
@@ -113,10 +119,13 @@ class Visit:
 
     def screen(self, pane, place, page=None):
         """Where on the screen a place of an image is."""
-        return (page or self.page).evaluate("""([name, place]) => {
+        return (page or self.page).evaluate(
+            """([name, place]) => {
           const pane = window.__page.panes.find(({ root }) => root.id === `pane-${name}`)
           const box = pane.stage.getBoundingClientRect(), [x, y] = pane.viewport.toScreen(place)
-          return [box.left + x, box.top + y] }""", [pane, list(place)])
+          return [box.left + x, box.top + y] }""",
+            [pane, [float(value) for value in place]],
+        )
 
     def click(self, pane, place):
         self.page.mouse.click(*self.screen(pane, place))

@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from codegen.errors import CodegenError, FileError
+from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import messages, preparing, solving
 from codegen.registration.app.autosave import OtherWriterError, Saved, Store, new_token
 from codegen.registration.app.operations import operate
@@ -230,7 +230,7 @@ class LiveWork:
     def require_solver(self) -> None:
         """CodegenError while there is no solver for what takes long."""
         if not self._ready():
-            raise FileError("the solver is still being compiled", "try again when the image is warped")
+            raise RegistrationError("the solver is still being compiled", "try again when the image is warped")
 
     def _choose_sigma(self) -> None:
         """Ask for the best sigma, which takes a while."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _NAMES = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "inch": "in", "": "mm"}
-_PRINT = (72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
+_PRINT = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
 """Dots to an inch that programs write without having measured anything."""
 _SIZE = r'PhysicalSize{}="([0-9.eE+-]+)"'
 MOST_UNIT = 12

@@ -142,6 +142,4 @@ def _pair(row: Sequence[Any]) -> Pair:
     identity, a, b, c, d, name, guessed, active = row
     if guessed not in ("moving", "fixed", None):
         raise ValueError(f"{guessed!r} is no image")
-    return Pair(
-        int(identity), (float(a), float(b)), (float(c), float(d)), str(name)[:MOST_NAME], guessed, bool(active)
-    )
+    return Pair(int(identity), (float(a), float(b)), (float(c), float(d)), str(name)[:MOST_NAME], guessed, bool(active))

@@ -174,7 +174,7 @@ function wanted() {
   const [dx, dy] = [(seen[2] - seen[0]) * 0.1, (seen[3] - seen[1]) * 0.1]
   const edges = [Math.max(seen[0] - dx, 0), Math.max(seen[1] - dy, 0), Math.min(seen[2] + dx, image[0]), Math.min(seen[3] + dy, image[1])]
   const [width, height] = [edges[2] - edges[0], edges[3] - edges[1]]
-  const scale = Math.min(zoom * (shown.ratio ?? 1), Math.sqrt(MOST_PIXELS / (width * height)))
+  const scale = Math.min(zoom * shown.ratio, Math.sqrt(MOST_PIXELS / (width * height)))
   return { ...look, window: [...edges, Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))] }
 }
 

@@ -21,6 +21,7 @@ const BLINK = 700 // milliseconds
 
 export class Pane {
   viewport = new Viewport()
+  ratio = 1 // of the device's pixels to those of the screen
   cursor = null // where keys add a point
   mode = "fixed"
   frame = null // the newest picture of the warped image

@@ -64,6 +64,7 @@ export class Say {
       } else if (!solved.hasty && !this.#doing) parts.push("certifying …")
     }
     state.append(parts.join(" · "))
+    state.title = state.textContent
   }
 
   pointer(side, place) {
