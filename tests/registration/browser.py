@@ -23,9 +23,9 @@ def free_port():
 
 
 @contextmanager
-def server(state, *images, with_process=False):
+def server(state, *images, with_process=False, port=None):
     """The address of a running `codegen app`, and its process if that is wanted."""
-    port = free_port()
+    port = port or free_port()
     command = [sys.executable, "-m", "codegen", "app", *map(str, images), "--port", str(port), "--no-browser"]
     environment = os.environ | {"CODEGEN_STATE_DIR": str(state), "OPENBLAS_NUM_THREADS": "1"}
     log = Path(state).with_name(f"{Path(state).name}-{port}.log")
@@ -60,7 +60,8 @@ def browser():
 
 _PIXELS = """([root, layer]) => {
   const canvas = document.querySelector(`${root} canvas.${layer}`)
-  return [canvas.width, canvas.height, Array.from(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data)] }"""
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height)
+  return [canvas.width, canvas.height, Array.from(data)] }"""
 
 
 class Visit:

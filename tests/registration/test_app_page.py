@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser import Visit, browser, server
+from browser import Visit, browser, free_port, server
 from typer.testing import CliRunner
 
 from codegen.cli import main
@@ -315,6 +315,27 @@ def test_two_tabs_on_one_work_never_lose_an_edit(loaded):
     np.testing.assert_allclose(loaded.screen("fixed", loaded.points("fixed")[0]), [box[0] + 30, box[1] + 10], atol=0.05)
     np.testing.assert_allclose(loaded.screen("fixed", loaded.points("fixed")[1], other), [x - 9, y + 4], atol=0.05)
     other.close()
+
+
+def test_edits_without_a_server_are_sent_when_there_is_one_again(chromium, solver, files, tmp_path):
+    """The server is killed while the page is used, and another one takes its place."""
+    port, images = free_port(), (files / "moving.png", files / "fixed.png")
+    with server(tmp_path / "state", *images, port=port, with_process=True) as (address, process):
+        visit = Visit(chromium, address)
+        visit.click("moving", (20.0, 20.0))
+        visit.until(lambda v: len(v.pairs()) == 1 and v.page.evaluate("window.__page.link.unsaved") == 0)
+        process.kill()
+        visit.until(lambda v: "no connection" in v.page.locator("#saved").inner_text())
+        visit.drag("fixed", visit.points("fixed")[0], (11.0, 7.0))
+        put = visit.points("fixed")[0]
+        visit.click("moving", (60.0, 40.0))
+        visit.until(lambda v: "2 edits wait" in v.page.locator("#saved").inner_text())
+    with server(tmp_path / "state", *images, port=port):
+        visit.until(lambda v: v.page.locator("#saved").inner_text() == "saved" and len(v.pairs()) == 2)
+        other = visit.tab(visit.page.url)
+        visit.until(lambda v: v.pairs(other) == v.pairs())
+        assert visit.points("fixed")[0] == put
+        visit.context.close()
 
 
 def test_what_is_shown_can_be_chosen_and_one_image_can_be_bent(visit, files, tmp_path):

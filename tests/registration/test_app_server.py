@@ -183,7 +183,7 @@ def test_a_host_that_is_not_this_machine_is_refused(address, path, host):
 
 @pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]"])
 def test_this_machine_is_let_in_by_its_names(address, name):
-    status, headers, body = ask(address, Host=f"{name}:{urlsplit(address).port}")
+    status, _, body = ask(address, Host=f"{name}:{urlsplit(address).port}")
     assert status == 200
     assert b"Image registration by landmarks" in body
 
@@ -284,7 +284,8 @@ def test_bombs_and_damaged_files_are_refused_and_the_work_goes_on(address, files
 @pytest.mark.parametrize(
     "message",
     ["", "[", "null", "[]", "7", '{"type": 5}', '{"type":"edit"}', '{"type":"edit","number":"x"}', "[" * 100_000,
-     '{"type":"look","time":"a","window":null,"grid":0}', '{"type":"look","time":1,"window":[0,0,1,1,1e9,1e9],"grid":0}',
+     '{"type":"look","time":"a","window":null,"grid":0}',
+     '{"type":"look","time":1,"window":[0,0,1,1,1e9,1e9],"grid":0}',
      '{"type":"edit","number":1,"do":"add","side":"up","place":[1,2]}',
      '{"type":"edit","number":1,"do":"add","side":"moving","place":[NaN,2]}',
      '{"type":"edit","number":1,"do":"add","side":"moving","place":"ab"}',

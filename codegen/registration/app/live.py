@@ -131,8 +131,9 @@ class LiveWork:
             except CodegenError as error:
                 tab.line.send(_message(str(error)))
         hasty = message.get("do") == "move" and not message.get("settled")
-        self._tell_work()
+        # First, so that the page knows by then which pair is the one that it has asked for.
         tab.line.send({"type": "done", "number": number, "added": added})
+        self._tell_work()
         if not hasty or message.get("live", True):
             self.draw(hasty=hasty)
         if not hasty:

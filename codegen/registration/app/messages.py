@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.registration.alignment import KINDS
 from codegen.registration.app import solving
 from codegen.registration.app.operations import INTERPOLATIONS, SCHEMES
 from codegen.registration.app.picture import Picture
@@ -31,6 +32,7 @@ def offers() -> Values:
     return {
         "limits": {"image": LIMITS.bytes, "landmarks": MOST_LANDMARK_BYTES, "pairs": MOST_PAIRS},
         "tile": SIDE,
+        "alignments": KINDS,
         "schemes": SCHEMES,
         "interpolations": INTERPOLATIONS,
         "formats": {name: form.title for name, form in FORMATS.items()},

@@ -7,7 +7,6 @@ import { hasUnits } from "./table.js"
 const node = (id) => document.getElementById(id)
 const IMAGES = ".png,.jpg,.jpeg,.tif,.tiff"
 const PLAIN = { brightness: 0, contrast: 1, map: "colours" }
-const ALIGNMENTS = ["none", "similarity", "affine"]
 
 export function setUpControls({ model, options, acts, panes, table, link, say, modes }) {
   let limits = { image: 0, landmarks: 0 }
@@ -211,7 +210,7 @@ export function setUpControls({ model, options, acts, panes, table, link, say, m
       if (!node("format").length) fill(node("format"), hello.formats)
       fill(node("scheme"), Object.fromEntries(Object.entries(hello.schemes).map(([name, note]) => [name, `${name} (${note})`])))
       fill(node("interpolation"), Object.fromEntries(hello.interpolations.map((name) => [name, name])))
-      fill(node("align"), Object.fromEntries(ALIGNMENTS.map((name) => [name, name])))
+      fill(node("align"), Object.fromEntries(hello.alignments.map((name) => [name, name])))
     },
     showImages() {
       const { moving, fixed } = model.images

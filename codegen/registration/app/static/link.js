@@ -12,11 +12,12 @@ export class Link {
   #moving = 0 // the number of that one
   #greeted = false
 
-  constructor({ token, heard, packed, connected }) {
+  constructor({ token, heard, packed, connected, kept }) {
     this.token = token
     this.onHeard = heard
     this.onPacked = packed
     this.onConnected = connected
+    this.onKept = kept
   }
 
   get unsaved() {
@@ -78,6 +79,7 @@ export class Link {
     if (follows) this.#kept.pop() // of a drag the newest move says all
     this.#kept.push(message)
     this.send(message)
+    this.onKept(this.#kept.length)
     return message.number
   }
 

@@ -19,7 +19,11 @@ const say = new Say(model)
 const options = { points: true, names: true, grid: false, live: true, linked: true, time: 1 }
 const token = () => new URLSearchParams(location.search).get(WORK) ?? ""
 
-const link = new Link({ token: token(), heard, packed, connected: (is) => say.connection(is, link.unsaved) })
+const link = new Link({
+  token: token(), heard, packed,
+  connected: (is) => say.connection(is, link.unsaved),
+  kept: (unsaved) => say.waiting(unsaved),
+})
 const tiles = new Tiles(
   (digest, level, column, row) => `work/${link.token}/tile/${digest}/${level}/${column}/${row}`,
   512,
@@ -27,6 +31,7 @@ const tiles = new Tiles(
 )
 
 let awaited = null // the edit that adds a point, until its pair is known
+let added = null // that pair, until it is told what it is
 let looked = null
 let asked = ""
 let again = null
@@ -191,7 +196,14 @@ function heard(message) {
     },
     moved: () => rename(message.token),
     images: () => model.showImages(message),
-    work: () => model.showWork(message),
+    work() {
+      model.showWork(message)
+      if (!model.pairs.has(added)) return
+      model.select(added)
+      table.reveal(added)
+      say.chosen(added)
+      added = null
+    },
     solved: () => model.showSolved(message),
     certified: () => model.showCertified(message),
     status: () => say.doing(message.doing),
@@ -200,10 +212,7 @@ function heard(message) {
       model.confirm(message.number)
       if (message.number !== awaited) return
       awaited = null
-      if (message.added === null) return
-      model.select(message.added)
-      table.reveal(message.added)
-      say.chosen(message.added)
+      added = message.added
     },
     saved() {
       say.saved(message.problem, link.unsaved)

@@ -109,6 +109,10 @@ export class Say {
     this.#tell(unsaved)
   }
 
+  waiting(unsaved) {
+    if (!this.#isConnected || this.#problem) this.#tell(unsaved)
+  }
+
   saved(problem, unsaved) {
     this.#problem = problem
     this.#tell(unsaved)
