@@ -147,8 +147,12 @@ export function setUpControls({ model, options, acts, panes, table, link, say, m
 
   const colours = { moving: { ...PLAIN }, fixed: { ...PLAIN } }
   const paintColours = () => {
-    setFilter("filter-moving", colours.moving)
-    setFilter("filter-fixed", colours.fixed)
+    for (const [side, chosen] of Object.entries(colours)) {
+      setFilter(`filter-${side}`, chosen)
+      // What changes nothing costs nothing.
+      const isPlain = Object.keys(PLAIN).every((key) => chosen[key] === PLAIN[key])
+      document.body.style.setProperty(`--filter-${side}`, isPlain ? "none" : `url(#filter-${side})`)
+    }
     setFilter("filter-green", { ...colours.fixed, map: "green" })
     setFilter("filter-magenta", { ...colours.moving, map: "magenta" })
   }
