@@ -16,13 +16,14 @@ from typing import Any
 
 from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import messages, preparing, solving
-from codegen.registration.app.autosave import OtherWriterError, Saved, Store, new_token
+from codegen.registration.app.autosave import Saved, Store
+from codegen.registration.app.keeping import Keeper
 from codegen.registration.app.operations import operate
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Look, Shown, Wanted
 from codegen.registration.app.state import Work
 from codegen.registration.app.tabs import Line, Tab
-from codegen.registration.app.worker import Deliver, Worker, delivered, saving, slow
+from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 from codegen.registration.maps import Registration
 
 MOST_CLIENTS = 50
@@ -47,7 +48,6 @@ class LiveWork:
         saved: Saved | None = None,
     ) -> None:
         self.session, self.deliver = session, deliver
-        self.store, self.token = store, token
         self.tabs: dict[str, Tab] = {}
         self.shown: Shown | None = None
         self.certified: Certified | None = None
@@ -55,13 +55,16 @@ class LiveWork:
         self.renamed: Callable[[LiveWork], None] = lambda _: None
         """Called when the work has got another name."""
         self._heard = dict(saved.heard) if saved else {}
-        self._edition = saved.edition if saved else ""
         self._told: Work | None = None  # what all tabs know
-        self._is_unsaved = False
         self._worker = Worker(deliver, ("draw",))
         self._slow = Worker(deliver, ("sigma", "certify"), slow)
-        self._saving = Worker(deliver, ("save",), saving)
+        self._keeper = Keeper(deliver, store, token, saved.edition if saved else "", self._saved, self._renamed)
         self._awaited: Future[None] | None = None  # the solver that is being compiled
+
+    @property
+    def token(self) -> str:
+        """What the work is called where it is saved."""
+        return self._keeper.token
 
     # --- tabs -------------------------------------------------------------------------------------------------------
 
@@ -114,7 +117,7 @@ class LiveWork:
     @property
     def busy(self) -> bool:
         """Whether anything is being solved, made or saved, or could not be saved."""
-        return self._worker.busy or self._slow.busy or self._saving.busy or self._is_unsaved
+        return self._worker.busy or self._slow.busy or self._keeper.busy
 
     # --- edits ------------------------------------------------------------------------------------------------------
 
@@ -179,6 +182,9 @@ class LiveWork:
         return shown.registration if shown.wanted.task.revision == wanted.task.revision else None
 
     def _drawn(self, shown: Shown) -> None:
+        task = shown.wanted.task
+        if task.moving is not self.session.moving or task.fixed is not self.session.picture("fixed"):
+            return  # other images have been opened meanwhile
         is_new = self.shown is None or shown.registration is not self.shown.registration
         self.shown = shown
         self.session.registration = shown.registration
@@ -253,42 +259,18 @@ class LiveWork:
 
     def save(self) -> None:
         """Save the work beside the event loop, and tell every tab which of its edits are safe."""
-        heard = dict(self._heard)
-        if self.store is None:
-            self._tell_saved(heard, None)
-            return
         session = self.session
-        state = Saved(session.moving, session.fixed, session.work, heard, self._edition)
-        store, token = self.store, self.token
+        self._keeper.save(Saved(session.moving, session.fixed, session.work, dict(self._heard), ""))
 
-        def job() -> tuple[str, Saved, str]:
-            # What is written last is what the next state goes on from, even where it was asked for before.
-            newest = replace(state, edition=self._edition)
-            try:
-                return token, store.save(token, newest), ""
-            except OtherWriterError as error:
-                other = new_token()
-                return other, store.save(other, newest), str(error)
-
-        self._saving.ask("save", job, self._saved, self._unsaved)
-
-    def _saved(self, result: tuple[str, Saved, str]) -> None:
-        token, saved, said = result
-        self._edition, self._is_unsaved = saved.edition, False
-        if token != self.token:
-            self.token = token
-            self.renamed(self)
-            self.tell({"type": "moved", "token": token})
-            self._say(said)
-        self._tell_saved(saved.heard, None)
-
-    def _unsaved(self, error: Exception) -> None:
-        self._is_unsaved = True
-        self._tell_saved({}, str(error) if isinstance(error, CodegenError) else type(error).__name__)
-
-    def _tell_saved(self, heard: Mapping[str, int], problem: str | None) -> None:
+    def _saved(self, heard: Mapping[str, int], problem: str | None) -> None:
         for client, tab in self.tabs.items():
             tab.line.send({"type": "saved", "number": heard.get(client, 0), "problem": problem})
+
+    def _renamed(self, said: str) -> None:
+        """The work has got another name, because another server has changed what had the old one."""
+        self.renamed(self)
+        self.tell({"type": "moved", "token": self.token})
+        self._say(said)
 
     # --- what is said -----------------------------------------------------------------------------------------------
 
