@@ -131,7 +131,7 @@ class Tab:
 
     async def add(self, place):
         number = await self.edit("add", side="moving", place=place)
-        await self.until(lambda tab: number in tab.added)
+        await self.until(lambda tab: tab.added.get(number) in tab.pairs)
         return self.added[number]
 
     async def saved(self):
@@ -340,6 +340,22 @@ def test_tabs_on_one_work_hear_of_each_other_and_each_edit_is_done_once(address)
         one.socket.close()
         again = await tab_of(address, one.token)
         assert again.pairs == other.pairs
+
+    run(session())
+
+
+def test_a_page_that_never_heard_that_its_edit_was_saved_is_told_when_it_comes_back(address):
+    async def session():
+        one = await tab_of(address)
+        other = await tab_of(address, one.token)
+        await one.edit("add", side="moving", place=[4.0, 9.0])
+        await other.until(lambda tab: len(tab.order) == 1)
+        await other.until(lambda tab: any(message["type"] == "saved" for message in tab.heard[-1:]))
+        assert one.kept
+        one.socket.close()
+        await one.connect()
+        await one.saved()
+        assert len(one.order) == 1
 
     run(session())
 

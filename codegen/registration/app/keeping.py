@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TypeAlias
 
 from codegen.errors import CodegenError
 from codegen.registration.app.autosave import OtherWriterError, Saved, Store, new_token
 from codegen.registration.app.worker import Deliver, Worker, saving
 
-Told: TypeAlias = Callable[[Mapping[str, int], str | None], None]
-
 
 class Keeper:
-    """Keeps a work under `token`, from the `edition` that was read; without a store nothing is kept.
+    """Keeps a work under `token`, from the state that was read, if one was; without a store nothing is kept.
 
-    `told` hears of every attempt: the last edit of each page that is safe now, and what went wrong, or None. `renamed`
-    hears why the work has got another name.
+    `safe` are the last edits of pages that are in what is kept, and `problem` says why the last attempt failed, if it
+    did. `told` is called after every attempt; `renamed` hears why the work has got another name.
     """
 
     def __init__(
@@ -25,26 +22,28 @@ class Keeper:
         deliver: Deliver,
         store: Store | None,
         token: str,
-        edition: str,
-        told: Told,
+        read: Saved | None,
+        told: Callable[[], None],
         renamed: Callable[[str], None],
     ) -> None:
         self.token = token
-        self._store, self._edition = store, edition
+        self.safe: Mapping[str, int] = dict(read.heard) if read else {}
+        self.problem: str | None = None
+        self._store, self._edition = store, read.edition if read else ""
         self._told, self._renamed = told, renamed
         self._worker = Worker(deliver, ("save",), saving)
-        self._is_unsaved = False
 
     @property
     def busy(self) -> bool:
         """Whether anything is being saved, or could not be."""
-        return self._worker.busy or self._is_unsaved
+        return self._worker.busy or self.problem is not None
 
     def save(self, state: Saved) -> None:
         """Save a state soon; of several that wait only the newest."""
         store, token = self._store, self.token
         if store is None:
-            self._told(state.heard, None)
+            self.safe = state.heard
+            self._told()
             return
 
         def job() -> tuple[str, Saved, str]:
@@ -60,12 +59,12 @@ class Keeper:
 
     def _saved(self, result: tuple[str, Saved, str]) -> None:
         token, saved, said = result
-        self._edition, self._is_unsaved = saved.edition, False
+        self._edition, self.safe, self.problem = saved.edition, saved.heard, None
         if token != self.token:
             self.token = token
             self._renamed(said)
-        self._told(saved.heard, None)
+        self._told()
 
     def _failed(self, error: Exception) -> None:
-        self._is_unsaved = True
-        self._told({}, str(error) if isinstance(error, CodegenError) else type(error).__name__)
+        self.problem = str(error) if isinstance(error, CodegenError) else type(error).__name__
+        self._told()

@@ -58,7 +58,7 @@ class LiveWork:
         self._told: Work | None = None  # what all tabs know
         self._worker = Worker(deliver, ("draw",))
         self._slow = Worker(deliver, ("sigma", "certify"), slow)
-        self._keeper = Keeper(deliver, store, token, saved.edition if saved else "", self._saved, self._renamed)
+        self._keeper = Keeper(deliver, store, token, saved, self._tell_saved, self._renamed)
         self._awaited: Future[None] | None = None  # the solver that is being compiled
 
     @property
@@ -73,6 +73,7 @@ class LiveWork:
         self.tabs[client] = Tab(line)
         hello = {"type": "hello", "token": self.token, "heard": self._heard.get(client, 0), **messages.offers()}
         line.send(hello)
+        line.send(self._is_safe(client))  # it may have been saved without the page's having heard of it
         line.send(messages.images(self.session))
         line.send(messages.work(self.session, None))
         if self._told is None:
@@ -262,9 +263,13 @@ class LiveWork:
         session = self.session
         self._keeper.save(Saved(session.moving, session.fixed, session.work, dict(self._heard), ""))
 
-    def _saved(self, heard: Mapping[str, int], problem: str | None) -> None:
+    def _tell_saved(self) -> None:
         for client, tab in self.tabs.items():
-            tab.line.send({"type": "saved", "number": heard.get(client, 0), "problem": problem})
+            tab.line.send(self._is_safe(client))
+
+    def _is_safe(self, client: str) -> dict[str, Any]:
+        """Which edits of a page need not be kept by it any longer."""
+        return {"type": "saved", "number": self._keeper.safe.get(client, 0), "problem": self._keeper.problem}
 
     def _renamed(self, said: str) -> None:
         """The work has got another name, because another server has changed what had the old one."""
