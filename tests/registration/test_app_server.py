@@ -353,6 +353,7 @@ def test_a_page_that_never_heard_that_its_edit_was_saved_is_told_when_it_comes_b
         await other.until(lambda tab: any(message["type"] == "saved" for message in tab.heard[-1:]))
         assert one.kept
         one.socket.close()
+        one.greeted = False
         await one.connect()
         await one.saved()
         assert len(one.order) == 1
