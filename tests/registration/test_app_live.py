@@ -3,6 +3,7 @@
 import queue
 import time
 from concurrent.futures import Future
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ pytest.importorskip("tornado", reason="tornado is not installed")
 
 from codegen.errors import ModuleError
 from codegen.registration.app import page, preparing, solving
+from codegen.registration.app.autosave import Store
 from codegen.registration.app.live import LiveWork
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Session
+from codegen.registration.app.works import Works
 
 SHAPE = (30, 40)
 WINDOW = [0.0, 0.0, 40.0, 30.0, 40, 30]
@@ -143,3 +146,34 @@ def test_a_solver_that_cannot_be_compiled_is_reported_where_it_is_needed(monkeyp
     visitor.add("moving", 10.0, 12.0)
     visitor.wait(lambda: any("no-such-scheme" in message["text"] for message in visitor.said("message")))
     assert len(visitor.work.session.work.pairs) == 1
+
+
+def test_works_without_tabs_are_closed_once_nothing_of_them_is_unsaved(solver, tmp_path):
+    acts, later = queue.Queue(), []
+    pixels = np.zeros(SHAPE, np.uint8)
+    works = Works(
+        lambda: Session(Picture(pixels)), acts.put, lambda _, act: later.append(act), Store(tmp_path / "state")
+    )
+    visitor = Visitor()
+    work = works.get("")
+    work.join("tab", visitor)
+    (tmp_path / "state").write_text("no folder")
+    work.hear("tab", {"type": "edit", "number": 1, "do": "rename", "id": 1, "name": "a"})
+
+    def until(what):
+        end = time.monotonic() + 60.0
+        while not what():
+            assert time.monotonic() < end, "nothing happened"
+            with suppress(queue.Empty):
+                acts.get(timeout=0.05)()
+
+    until(lambda: any(message["problem"] for message in visitor.said("saved")))
+    work.leave("tab", visitor)
+    works.left(work)
+    later.pop()()
+    assert works.find(work.token) is work  # it could not be saved, and whoever comes back finds it
+    (tmp_path / "state").unlink()
+    work.save()
+    until(lambda: not work.busy)
+    later.pop()()
+    assert works.find(work.token) is None

@@ -62,9 +62,13 @@ class Works:
         """A tab has gone; after a while nothing of its work is in memory unless another has come."""
 
         def close() -> None:
-            if not work.tabs and not work.busy:
-                for token in [token for token, other in self.open.items() if other is work]:
-                    del self.open[token]
+            if work.tabs:
+                return
+            if work.busy:
+                self.later(PATIENCE, close)
+                return
+            for token in [token for token, other in self.open.items() if other is work]:
+                del self.open[token]
 
         if not work.tabs:
             self.later(PATIENCE, close)
