@@ -79,10 +79,12 @@ def test_it_brings_what_its_parts_read(installed):
     """Styles, templates, the problem of registration, the problems of stress."""
     code = """
 import codegen, json
-from codegen.registration.app.controls import STYLE
+from importlib.resources import files
 from codegen.registration.solver import problem_file
 from codegen.stress.families import all_cases
-assert len(STYLE) > 1000 and problem_file().is_file()
+static = files("codegen.registration.app") / "static"
+assert all((static / name).is_file() for name in ("index.html", "style.css", "main.js"))
+assert problem_file().is_file()
 assert all(case.setup.file.is_file() for case in all_cases())
 print(codegen.__file__)
 """

@@ -19,10 +19,14 @@ def app(
     images: Images = None,
     port: Annotated[int, typer.Option(min=1024, max=65535, help="Port on localhost.")] = 5006,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Open no browser; print the address.")] = False,
+    state: Annotated[
+        Path | None,
+        typer.Option("--state", metavar="FOLDER", help="Where works are saved. [default: $CODEGEN_STATE_DIR]"),
+    ] = None,
 ) -> None:
     """Register images in the browser: click pairs of points, drag them, see the warp; Ctrl+C ends it."""
     from codegen.registration import app as page
 
-    page.prepare(images or [])
+    page.prepare(images or [], state)
     typer.echo(f"http://localhost:{port} (Ctrl+C ends it)")
-    page.serve(images or [], port, show=not no_browser)
+    page.serve(images or [], port, show=not no_browser, state=state)

@@ -15,15 +15,6 @@ import pytest
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
-_MODEL = "const model = Bokeh.documents[0].get_model_by_name(name), view = Bokeh.index.find_one(model);"
-_SCREEN = f"""([name, x, y]) => {{ {_MODEL}
-  const frame = view.frame, box = view.el.getBoundingClientRect();
-  return [box.left + frame.x_scale.compute(x), box.top + frame.y_scale.compute(y)] }}"""
-_POINTS = f"""(name) => {{ {_MODEL}
-  const get = (data, key) => Array.from(data.get ? data.get(key) : data[key]);
-  const data = model.renderers.map((r) => r.data_source.data).find((d) => d.edition ?? d.get?.("edition"));
-  return get(data, "x").map((x, k) => [x, get(data, "y")[k], get(data, "id")[k]]) }}"""
-
 
 def free_port():
     with socket.socket() as probe:
@@ -32,12 +23,12 @@ def free_port():
 
 
 @contextmanager
-def server(state, *images):
-    """The address of a running `codegen app`."""
-    port = free_port()
+def server(state, *images, with_process=False, port=None):
+    """The address of a running `codegen app`, and its process if that is wanted."""
+    port = port or free_port()
     command = [sys.executable, "-m", "codegen", "app", *map(str, images), "--port", str(port), "--no-browser"]
     environment = os.environ | {"CODEGEN_STATE_DIR": str(state), "OPENBLAS_NUM_THREADS": "1"}
-    log = Path(state).with_suffix(".log")
+    log = Path(state).with_name(f"{Path(state).name}-{port}.log")
     with log.open("w") as said:
         process = subprocess.Popen(command, env=environment, stdout=said, stderr=said)
     address = f"http://localhost:{port}/"
@@ -49,7 +40,7 @@ def server(state, *images):
                 break
             except OSError:
                 time.sleep(0.2)
-        yield address
+        yield (address, process) if with_process else address
     finally:
         process.terminate()
         process.wait(timeout=30)
@@ -67,98 +58,109 @@ def browser():
         launched.close()
 
 
-_IMAGE = f"""(name) => {{ {_MODEL}
-  const source = model.renderers[0].data_source, image = source.get_column("image")[0]
-  return [image.shape, Array.from(new Uint8Array(image.buffer, image.byteOffset, 4 * image.length))] }}"""
-_COLUMN = f"""([name, column]) => {{ {_MODEL}
-  return Array.from(model.renderers[0].data_source.get_column(column)).map((values) => Array.from(values)) }}"""
-_DRAWN = f"(name) => {{ {_MODEL} return model.renderers.filter((r) => r.visible).map((r) => r.glyph.type) }}"
+_PIXELS = """([root, layer]) => {
+  const canvas = document.querySelector(`${root} canvas.${layer}`)
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height)
+  return [canvas.width, canvas.height, Array.from(data)] }"""
 
 
 class Visit:
     """One visitor's page."""
 
-    def __init__(self, browser, address, width=1280, height=800):
-        self.context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
-        self.page = self.context.new_page()
-        self.page.set_default_timeout(60_000)
-        self.problems, self.outside = [], []
-        self.page.on("pageerror", lambda error: self.problems.append(str(error)))
-        self.page.on("console", lambda said: self.problems.append(said.text) if said.type == "error" else None)
-        self.page.on("request", lambda request: self._requested(request.url))
-        self.page.goto(address)
-        self.page.wait_for_function("Bokeh?.documents?.[0]?.is_idle")
+    def __init__(self, browser, address, width=1280, height=800, **values):
+        viewport = {"width": width, "height": height}
+        self.context = browser.new_context(viewport=viewport, accept_downloads=True, **values)
+        self.problems, self.outside, self.refused = [], [], []
+        self.page = self.tab(address)
+
+    def tab(self, address):
+        """Another tab of the same visitor."""
+        page = self.context.new_page()
+        page.set_default_timeout(60_000)
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("console", self._said)
+        page.on("request", lambda request: self._requested(request.url))
+        page.goto(address)
+        # The page's policy forbids what wait_for_function does.
+        for _ in range(1200):
+            if page.evaluate("Boolean(window.__page?.model.images && location.search)"):
+                return page
+            page.wait_for_timeout(50)
+        pytest.fail("the page never showed its images")
+
+    def _said(self, said):
+        if said.type == "error":
+            (self.refused if "the server responded with a status of 4" in said.text else self.problems).append(
+                said.text
+            )
 
     def _requested(self, url):
         if not url.startswith(("http://localhost:", "ws://localhost:", "blob:", "data:")):
             self.outside.append(url)
 
-    def points(self, figure):
-        return self.page.evaluate(_POINTS, figure)
+    def pairs(self, page=None):
+        """What the page holds: identity, places, name of every pair in their order."""
+        return (page or self.page).evaluate("""() => { const { model } = window.__page
+          return model.order.map((id) => model.pairs.get(id)) }""")
 
-    def image(self, figure):
-        """The image that a figure shows, RGBA, shape (h, w, 4)."""
-        shape, values = self.page.evaluate(_IMAGE, figure)
-        return np.array(values, np.uint8).reshape(*shape, 4)
+    def points(self, side):
+        return [pair[side] for pair in self.pairs()]
 
-    def columns(self, figure, name):
-        """A column of the table behind a figure's image."""
-        return self.page.evaluate(_COLUMN, [figure, name])
-
-    def drawn(self, figure):
-        """What a figure draws, from back to front: kinds of glyphs that are visible."""
-        return self.page.evaluate(_DRAWN, figure)
+    def pixels(self, pane, layer):
+        """What a layer of a view shows, RGBA, shape (h, w, 4)."""
+        width, height, values = self.page.evaluate(_PIXELS, [f"#pane-{pane}", layer])
+        return np.array(values, np.uint8).reshape(height, width, 4)
 
     def until(self, what, seconds=60.0):
         """Wait until a function of this visit is true."""
-        from playwright.sync_api import Error
-
-        def seen():
-            try:
-                return what(self)
-            except Error:  # figures are being replaced
-                return False
-
         end = time.monotonic() + seconds
-        while not seen():
+        while not what(self):
             assert time.monotonic() < end, "nothing happened"
             self.page.wait_for_timeout(50)
 
-    def screen(self, figure, x, y):
-        """Where on the screen a point of a figure is, once the page's layout stands still."""
-        before, place = None, self.page.evaluate(_SCREEN, [figure, x, y])
-        while place != before:
-            self.page.wait_for_timeout(100)
-            before, place = place, self.page.evaluate(_SCREEN, [figure, x, y])
-        return place
+    def screen(self, pane, place, page=None):
+        """Where on the screen a place of an image is."""
+        return (page or self.page).evaluate(
+            """([name, place]) => {
+          const pane = window.__page.panes.find(({ root }) => root.id === `pane-${name}`)
+          const box = pane.stage.getBoundingClientRect(), [x, y] = pane.viewport.toScreen(place)
+          return [box.left + x, box.top + y] }""",
+            [pane, [float(value) for value in place]],
+        )
 
-    def click(self, figure, x, y):
-        self.page.mouse.click(*self.screen(figure, x, y))
+    def click(self, pane, place):
+        self.page.mouse.click(*self.screen(pane, place))
 
-    def drag(self, figure, start, stop, moves=8, before_release=None):
-        (x0, y0), (x1, y1) = self.screen(figure, *start), self.screen(figure, *stop)
-        self.page.mouse.move(x0, y0)
+    def drag(self, pane, start, shift, moves=8, hold=0, seconds=0.0, before_release=None):
+        """Drag what is at a place of an image by so many pixels of the screen."""
+        x, y = self.screen(pane, start)
+        self.page.mouse.move(x, y)
         self.page.mouse.down()
+        self.page.wait_for_timeout(hold)
         for k in range(1, moves + 1):
-            self.page.mouse.move(x0 + (x1 - x0) * k / moves, y0 + (y1 - y0) * k / moves)
-            self.page.wait_for_timeout(60)
+            self.page.mouse.move(x + shift[0] * k / moves, y + shift[1] * k / moves)
+            self.page.wait_for_timeout(1000 * seconds / moves)
         if before_release is not None:
             before_release()
         self.page.mouse.up()
 
-    def upload(self, label, path):
-        self.page.locator(f'input[type=file][aria-label="{label}"]').set_input_files(path)
+    def menu(self, name):
+        """Open a menu."""
+        self.page.locator("summary", has_text=name).click()
+
+    def upload(self, name, path):
+        self.menu("File")
+        with self.page.expect_file_chooser() as waiting:
+            self.page.get_by_role("button", name=name).click()
+        waiting.value.set_files(path)
 
     def download(self, name, folder):
+        self.menu("File")
         with self.page.expect_download() as waiting:
             self.page.get_by_role("button", name=name, exact=True).click()
         path = folder / waiting.value.suggested_filename
         waiting.value.save_as(path)
         return path
-
-    def box(self, label):
-        """A checkbox."""
-        return self.page.locator(f'input[type=checkbox]:has(+ :text-is("{label}"))')
 
     def press(self, name):
         self.page.get_by_role("button", name=name, exact=True).click()

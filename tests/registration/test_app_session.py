@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -12,12 +13,12 @@ from PIL import Image
 from codegen.errors import CodegenError, ImageError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import LandmarkPairs, certificate, register, warp
 from codegen.registration.app import exports, reading, solving
-from codegen.registration.app.autosave import MOST_WORKS, Store, new_token
+from codegen.registration.app.autosave import MOST_WORKS, OtherWriterError, Saved, Store, new_token
 from codegen.registration.app.history import History
 from codegen.registration.app.picture import Picture
-from codegen.registration.app.rows import Editions
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import MOST_PAIRS, Settings, Work, pairs_of
+from codegen.registration.app.tiles import SIDE, tile
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import read_image
 
@@ -35,10 +36,7 @@ def picture(shape=SHAPE, dtype=np.uint8, name="a.png"):
 
 @pytest.fixture
 def session():
-    """A session, and for its tables what a page would remember of what it sent."""
-    made = Session(picture(), picture((50, 70), name="b.png"))
-    made.editions = {side: Editions(side) for side in ("moving", "fixed")}
-    return made
+    return Session(picture(), picture((50, 70), name="b.png"))
 
 
 def places(session, side):
@@ -46,19 +44,19 @@ def places(session, side):
 
 
 def test_a_click_adds_a_pair_and_a_click_in_the_other_image_places_its_partner(session):
-    session.click("moving", (10.0, 20.0))
+    pair = session.add("moving", (10.0, 20.0))
     # Without a registration the partner is expected at the same share of the image, counted from its edges.
     assert places(session, "fixed") == [((10.5 * 70 / 60) - 0.5, (20.5 * 50 / 40) - 0.5)]
     assert session.work.pairs[0].guessed == "fixed"
-    session.click("fixed", (12.0, 22.0))
+    session.add("fixed", (12.0, 22.0), awaiting=pair.identity)
     assert (places(session, "moving"), places(session, "fixed")) == ([(10.0, 20.0)], [(12.0, 22.0)])
-    session.click("fixed", (30.0, 30.0))
+    session.add("fixed", (30.0, 30.0), awaiting=pair.identity)
     assert len(session.work.pairs) == 2
     assert session.work.pairs[1].guessed == "moving"
 
 
 def test_undo_and_redo_restore_every_state_in_order(session):
-    session.click("moving", (10.0, 20.0))
+    session.add("moving", (10.0, 20.0))
     first = session.work.pairs[0].identity
     for x in (11.0, 12.0, 13.0):
         session.move(first, "moving", (x, 20.0), settled=False)
@@ -98,71 +96,43 @@ def test_history_agrees_with_a_list_and_a_position(actions):
         assert (history.can_undo, history.can_redo) == (at > 0, at + 1 < len(states))
 
 
-def rows(session, side, edition=None):
-    """What a browser holds after it was shown a session."""
-    edition = session.editions[side].publish(session.work) if edition is None else edition
-    pairs = session.work.pairs
-    return {
-        "x": [p.at(side)[0] for p in pairs], "y": [p.at(side)[1] for p in pairs],
-        "id": [p.identity for p in pairs], "edition": [edition] * len(pairs),
-    }  # fmt: skip
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_places_that_are_no_numbers_are_refused(session, bad):
+    pair = session.add("moving", (10.0, 20.0))
+    for act in (lambda: session.add("moving", (bad, 3.0)), lambda: session.move(pair.identity, "fixed", (3.0, bad))):
+        with pytest.raises(LandmarkError, match="finite"):
+            act()
+    assert session.work.pairs == (pair,)
 
 
-def with_click(table, x, y):
-    return {"x": [*table["x"], x], "y": [*table["y"], y], "id": [*table["id"], 0], "edition": [*table["edition"], None]}
-
-
-def send(session, side, table):
-    changes = session.editions[side].changes(table, session.work)
-    session.follow(side, changes)
-    return changes
-
-
-def test_clicks_that_come_again_are_counted_once_and_may_be_dragged_meanwhile(session):
-    session.click("moving", (10.0, 20.0))
-    table = with_click(rows(session, "moving"), 30.0, 31.0)
-    assert send(session, "moving", table).added == ((30.0, 31.0),)
-    assert send(session, "moving", table).added == ()
-    table["x"][-1] = 35.0
-    send(session, "moving", with_click(table, 5.0, 6.0))
-    assert places(session, "moving") == [(10.0, 20.0), (35.0, 31.0), (5.0, 6.0)]
-
-
-def test_a_message_that_was_sent_before_the_last_answer_arrived_deletes_nothing(session):
-    session.click("moving", (10.0, 20.0))
-    old = rows(session, "fixed")
-    session.click("moving", (30.0, 20.0))
-    rows(session, "fixed")
-    old["x"][0] = 40.0
-    changes = send(session, "fixed", old)
-    assert changes.removed == ()
-    assert len(session.work.pairs) == 2
-    assert session.work.pairs[0].fixed[0] == 40.0
-    both = tuple(pair.identity for pair in session.work.pairs)
-    assert send(session, "fixed", {name: [] for name in old}).removed == both
-
-
-@pytest.mark.parametrize("bad", [None, "x", float("nan"), float("inf"), [1], {}])
-def test_rows_that_are_no_points_are_ignored(session, bad):
-    session.click("moving", (10.0, 20.0))
-    send(session, "moving", with_click(rows(session, "moving"), bad, 3.0))
-    assert len(session.work.pairs) == 1
+def test_names_and_activity_are_edited_and_undone(session):
+    first, second = (session.add("moving", (x, 20.0)) for x in (10.0, 30.0))
+    session.rename(first.identity, "  left \n eye ")
+    session.activate([second.identity], False)
+    assert [(pair.name, pair.active) for pair in session.work.pairs] == [("left eye", True), ("", False)]
+    assert session.work.landmarks().names == ("left eye",)
+    assert session.task().work.active == (session.work.pairs[0],)
+    session.undo()
+    session.undo()
+    assert [(pair.name, pair.active) for pair in session.work.pairs] == [("", True), ("", True)]
+    session.activate([first.identity], False)
+    assert session.work.landmarks().names == ("2",)  # its number among all pairs, which the table shows
 
 
 def test_points_stay_within_the_image_and_their_number_within_bounds(session):
-    session.click("moving", (-500.0, 1e9))
+    session.add("moving", (-500.0, 1e9))
     assert places(session, "moving") == [(-0.5, 39.5)]
     crowd = np.random.default_rng(0).random((MOST_PAIRS + 1, 2))
-    with pytest.raises(LandmarkError, match="501"):
+    with pytest.raises(LandmarkError, match=str(MOST_PAIRS + 1)):
         session.load(LandmarkPairs(crowd, crowd))
     session.load(LandmarkPairs(crowd[1:], crowd[1:]))
-    with pytest.raises(LandmarkError, match="500"):
-        session.click("moving", (3.0, 3.0))
+    with pytest.raises(LandmarkError, match=str(MOST_PAIRS)):
+        session.add("moving", (3.0, 3.0))
 
 
 def test_another_image_keeps_the_pairs_that_fit_into_it(session):
     for x in (10.0, 50.0):
-        session.click("moving", (x, 20.0))
+        session.add("moving", (x, 20.0))
     session.open("moving", picture((40, 30)))
     assert places(session, "moving") == [(10.0, 20.0)]
     assert not session.history.can_undo
@@ -171,31 +141,52 @@ def test_another_image_keeps_the_pairs_that_fit_into_it(session):
     assert session.picture("fixed") is session.moving
 
 
+def kept(session, work=None, heard=None, edition=""):
+    return Saved(session.moving, session.fixed, session.work if work is None else work, heard or {}, edition)
+
+
 def test_saved_work_comes_back_and_nothing_else_is_ever_read(tmp_path, session):
     store, token = Store(tmp_path / "state"), new_token()
-    session.click("moving", (10.25, 20.5))
+    store.require_writable()
+    first = session.add("moving", (10.25, 20.5))
+    session.add("fixed", (30.0, 20.0))
+    session.remove(first.identity)
+    session.activate([2], False)
     session.set(Settings("affine", 1.5, "midpoint", "cubic"))
-    store.save(token, session.moving, session.fixed, session.work)
+    store.save(token, kept(session, heard={"tab": 7}))
     saved = store.load(token)
-    assert saved.work.settings == session.work.settings
-    assert [p.moving for p in saved.work.pairs] == places(session, "moving")
+    assert saved.work == session.work
+    assert saved.heard == {"tab": 7}
     np.testing.assert_array_equal(saved.fixed.pixels, session.fixed.pixels)
     (tmp_path / "secret.json").write_text((store.folder / f"{token}.json").read_text())
     assert store.load("../secret") is None
     record = json.loads((store.folder / f"{token}.json").read_text())
-    for damage in ({"moving": {"digest": "../secret.json", "name": "a"}}, {"pairs": [["a"]]}, {"settings": 3}):
+    twice = record["pairs"] * 2
+    for damage in ({"moving": {"digest": "../secret.json", "name": "a"}}, {"pairs": [["a"]]}, {"settings": 3},
+                   {"heard": 3}, {"pairs": twice}):  # fmt: skip
         (store.folder / f"{token}.json").write_text(json.dumps(record | damage))
         assert store.load(token) is None
     (store.folder / f"{token}.json").write_text("{")
     assert store.load(token) is None
 
 
+def test_a_work_that_somebody_else_has_written_is_not_written_over(tmp_path, session):
+    store, token = Store(tmp_path), new_token()
+    mine = store.save(token, kept(session))
+    session.add("moving", (10.0, 20.0))
+    theirs = store.save(token, kept(session, edition=mine.edition))
+    with pytest.raises(OtherWriterError):
+        store.save(token, kept(session, Work(), edition=mine.edition))
+    assert store.load(token).work == session.work
+    assert store.load(token).edition == theirs.edition
+
+
 def test_old_works_are_deleted_with_their_images(tmp_path, session):
     store, shared = Store(tmp_path), session.fixed
     lone = picture((8, 8))
-    store.save(new_token(), lone, shared, Work())
+    store.save(new_token(), Saved(lone, shared, Work(), {}, ""))
     for _ in range(MOST_WORKS):
-        store.save(new_token(), session.moving, shared, Work())
+        store.save(new_token(), kept(session, Work()))
     assert len(list(tmp_path.glob("*.json"))) == MOST_WORKS
     assert not (tmp_path / lone.digest).exists()
     assert (tmp_path / shared.digest).exists()
@@ -262,6 +253,61 @@ def test_previews_are_small_and_their_pixels_lie_where_they_belong(shape):
     np.testing.assert_allclose(x[: shape[1] // k], [np.arange(k * i, k * i + k).mean() for i in range(shape[1] // k)])
 
 
+@pytest.mark.parametrize("channels", [(), (2,), (3,), (4,)])
+def test_tiles_put_together_are_the_levels_of_the_image(channels):
+    made = Picture(RNG.integers(0, 255, (700, 1100, *channels)).astype(np.uint8))
+    for number, level in enumerate(made.levels):
+        rows = []
+        for row in range(-(-level.shape[0] // SIDE)):
+            parts = [tile(made, number, column, row) for column in range(-(-level.shape[1] // SIDE))]
+            rows.append(np.concatenate([np.asarray(Image.open(io.BytesIO(part))) for part in parts], axis=1))
+        np.testing.assert_array_equal(np.concatenate(rows), level)
+    assert max(made.levels[-1].shape[:2]) <= 256
+    for number, column, row in ((-1, 0, 0), (9, 0, 0), (0, 3, 0), (0, 0, 2), (0, -1, 0)):
+        assert tile(made, number, column, row) is None
+
+
+def test_samples_of_many_bits_are_stretched_without_the_few_at_the_ends():
+    pixels = np.tile(np.linspace(1000.0, 2000.0, 1000).astype(np.uint16), (200, 1))
+    pixels[0, :5] = 65535
+    seen = Picture(pixels).levels[0][1:]
+    np.testing.assert_allclose(seen[0], np.linspace(0, 255, 1000), atol=1.5)
+
+
+def test_the_spacing_of_tiff_files_is_read_where_it_means_something():
+    pixels = np.zeros((4, 5), np.uint16)
+
+    def spacing(**values):
+        out = io.BytesIO()
+        tifffile.imwrite(out, pixels, **values)
+        return reading.picture_from(out.getvalue(), "a.tif").spacing
+
+    found = spacing(imagej=True, resolution=(2.0, 4.0), metadata={"unit": "um"})
+    assert (found.x, found.y, found.unit) == (0.5, 0.25, "µm")
+    sizes = {"axes": "YX", "PhysicalSizeX": 0.5, "PhysicalSizeXUnit": "nm", "PhysicalSizeY": 0.25}
+    found = spacing(ome=True, metadata=sizes)
+    assert (found.x, found.y, found.unit) == (0.5, 0.25, "nm")
+    found = spacing(resolution=(100.0, 50.0), resolutionunit=3)
+    assert (found.x, found.y, found.unit) == (0.1, 0.2, "mm")
+    assert spacing() is None
+    assert spacing(resolution=(72.0, 72.0), resolutionunit=2) is None  # what programs write that know nothing
+    assert picture().spacing is None
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_a_window_shows_what_the_whole_shows_there(session, smooth):
+    """Without landmarks the warped image is the moving one: each pixel of a window has the colour of its place."""
+    pixels = np.add.outer(3.0 * np.arange(40), 2.0 * np.arange(60)).astype(np.uint8)
+    task = Session(Picture(pixels)).task()
+    image = solving.frame(task, None, 1.0, solving.Window(10.0, 5.0, 30.0, 25.0, 80, 80), smooth)
+    place = np.arange(80) / 4 - 0.375 if smooth else np.arange(40) / 2 - 0.25  # in blocks of two by two
+    exact = np.add.outer(3.0 * (5.0 + place), 2.0 * (10.0 + place))
+    np.testing.assert_allclose(image[..., 0], exact, atol=1.0 if smooth else 2.6)  # nearest: half a pixel
+    assert (image[..., 3] == 255).all()
+    outside = solving.frame(task, None, 1.0, solving.Window(70.0, 0.0, 90.0, 20.0, 8, 8), smooth)
+    assert not outside.any()
+
+
 def test_the_example_is_complete():
     made = reading.example()
     assert len(made.work.pairs) >= 15
@@ -299,14 +345,18 @@ def test_downloads_are_what_the_core_makes(solved):
 
 
 def test_the_picture_on_the_screen_is_close_to_the_exact_one(solved):
-    wanted = solving.Wanted(solved.task(), grid=True)
-    shown = solving.shown(wanted, None)
-    x, y = solving.sources(solved.fixed, shown.registration, 1.0)
+    wanted, window = solving.Wanted(solved.task()), solving.Window(0.0, 0.0, 70.0, 50.0, 70, 50)
+    looks = {"tab": solving.Look(window, grid=True)}
+    shown = solving.shown(wanted, looks, None)
+    x, y = solving.sources(window, shown.registration, 1.0)
     grid = np.stack(np.meshgrid(np.arange(70.0), np.arange(50.0)), axis=-1).reshape(-1, 2)
     exact = shown.registration.map_points_inverse(grid).reshape(50, 70, 2)
     assert np.abs(np.stack([x, y], axis=-1) - exact).max() < 1.0
-    assert shown.image.shape == (50, 70, 4)
-    again = solving.shown(solving.Wanted(solved.task(), hasty=True), shown.registration)
+    assert shown.seen["tab"].image.shape == (50, 70, 4)
+    corner = shown.registration.map_points_inverse([[-0.5, -0.5], [69.5, 49.5]])
+    np.testing.assert_allclose(shown.chart.fixed[[0, -1], [0, -1]], corner, atol=1e-9)
+    again = solving.shown(solving.Wanted(solved.task(), hasty=True), looks, shown.registration)
+    assert again.chart is None
     assert again.registration.steps <= shown.registration.steps
     found = solving.certified(wanted, shown.registration, lambda: False)
     assert 0.0 < found.det_min < found.det_max
@@ -318,8 +368,8 @@ def test_the_picture_on_the_screen_is_close_to_the_exact_one(solved):
 
 
 def test_new_partners_are_where_the_registration_maps_them(solved):
-    solved.registration = solving.shown(solving.Wanted(solved.task()), None).registration
-    pair = solved.click("fixed", (40.0, 25.0))
+    solved.registration = solving.shown(solving.Wanted(solved.task()), {}, None).registration
+    pair = solved.add("fixed", (40.0, 25.0))
     np.testing.assert_allclose(solved.registration.map_points(np.array([pair.moving])), [[40.0, 25.0]], atol=1e-6)
     before = solved.registration.residuals.max()
     assert before < 1e-6
@@ -333,8 +383,10 @@ def test_of_a_map_that_is_not_certified_neither_image_nor_field_is_handed_out(so
 
 
 def test_without_pairs_nothing_moves_and_nothing_can_be_downloaded(session):
-    shown = solving.shown(solving.Wanted(Session(session.moving).task()), None)
-    np.testing.assert_array_equal(shown.image[..., :3], session.moving.pixels)
+    task = Session(session.moving).task()
+    looks = {"tab": solving.Look(solving.whole(session.moving))}
+    shown = solving.shown(solving.Wanted(task), looks, None)
+    np.testing.assert_array_equal(shown.seen["tab"].image[..., :3], session.moving.pixels)
     for make in (exports.warped_image, exports.field, exports.animation):
         with pytest.raises(CodegenError):
             make(session.task())

@@ -1,7 +1,7 @@
 """The web page of registration: click pairs of points on two images and see one warped onto the other.
 
 `serve` runs it on this machine, `page` shows it in a notebook. What it does without a browser is `session.Session`.
-Needs the extra `app` (panel, bokeh).
+Needs the extra `app` (tornado).
 """
 
 from __future__ import annotations
@@ -14,53 +14,57 @@ from codegen.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from panel.viewable import Viewable
-
+    from codegen.registration.app.notebook import NotebookPage
     from codegen.registration.app.session import Session
 
 __all__ = ["page", "prepare", "serve"]
 
 
-def page(*images: Path | str, session: Session | None = None) -> Viewable:
-    """The page as a Panel object, for a notebook: on a session of one's own, or on images as `codegen app` takes them.
+def page(*images: Path | str, session: Session | None = None) -> NotebookPage:
+    """The page as an object that a notebook shows: of a session of one's own, or on images as `codegen app` takes them.
 
-    Raises ArgumentError when the extra `app` is missing, and the errors of reading images.
+    Nothing is saved automatically. Raises ArgumentError when the extra `app` is missing, and the errors of reading
+    images.
     """
-    _require_panel()
-    from codegen.registration.app import server
+    _require_tornado()
+    from codegen.registration.app.notebook import shown
+    from codegen.registration.app.reading import session_of
 
-    return server.page(*images, session=session)
+    return shown(session or session_of([Path(image) for image in images]))
 
 
-def prepare(images: Sequence[Path] = ()) -> None:
+def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
     """Read the images, and begin to make the solver ready, which goes on while the page is being served.
 
-    Raises ArgumentError when the extra `app` is missing, and the errors of reading images.
+    Raises ArgumentError when the extra `app` is missing, FileError when works cannot be saved in the folder `state`,
+    and the errors of reading images.
     """
-    _require_panel()
+    _require_tornado()
+    from codegen.registration.app.autosave import Store, default_folder
     from codegen.registration.app.preparing import prepared
     from codegen.registration.app.reading import session_of
     from codegen.registration.solver import DEFAULT_SCHEME
 
+    Store(state or default_folder()).require_writable()
     session_of(images)
     prepared(DEFAULT_SCHEME)
 
 
-def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True) -> None:
-    """Serve the page on localhost until it is interrupted; `show` opens a browser.
+def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, state: Path | None = None) -> None:
+    """Serve the page on localhost until it is interrupted; `show` opens a browser, `state` is where works are saved.
 
-    Raises ArgumentError when the extra `app` is missing or the port is in use, and the errors of reading images.
+    Raises ArgumentError when the extra `app` is missing or the port is in use, FileError when works cannot be saved,
+    and the errors of reading images.
     """
-    _require_panel()
+    _require_tornado()
     from codegen.registration.app import server
 
-    server.serve(images, port, show)
+    server.serve(images, port, show, state)
 
 
-def _require_panel() -> None:
+def _require_tornado() -> None:
     try:
-        import bokeh  # noqa: F401
-        import panel  # noqa: F401
+        import tornado  # noqa: F401
     except ImportError as error:
         remedy = 'install it with python -m pip install "variational-codegen[app]"'
-        raise ArgumentError("the page needs Panel and Bokeh", remedy) from error
+        raise ArgumentError("the page needs Tornado", remedy) from error

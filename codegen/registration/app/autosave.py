@@ -1,7 +1,7 @@
 """Work that survives a reload: every visitor's pairs and images, in a folder of the user who runs the server.
 
-A work is found by a random name that the page keeps in its address, so that two windows never overwrite each other.
-Images are stored once, by the hash of their content, however their files were called.
+A work is found by a random name that the page keeps in its address, and all tabs with that name share it. Images are
+stored once, by the hash of their content, however their files were called.
 """
 
 from __future__ import annotations
@@ -10,19 +10,22 @@ import json
 import os
 import re
 import secrets
+import tempfile
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError, ImageError
-from codegen.files import replacing
+from codegen.files import refused, replacing
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.reading import picture_from
 from codegen.registration.app.state import Work, as_record, from_record
 
 MOST_WORKS = 50
 """The oldest works beyond these are deleted."""
+PROBE = 4096
+"""Bytes that are written to see whether a folder takes any."""
 TOKEN = re.compile(r"[0-9a-f]{32}")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 
@@ -39,13 +42,22 @@ def new_token() -> str:
     return secrets.token_hex(16)
 
 
+class OtherWriterError(CodegenError):
+    """Another server has written to the same work meanwhile."""
+
+
 @dataclass(frozen=True)
 class Saved:
-    """A work as it was left."""
+    """A work as it was left; `heard` is the number of the last edit of every page that had a part in it.
+
+    `edition` names the state of the file: whoever goes on from it knows whether somebody else wrote meanwhile.
+    """
 
     moving: Picture
     fixed: Picture | None
     work: Work
+    heard: dict[str, int]
+    edition: str
 
 
 @dataclass(frozen=True)
@@ -54,19 +66,39 @@ class Store:
 
     folder: Path
 
-    def save(self, token: str, moving: Picture, fixed: Picture | None, work: Work) -> None:
-        """Write a work, its images only where they are new. FileError when the file system refuses."""
+    def require_writable(self) -> None:
+        """FileError, which names the option that chooses another folder, where works cannot be saved in this one."""
+        remedy = "choose another folder with --state, or $CODEGEN_STATE_DIR"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with tempfile.TemporaryFile(dir=self.folder) as probe:
+                probe.write(bytes(PROBE))
+        except OSError as error:
+            raise refused(error, self.folder, remedy) from error
+
+    def save(self, token: str, saved: Saved) -> Saved:
+        """Write a work, its images only where they are new, and return it with its new edition.
+
+        OtherWriterError where the file is no longer of the edition that was read or written last, and FileError where
+        the file system refuses: the file is then as it was.
+        """
         path = self._path(token)
         if path is None:
-            return
+            return saved
         self._make()
-        for picture in (moving, fixed):
+        if (there := self._edition(path)) and there != saved.edition:
+            finding = "another codegen app has changed this work meanwhile"
+            raise OtherWriterError(finding, "both states are kept, this one under a new address")
+        for picture in (saved.moving, saved.fixed):
             if picture is not None:
                 self._keep(picture)
-        record = as_record(work) | {"moving": _label(moving), "fixed": None if fixed is None else _label(fixed)}
+        fixed = None if saved.fixed is None else _label(saved.fixed)
+        written = replace(saved, edition=secrets.token_hex(8))
+        own = {"moving": _label(saved.moving), "fixed": fixed, "heard": saved.heard, "edition": written.edition}
         with replacing(path) as temporary:
-            temporary.write_text(json.dumps(record))
+            temporary.write_text(json.dumps(as_record(saved.work) | own))
         self._tidy()
+        return written
 
     def load(self, token: str) -> Saved | None:
         """A work by its name; None where there is none, or where it cannot be read any more."""
@@ -77,9 +109,17 @@ class Store:
             record = json.loads(path.read_text())
             moving = self._picture(record["moving"])
             fixed = None if record["fixed"] is None else self._picture(record["fixed"])
-            return Saved(moving, fixed, from_record(record))
-        except (OSError, ValueError, KeyError, TypeError, CodegenError):
+            heard = {str(client): int(number) for client, number in record["heard"].items()}
+            return Saved(moving, fixed, from_record(record), heard, str(record["edition"]))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, CodegenError):
             return None
+
+    def _edition(self, path: Path) -> str:
+        """That of the file; empty where there is none that can be read."""
+        try:
+            return str(json.loads(path.read_text())["edition"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return ""
 
     def _path(self, token: str) -> Path | None:
         return self.folder / f"{token}.json" if TOKEN.fullmatch(token) else None

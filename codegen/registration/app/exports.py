@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.app.session import Task
-from codegen.registration.app.solving import arguments, frame, grid
+from codegen.registration.app.solving import arguments, frame, grid, whole
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.coarse import Positions
 from codegen.registration.fields import displacements, write_field
@@ -39,8 +39,8 @@ class Download:
 
 def registered(task: Task) -> Registration:
     """The registration from the landmarks alone, whatever was found while dragging; LandmarkError without pairs."""
-    if not task.work.pairs:
-        raise LandmarkError("there are no landmarks", "click in an image to add a pair")
+    if not task.work.active:
+        raise LandmarkError("there are no landmarks", "add a pair, or activate one")
     shapes, method = arguments(task)
     return register(task.work.landmarks(), **shapes, **method)
 
@@ -100,7 +100,7 @@ def animation(task: Task, with_grid: bool = False) -> Download:
 
 
 def _painted(task: Task, registration: Registration, time: float, with_grid: bool) -> Image.Image:
-    pixels = frame(task, registration, time)
+    pixels = frame(task, registration, time, whole(task.fixed))
     picture = Image.new("RGBA", (pixels.shape[1], pixels.shape[0]), PAPER)
     picture.alpha_composite(Image.fromarray(pixels))
     if with_grid:

@@ -1,4 +1,4 @@
-"""An image as a session holds it: its pixels as they were read, and a small copy in 8 bits for the screen."""
+"""An image as a session holds it: its pixels as they were read, and copies of 8 bits for the screen, ever smaller."""
 
 from __future__ import annotations
 
@@ -12,18 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from codegen.registration.app.spacing import Spacing
 from codegen.registration.app.state import Place
 
 PREVIEW = 512
-"""Longest side, in pixels, of what is shown."""
+"""Longest side, in pixels, of the copy on which areas are certified and that animations show."""
+SMALLEST = 256
+"""No copies are made of what is smaller on its longest side."""
 NAME_LENGTH = 60
+SATURATED = 0.1
+"""Percentage of samples that may be beyond either end of the screen's range, where samples have more than 8 bits."""
+SAMPLED = 1 << 20
+"""About so many samples say what that range is."""
+ROWS = 256
+"""Rows that are converted together, so that no second copy of a large image is made."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
     """Pixels of shape (h, w) or (h, w, channels), a name to show, and the bytes that they were read from.
 
-    `kind` is the kind of that file, PNG, JPEG or TIFF, and `profile` its colour profile.
+    `kind` is the kind of that file, PNG, JPEG or TIFF, `profile` its colour profile, `spacing` the size of its pixels.
     """
 
     pixels: NDArray[Any]
@@ -31,6 +40,7 @@ class Picture:
     source: bytes = field(default=b"", repr=False)
     kind: str = "PNG"
     profile: bytes | None = field(default=None, repr=False)
+    spacing: Spacing | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -59,35 +69,26 @@ class Picture:
         return max(1, -(-max(self.shape) // PREVIEW))
 
     @cached_property
-    def preview(self) -> NDArray[np.uint8]:
-        """The small copy, 8 bits, (h, w) or (h, w, 3 or 4).
+    def levels(self) -> tuple[NDArray[np.uint8], ...]:
+        """Copies of 8 bits, (h, w) or (h, w, 3 or 4): the first of full size, each next one half as wide and high.
 
-        Values of 8 bits stay as they are; others are stretched between the smallest and the largest.
+        Samples of 8 bits stay as they are; others are stretched between the smallest and the largest but a few.
         """
-        pixels = _eight_bits(self.pixels)
-        if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):  # grey with opacity, or more bands than a screen shows
-            pixels = pixels[..., 0] if pixels.shape[2] < 3 else pixels[..., :3]
-        if self.reduction == 1:
-            return np.ascontiguousarray(pixels)
-        return np.asarray(Image.fromarray(np.ascontiguousarray(pixels)).reduce(self.reduction))
+        found = [_eight_bits(_bands(self.pixels))]
+        while max(found[-1].shape[:2]) > SMALLEST:
+            found.append(np.asarray(Image.fromarray(found[-1]).reduce(2)))
+        return tuple(found)
 
     @cached_property
-    def screen(self) -> NDArray[np.uint8]:
-        """The small copy as RGBA, (h, w, 4)."""
-        return rgba(self.preview)
+    def preview(self) -> NDArray[np.uint8]:
+        """The small copy, 8 bits, (h, w) or (h, w, 3 or 4)."""
+        pixels = self.levels[0]
+        return pixels if self.reduction == 1 else np.asarray(Image.fromarray(pixels).reduce(self.reduction))
 
     def preview_places(self, step: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """X and y, in pixels of the image, of every `step`-th pixel of the preview; the last lies at its far edge."""
         height, width = self.preview.shape[:2]
         return _centres(width, step, self.reduction), _centres(height, step, self.reduction)
-
-    def preview_blocks(self, size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """X and y, in pixels of the image, of the centres of blocks of `size` by `size` pixels of the preview."""
-        height, width = self.preview.shape[:2]
-        return tuple(
-            (np.minimum(np.arange(-(-count // size)) * size + size / 2, count - 0.5)) * self.reduction - 0.5
-            for count in (width, height)
-        )
 
 
 def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -104,10 +105,31 @@ def _centres(count: int, step: float, reduction: int) -> NDArray[np.float64]:
     return (places + 0.5) * reduction - 0.5
 
 
+def _bands(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Grey, RGB or RGBA: without the opacity of grey, and without more bands than a screen shows."""
+    if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):
+        return pixels[..., 0] if pixels.shape[2] < 3 else pixels[..., :3]
+    return pixels
+
+
 def _eight_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     if pixels.dtype == np.uint8:
-        return pixels
-    values = np.nan_to_num(pixels.astype(np.float64), posinf=0.0, neginf=0.0)
-    low, high = float(values.min()), float(values.max())
+        return np.ascontiguousarray(pixels)
+    low, high = _range(pixels)
     scale = 255.0 / (high - low) if high > low else 0.0
-    return np.rint((values - low) * scale).astype(np.uint8)
+    result = np.empty(pixels.shape, np.uint8)
+    for k in range(0, len(pixels), ROWS):
+        values = np.nan_to_num(pixels[k : k + ROWS].astype(np.float64), nan=low, posinf=high, neginf=low)
+        result[k : k + ROWS] = np.rint(np.clip((values - low) * scale, 0.0, 255.0))
+    return result
+
+
+def _range(pixels: NDArray[Any]) -> tuple[float, float]:
+    """The samples that are to be black and white."""
+    stride = max(1, int(np.sqrt(pixels.size / SAMPLED)))
+    values = pixels[::stride, ::stride].astype(np.float64)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return 0.0, 0.0
+    low, high = np.percentile(values, [SATURATED, 100.0 - SATURATED])
+    return (float(low), float(high)) if high > low else (float(values.min()), float(values.max()))

@@ -10,12 +10,15 @@ from typing import TypeAlias
 from codegen.errors import ArgumentError, ImageError, PointsError
 from codegen.registration.app.picture import NAME_LENGTH, Picture
 from codegen.registration.app.session import Session
+from codegen.registration.app.spacing import spacing_of
 from codegen.registration.app.state import Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.images import Limits, read_image
 
 LIMITS = Limits(bytes=32 << 20, pixels=1 << 25)
 """The largest file and the largest image that the page takes; codegen warp takes more."""
+MOST_LANDMARK_BYTES = 8 << 20
+"""The largest landmark file that the page takes."""
 _WORDS = {"moving": ("moving", "source"), "fixed": ("fixed", "target")}
 """Words in names of landmark files, and the image whose points these hold."""
 Files: TypeAlias = list[tuple[str, bytes]]
@@ -26,7 +29,7 @@ def picture_from(data: bytes, name: str) -> Picture:
     """Decode an image within LIMITS. Only the last part of its name is kept, to be shown; raises ImageError."""
     shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
     image = read_image(data, LIMITS, shown)
-    return Picture(image.pixels, shown, data, image.kind, image.profile)
+    return Picture(image.pixels, shown, data, image.kind, image.profile, spacing_of(image.kind, data))
 
 
 def picture_at(path: Path) -> Picture:

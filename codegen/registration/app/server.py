@@ -1,101 +1,305 @@
-"""The server of the page: on this machine only, one session for each visitor; and the page in a notebook."""
+"""The server of the page, on this machine only: its files, tiles of images, uploads, downloads, and a socket."""
 
 from __future__ import annotations
 
+import asyncio
+import json
 import socket
-from collections.abc import Callable, Sequence
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-import panel as pn
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from codegen.errors import ArgumentError
-from codegen.registration.app.autosave import TOKEN, Store, default_folder, new_token
-from codegen.registration.app.reading import LIMITS, session_of
+from codegen.errors import ArgumentError, CodegenError
+from codegen.registration.app import exports
+from codegen.registration.app.autosave import Store, default_folder
+from codegen.registration.app.guard import Guarded, Nothing
+from codegen.registration.app.live import LiveWork, parsed
+from codegen.registration.app.reading import (
+    LIMITS,
+    MOST_LANDMARK_BYTES,
+    example,
+    in_order,
+    picture_from,
+    session_of,
+)
 from codegen.registration.app.session import Session
-from codegen.registration.app.view import View
+from codegen.registration.app.tiles import tile
+from codegen.registration.app.uploads import OVERHEAD, Upload
+from codegen.registration.app.works import Works
+from codegen.registration.formats import FORMATS, Frames, parse_landmarks
 
 HOST = "localhost"
-pn.extension("tabulator")
-TITLE = "Image registration by landmarks"
-QUERY = "work"
-"""Argument of the page's address that names the saved work."""
-OVERHEAD = 1 << 20
-"""Bytes of a message beside the file that it carries."""
-PATIENCE = 60_000
-"""Milliseconds for which the session of a closed page is kept."""
+KINDS = {
+    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}  # fmt: skip
+MOST_MESSAGE = 1 << 20
+"""Bytes of what a page sends through its socket."""
+CLIENT = 64
+"""Characters of what a tab calls itself."""
+aside = ThreadPoolExecutor(2, thread_name_prefix="registration-files")
+"""Decodes images and encodes tiles and downloads."""
 
 
-def page(*images: Path | str, session: Session | None = None) -> pn.viewable.Viewable:
-    """The page as a Panel object, for a notebook: on a session of one's own, or on images as `codegen app` takes them.
-
-    Nothing is saved automatically. Raises the errors of reading images.
-    """
-    pn.extension("tabulator")  # the notebook's output cell needs it, too
-    return _view(session or session_of([Path(image) for image in images])).root
-
-
-def serve(
-    images: Sequence[Path] = (), port: int = 5006, show: bool = True, store: Store | None = None, **values: Any
-) -> Any:
-    """Serve the page until it is interrupted; further values go to `panel.serve`.
-
-    Images are read once, before anything is served: raises ImageError and ArgumentError, the latter
-    also for a port that is in use.
-    """
-    _require_free(port)
-    opened = session_of(images)
-    kept = store or Store(default_folder())
-
-    def visit() -> pn.viewable.Viewable:
-        """A session of its own for every visitor, on the images that were given or on the work that was saved."""
-        token = _token()
-        saved = kept.load(token) if token else None
-        if saved is not None:
-            session = Session(saved.moving, saved.fixed, saved.work)
-        else:
-            session, token = Session(opened.moving, opened.fixed, opened.work), new_token()
-        location = pn.state.location
-        if location is not None:
-            pn.state.onload(lambda: location.update_query(**{QUERY: token}))
-        return _view(session, kept, token).root
-
-    return pn.serve(
-        {"/": visit}, port=port, address=HOST, websocket_origin=_origins(port), show=show, title=TITLE, verbose=False,
-        websocket_max_message_size=LIMITS.bytes + OVERHEAD, unused_session_lifetime_milliseconds=PATIENCE,
-        check_unused_sessions_milliseconds=PATIENCE // 4, **values,
+def application(works: Works, port: int, ancestors: Sequence[str] = ()) -> Application:
+    """All that is served at a port; `ancestors` are origins whose pages may frame it."""
+    work = r"/work/([0-9a-f]{32})"
+    routes: list[Any] = [
+        (rf"/(|{'|'.join(_ASSETS)})", Asset),
+        (rf"{work}/tile/([0-9a-f]{{64}})/(\d{{1,2}})/(\d{{1,4}})/(\d{{1,4}})", Tile),
+        (rf"{work}/image/(moving|fixed|alone)", OpenImage),
+        (rf"{work}/landmarks", OpenLandmarks),
+        (rf"{work}/example", OpenExample),
+        (rf"{work}/export/(image|field|animation|landmarks)", Export),
+        (r"/socket", Socket),
+    ]
+    return Application(
+        routes, default_handler_class=Nothing, works=works, port=port, ancestors=tuple(ancestors), log_function=_quiet,
+        websocket_max_message_size=MOST_MESSAGE, websocket_ping_interval=20,
     )  # fmt: skip
 
 
-def _view(session: Session, store: Store | None = None, token: str = "") -> View:
-    document = pn.state.curdoc
-    served = document is not None and document.session_context is not None
-
-    def deliver(act: Callable[[], None]) -> None:
-        if document is not None and served:
-            document.add_next_tick_callback(act)
-        else:  # a notebook has no event loop of its own to wait for
-            act()
-
-    return View(session, deliver, store, token)
+def _quiet(handler: Any) -> None:
+    """Requests are nobody's business; errors are logged all the same."""
 
 
-def _token() -> str:
-    """The name of a saved work in the page's address; empty where there is none, or nothing like one."""
-    given = pn.state.session_args.get(QUERY, [b""])[0]
-    text = given.decode("ascii", "replace")
-    return text if TOKEN.fullmatch(text) else ""
+_FOLDER = files("codegen.registration.app") / "static"
+_ASSETS = {entry.name: entry.read_bytes() for entry in _FOLDER.iterdir() if Path(entry.name).suffix in KINDS}
 
 
-def _origins(port: int) -> list[str]:
-    return [f"{HOST}:{port}", f"127.0.0.1:{port}"]
+class Asset(Guarded):
+    """The files of the page, which are all in memory: no path of a request is ever looked up on the disk."""
+
+    def get(self, name: str) -> None:
+        """The page itself, or one of its files."""
+        name = name or "index.html"
+        self.set_header("Content-Type", KINDS[Path(name).suffix])
+        self.finish(_ASSETS[name])
 
 
-def _require_free(port: int) -> None:
-    """ArgumentError when something else listens there."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+class OfWork(Guarded):
+    """What belongs to a work that is open."""
+
+    @property
+    def works(self) -> Works:
+        """All works."""
+        found: Works = self.application.settings["works"]
+        return found
+
+    def work(self, token: str) -> LiveWork:
+        """The work of that name; 404 where it is not open."""
+        found = self.works.find(token)
+        if found is None:
+            raise HTTPError(404)
+        return found
+
+    def refuse(self, error: CodegenError) -> None:
+        """Say what is wrong with what was sent or asked for."""
+        self.set_status(422)
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps({"error": str(error)}))
+
+    def answer(self, values: Mapping[str, Any]) -> None:
+        """Values for the page."""
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps(values))
+
+
+class Tile(OfWork):
+    """A square of one of the two images."""
+
+    async def get(self, token: str, digest: str, level: str, column: str, row: str) -> None:
+        """A PNG file, which never changes."""
+        session = self.work(token).session
+        picture = next((p for p in (session.moving, session.picture("fixed")) if p.digest == digest), None)
+        made = None
+        if picture is not None:
+            made = await _elsewhere(partial(tile, picture, int(level), int(column), int(row)))
+        if made is None:
+            raise HTTPError(404)
+        self.set_header("Content-Type", "image/png")
+        self.set_header("Cache-Control", "private, max-age=86400, immutable")
+        self.finish(made)
+
+
+class OpenImage(Upload, OfWork):
+    """Another moving or fixed image, or one alone that is bent."""
+
+    most = LIMITS.bytes
+
+    async def post(self, token: str, which: str) -> None:
+        """Take the image into the work."""
+        work = self.work(token)
+        name, data = self.files()[0]
         try:
-            probe.bind((HOST, port))
-        except (OSError, OverflowError) as error:
-            raise ArgumentError(f"--port {port} cannot be used ({error})", "choose another port") from error
+            picture = await _elsewhere(lambda: picture_from(data, name))
+            await _elsewhere(lambda: (picture.levels, picture.digest))
+            session = work.session
+            if which == "alone":
+                work.change(partial(session.open_alone, picture), images=True)
+            else:
+                work.change(partial(session.open, "moving" if which == "moving" else "fixed", picture), images=True)
+        except CodegenError as error:
+            self.refuse(error)
+        else:
+            self.answer({})
+
+
+class OpenLandmarks(Upload, OfWork):
+    """Pairs from one or two files."""
+
+    most = 2 * MOST_LANDMARK_BYTES
+
+    async def post(self, token: str) -> None:
+        """Take the pairs instead of those that there are."""
+        work = self.work(token)
+        frames = Frames(work.session.moving.shape, work.session.picture("fixed").shape)
+        try:
+            ordered, remarks = in_order(self.files())
+            landmarks = await _elsewhere(lambda: parse_landmarks(ordered, frames=frames))
+            work.change(partial(work.session.load, landmarks))
+        except CodegenError as error:
+            self.refuse(error)
+        else:
+            self.answer({"remark": " ".join(remarks)})
+
+
+class OpenExample(OfWork):
+    """The bundled example."""
+
+    def post(self, token: str) -> None:
+        """Show it instead of what is there."""
+        work, made = self.work(token), example()
+        work.change(partial(work.session.replace, made.moving, made.fixed, made.work), images=True)
+        self.answer({})
+
+
+class Export(OfWork):
+    """A file for the visitor, made when it is asked for."""
+
+    async def post(self, token: str, kind: str) -> None:
+        """One file, or for landmarks in two files the one that `part` names."""
+        work = self.work(token)
+        form, part = self.get_query_argument("form", "csv"), self.get_query_argument("part", "0")
+        grid = self.get_query_argument("grid", "") == "1"
+        task = work.session.task()
+        if form not in FORMATS or part not in ("0", "1"):
+            raise HTTPError(400)
+        jobs: dict[str, Callable[[], Any]] = {
+            "image": partial(exports.warped_image, task), "field": partial(exports.field, task),
+            "landmarks": lambda: exports.landmarks(task, form), "animation": partial(exports.animation, task, grid),
+        }  # fmt: skip
+        try:
+            if kind != "landmarks":
+                work.require_solver()
+            made = await _elsewhere(jobs[kind])
+        except CodegenError as error:
+            self.refuse(error)
+            return
+        parts = made if isinstance(made, tuple) else (made,)
+        download = parts[min(int(part), len(parts) - 1)]
+        self.set_header("Content-Type", download.kind)
+        self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(download.name)}")
+        self.set_header("X-Parts", str(len(parts)))
+        self.finish(download.data)
+
+
+class Socket(OfWork, WebSocketHandler):
+    """The way between a tab and its work."""
+
+    live: LiveWork | None = None
+    client = ""
+
+    def check_origin(self, origin: str) -> bool:
+        """Whether the page is one of this server's."""
+        return self.is_own(origin)
+
+    def open(self, *arguments: str, **values: str) -> None:
+        """A tab names itself and the work that it shows."""
+        self.client = self.get_query_argument("client", "")[:CLIENT]
+        self.set_nodelay(True)
+        self.live = self.works.get(self.get_query_argument("work", ""))
+        self.live.join(self.client, self)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Something is asked for."""
+        if self.live is not None:
+            self.live.hear(self.client, parsed(message))
+
+    def on_close(self) -> None:
+        """The tab is gone, or its connection."""
+        if self.live is not None:
+            self.live.leave(self.client, self)
+            self.works.left(self.live)
+
+    def send(self, message: Mapping[str, Any] | bytes) -> None:
+        """Send values or a packed picture; whoever is gone hears nothing."""
+        try:
+            if isinstance(message, bytes):
+                self.write_message(message, binary=True)
+            else:
+                self.write_message(json.dumps(message, allow_nan=False))
+        except WebSocketClosedError:
+            pass
+
+
+async def _elsewhere(job: Callable[[], Any]) -> Any:
+    return await IOLoop.current().run_in_executor(aside, job)
+
+
+def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors: Sequence[str] = ()) -> HTTPServer:
+    """Begin to serve works in the present event loop."""
+    server = HTTPServer(
+        application(works, port, ancestors), max_body_size=max(LIMITS.bytes, 2 * MOST_LANDMARK_BYTES) + OVERHEAD,
+        max_header_size=1 << 14, idle_connection_timeout=600,
+    )  # fmt: skip
+    server.add_sockets(sockets)
+    return server
+
+
+def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, state: Path | None = None) -> None:
+    """Serve the page until it is interrupted.
+
+    Images are read once, before anything is served: raises ImageError and ArgumentError, the latter also for a port
+    that is in use, and FileError where works cannot be saved in the folder `state`.
+    """
+    store = Store(state or default_folder())
+    store.require_writable()
+    opened = session_of(images)
+    asyncio.run(_serve(opened, port, show, store))
+
+
+async def _serve(opened: Session, port: int, show: bool, store: Store) -> None:
+    loop = IOLoop.current()
+
+    def begun() -> Session:
+        """A session of its own for every new work, on the images that were given."""
+        return Session(opened.moving, opened.fixed, opened.work)
+
+    works = Works(begun, loop.add_callback, loop.call_later, store)
+    server = listen(works, _sockets(port), port)
+    if show:
+        loop.run_in_executor(aside, webbrowser.open, f"http://{HOST}:{port}/")
+    try:
+        await asyncio.Event().wait()
+    finally:
+        server.stop()
+
+
+def _sockets(port: int) -> list[socket.socket]:
+    """ArgumentError when something else listens there."""
+    try:
+        return bind_sockets(port, "127.0.0.1", socket.AF_INET)
+    except (OSError, OverflowError) as error:
+        raise ArgumentError(f"--port {port} cannot be used ({error})", "choose another port") from error

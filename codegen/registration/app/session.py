@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 
 from codegen.errors import LandmarkError
 from codegen.registration.app.history import History
 from codegen.registration.app.picture import Picture
-from codegen.registration.app.rows import Changes
-from codegen.registration.app.state import MOST_PAIRS, Pair, Place, Settings, Side, Work, other, pairs_of
+from codegen.registration.app.state import (
+    MOST_NAME,
+    MOST_PAIRS,
+    Pair,
+    Place,
+    Settings,
+    Side,
+    Work,
+    other,
+    pairs_of,
+)
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
 
@@ -38,7 +46,6 @@ class Session:
         self.moving = moving
         self.fixed = fixed
         self.history = History(work or Work())
-        self.selected: int | None = None
         self.registration: Registration | None = None
         self.revision = 0
         self._last_identity = max((pair.identity for pair in self.work.pairs), default=0)
@@ -84,7 +91,6 @@ class Session:
         self.history = History(work)
         self._last_identity = max((pair.identity for pair in work.pairs), default=self._last_identity)
         self.registration = None
-        self.selected = None
         self.revision += 1
 
     def _within(self) -> Work:
@@ -94,14 +100,13 @@ class Session:
 
     # --- pairs ------------------------------------------------------------------------------------------------------
 
-    def click(self, side: Side, place: Place, partner: Place | None = None) -> Pair:
-        """A click on an empty place: a new pair, or the place of the newest pair's guessed partner.
+    def add(self, side: Side, place: Place, awaiting: int | None = None) -> Pair:
+        """Put a point at an empty place: a new pair, or the partner of the pair `awaiting` one in this image.
 
-        The partner of a new point is put where it is `expected`, which may have been computed elsewhere. A click in the
-        other image right afterwards says where it really is. LandmarkError when there are too many pairs.
+        The partner of a new point is put where it is `expected`. LandmarkError when there are too many pairs.
         """
         place = self._inside(side, place)
-        waiting = self.work.find(self.selected) if self.selected is not None else None
+        waiting = self.work.find(awaiting) if awaiting is not None else None
         if waiting is not None and waiting.guessed == side:
             pair = waiting.put(side, place)
         else:
@@ -109,10 +114,9 @@ class Session:
                 raise LandmarkError(f"there are {MOST_PAIRS} pairs already", "delete some, or use codegen warp")
             self._last_identity += 1
             away = other(side)
-            guess = self._inside(away, self.expected(side, place) if partner is None else partner)
+            guess = self._inside(away, self.expected(side, place))
             pair = Pair(self._last_identity, place, place).put(away, guess, guessed=away)
         self._change(self.work.with_pair(pair))
-        self.selected = pair.identity
         return pair
 
     def move(self, identity: int, side: Side, place: Place, settled: bool = True) -> None:
@@ -122,42 +126,35 @@ class Session:
             return
         place = self._inside(side, place)
         guessed = None if pair.guessed in (side, None) else pair.guessed
-        gesture = ("move", identity, side)
-        self._change(self.work.with_pair(pair.put(side, place, guessed)), gesture)
-        self.selected = identity
+        self._change(self.work.with_pair(pair.put(side, place, guessed)), ("move", identity, side))
         if settled:
             self.history.settle()
+
+    def rename(self, identity: int, name: str) -> None:
+        """Call a pair otherwise; without a name it is called by its number."""
+        pair = self.work.find(identity)
+        if pair is not None:
+            self._change(self.work.with_pair(replace(pair, name=" ".join(name.split())[:MOST_NAME])))
+
+    def activate(self, identities: Collection[int], active: bool) -> None:
+        """Let pairs take part in the registration, or leave them out of it."""
+        changed = set(identities)
+        pairs = tuple(replace(p, active=active) if p.identity in changed else p for p in self.work.pairs)
+        self._change(replace(self.work, pairs=pairs))
 
     def remove(self, *identities: int) -> None:
         """Delete pairs."""
         self._change(self.work.without(identities))
-        if self.selected in identities:
-            self.selected = None
 
     def clear(self) -> None:
         """Delete all pairs."""
         self.remove(*(pair.identity for pair in self.work.pairs))
-
-    def select(self, identity: int | None) -> None:
-        """Highlight a pair, or none."""
-        self.selected = identity if identity is not None and self.work.find(identity) else None
-
-    def follow(self, side: Side, changes: Changes, partners: Sequence[Place | None] = ()) -> None:
-        """Do what the browser did; moves stay unsettled. `partners` are where those of new points are expected."""
-        if changes.removed:
-            self.remove(*changes.removed)
-        for identity, place in changes.moved:
-            self.move(identity, side, place, settled=False)
-        for place, partner in zip_longest(changes.added, partners):
-            if all(pair.at(side) != place for pair in self.work.pairs):  # an earlier message may have told of it, too
-                self.click(side, place, partner)
 
     def load(self, landmarks: LandmarkPairs) -> None:
         """Take all pairs from a landmark file instead; it can be undone. LandmarkError when there are too many."""
         pairs = pairs_of(landmarks, self._last_identity + 1)
         self._last_identity += len(pairs)
         self._change(replace(self.work, pairs=pairs))
-        self.selected = None
 
     def set(self, settings: Settings) -> None:
         """Register in another way."""
@@ -182,7 +179,6 @@ class Session:
     def _went(self, there_was_one: bool) -> bool:
         if there_was_one:
             self.revision += 1
-            self.select(self.selected)
         return there_was_one
 
     def _change(self, work: Work, gesture: object = None) -> None:
@@ -194,6 +190,8 @@ class Session:
         """A place within the image's pixels."""
         height, width = self.picture(side).shape
         x, y = place
+        if not (np.isfinite(x) and np.isfinite(y)):
+            raise LandmarkError(f"a point is at ({x}, {y})", "give finite numbers")
         return min(max(float(x), -0.5), width - 0.5), min(max(float(y), -0.5), height - 0.5)
 
     def expected(self, side: Side, place: Place) -> Place:

@@ -1,8 +1,8 @@
-"""What is computed for the screen: the registration, the warped preview, the grid, and what certifies them."""
+"""What is computed for the screen: the registration, the warped image in a window, and what certifies them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from time import sleep
@@ -13,17 +13,20 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from codegen.errors import RegistrationError
-from codegen.registration.app.picture import Picture
+from codegen.registration.app.picture import Picture, rgba
 from codegen.registration.app.session import Task
+from codegen.registration.frame import coarse_grid
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration
 from codegen.registration.noise import choose_sigma
 from codegen.registration.register import register
 
 COARSE = 8.0
-"""The screen's map is evaluated exactly at every so-many-th pixel of the preview, and interpolated in between."""
+"""The screen's map is evaluated exactly at every so-many-th pixel of a window, and interpolated in between."""
 HASTY_BLOCK = 2
-"""Pixels of the preview are so much larger while a point is dragged."""
+"""Pixels of a window are so much larger while a point is dragged."""
+CHART = 33
+"""Places along each side of an image at which the page is told where they are in the other one."""
 HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * FIRST_STEPS, 8 * FIRST_STEPS)
 """While a point is dragged, the first of these numbers of steps with which there is a solution is taken."""
 MOST_LEFT_OUT = 60
@@ -39,25 +42,61 @@ Lines = tuple[list[Array], list[Array]]
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """A task, and what of it is to be shown."""
+class Window:
+    """A rectangle of an image, in pixels from its outer edges' corner (-0.5, -0.5), and the screen's pixels for it."""
 
-    task: Task
+    left: float
+    top: float
+    right: float
+    bottom: float
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one tab shows: a window of the fixed image, at a time along the flow, with or without a grid."""
+
+    window: Window | None = None
     time: float = 1.0
     grid: bool = False
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A task, and how it is to be solved."""
+
+    task: Task
     hasty: bool = False  # while dragging: nearest pixels, and no search for the number of steps
     waiting: bool = False  # the solver is not ready: nothing is moved
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What a tab is shown: `image` is RGBA, (h, w, 4); `carried` where landmarks are before time 1, (n, 2)."""
+
+    look: Look
+    image: NDArray[np.uint8]
+    grid: Lines
+    carried: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Where places of each image are in the other one, shape (CHART, CHART, 2) each, rows from the top."""
+
+    moving: Array
+    fixed: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Shown:
-    """The answer: `registration` is None without pairs or solver. `image` is RGBA of the fixed image's preview."""
+    """The answer: `registration` is None without pairs or solver, `chart` while a point is dragged."""
 
     wanted: Wanted
     registration: Registration | None
-    image: NDArray[np.uint8]
-    grid: Lines
-    carried: Array  # where the landmarks are before time 1, (n, 2)
+    seen: dict[str, Seen]
+    chart: Chart | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +115,7 @@ class Certified:
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     """The registration of a task, from that of a moment ago; None without pairs or solver. As `register` it raises."""
     work = wanted.task.work
-    if not work.pairs or wanted.waiting:
+    if not work.active or wanted.waiting:
         return None
     shapes, method = arguments(wanted.task)
     if wanted.hasty and previous is not None:
@@ -87,28 +126,55 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     return register(work.landmarks(), **shapes, **method, start=previous)
 
 
-def shown(wanted: Wanted, previous: Registration | None, known: Registration | None = None) -> Shown:
-    """Register, unless the registration is known, and draw."""
+def shown(
+    wanted: Wanted, looks: Mapping[str, Look], previous: Registration | None, known: Registration | None = None
+) -> Shown:
+    """Register, unless the registration is known, and draw it for every tab."""
     registration = known if known is not None else found(wanted, previous)
-    image = frame(wanted.task, registration, wanted.time, smooth=not wanted.hasty)
+    seen = {tab: seen_by(wanted, registration, look) for tab, look in looks.items()}
+    charted = None if wanted.hasty or registration is None else chart(registration)
+    return Shown(wanted, registration, seen, charted)
+
+
+def seen_by(wanted: Wanted, registration: Registration | None, look: Look) -> Seen:
+    """What one tab shows of a registration."""
+    image = np.zeros((1, 1, 4), np.uint8)
+    if look.window is not None:
+        image = frame(wanted.task, registration, look.time, look.window, smooth=not wanted.hasty)
     points = HASTY_LINE_POINTS if wanted.hasty else LINE_POINTS
-    lines = grid(wanted.task.moving, registration, wanted.time, points) if wanted.grid else ([], [])
+    lines = grid(wanted.task.moving, registration, look.time, points) if look.grid else ([], [])
     carried = np.empty((0, 2))
-    if registration is not None and wanted.time < 1.0:
-        carried = registration.positions(wanted.time, registration.pairs.moving)
-    return Shown(wanted, registration, image, lines, carried)
+    if registration is not None and look.time < 1.0:
+        carried = registration.positions(look.time, registration.pairs.moving)
+    return Seen(look, image, lines, carried)
 
 
-def frame(task: Task, registration: Registration | None, time: float, smooth: bool = True) -> NDArray[np.uint8]:
-    """The moving preview at a time along the flow, as RGBA of the size of the fixed preview; transparent outside."""
-    x, y = sources(task.fixed, registration, time, 1 if smooth else HASTY_BLOCK)
+def chart(registration: Registration) -> Chart:
+    """Where a coarse grid of each image is in the other one."""
+    there = registration.map_points(coarse_grid(registration.shape, CHART))
+    back = registration.map_points_inverse(coarse_grid(registration.fixed_shape, CHART))
+    return Chart(there.reshape(CHART, CHART, 2), back.reshape(CHART, CHART, 2))
+
+
+def whole(picture: Picture) -> Window:
+    """The window of a picture's preview."""
+    height, width = picture.preview.shape[:2]
+    return Window(0.0, 0.0, width * picture.reduction, height * picture.reduction, width, height)
+
+
+def frame(
+    task: Task, registration: Registration | None, time: float, window: Window, smooth: bool = True
+) -> NDArray[np.uint8]:
+    """The moving image at a time along the flow, in a window of the fixed image, as RGBA; transparent outside."""
+    x, y = sources(window, registration, time, 1 if smooth else HASTY_BLOCK)
     return sampled(task.moving, x, y, smooth)
 
 
-def sources(picture: Picture, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
-    """Where blocks of pixels of a preview come from: x and y in pixels of the moving image, shape (h, w) each."""
-    coarse_x, coarse_y = picture.preview_places(COARSE * block)
-    fine_x, fine_y = picture.preview_blocks(block)
+def sources(window: Window, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
+    """Where blocks of pixels of a window come from: x and y in pixels of the moving image, shape (h, w) each."""
+    fine_x = _places(window.left, window.right, window.width, block)
+    fine_y = _places(window.top, window.bottom, window.height, block)
+    coarse_x, coarse_y = (np.linspace(v[0], v[-1], max(2, round(len(v) / COARSE) + 1)) for v in (fine_x, fine_y))
     places = np.stack(np.meshgrid(coarse_x, coarse_y), axis=-1)
     if registration is not None:
         flat = registration.positions(time, places.reshape(-1, 2), inverse=True)
@@ -117,10 +183,16 @@ def sources(picture: Picture, registration: Registration | None, time: float, bl
     return down @ places[..., 0] @ along.T, down @ places[..., 1] @ along.T
 
 
+def _places(start: float, stop: float, count: int, block: int) -> Array:
+    """The centres of blocks of the screen's pixels, in pixels of the image."""
+    centres = np.minimum(np.arange(-(-count // block)) * block + block / 2, count - 0.5)
+    return np.asarray(start - 0.5 + centres * (stop - start) / count)
+
+
 def _weights(coarse: Array, fine: Array) -> Array:
     """The matrix of linear interpolation from some places to others in their range."""
-    if len(coarse) == 1:
-        return np.ones((len(fine), 1))
+    if coarse[0] == coarse[-1]:
+        return np.full((len(fine), len(coarse)), 1.0 / len(coarse))
     k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
     share = (fine - coarse[k]) / (coarse[k + 1] - coarse[k])
     weights = np.zeros((len(fine), len(coarse)))
@@ -130,23 +202,39 @@ def _weights(coarse: Array, fine: Array) -> Array:
 
 
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
-    """A preview at places in pixels of its image, as RGBA; nothing where they are outside."""
-    source = picture.screen
+    """A picture at places in pixels of its image, as RGBA; nothing where they are outside.
+
+    It is taken from the copy whose pixels are as far apart as the places, or a little closer.
+    """
+    level = _level(picture, x, y)
+    source = picture.levels[level]
     height, width = source.shape[:2]
-    u, v = (x + 0.5) / picture.reduction - 0.5, (y + 0.5) / picture.reduction - 0.5
+    u, v = (x + 0.5) / 2**level - 0.5, (y + 0.5) / 2**level - 0.5
     inside = (np.abs(u - (width - 1) / 2) <= width / 2) & (np.abs(v - (height - 1) / 2) <= height / 2)
-    if smooth:
-        result = np.empty((*x.shape, 4), np.uint8)
-        places = np.stack([np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)])
-        for channel in range(4):
-            values = map_coordinates(source[..., channel].astype(np.float32), places, order=1, mode="nearest")
-            result[..., channel] = np.rint(values)
-        result[~inside] = 0
+    result = np.zeros((*x.shape, 4), np.uint8)
+    if not inside.any():
         return result
-    row = np.clip(np.rint(v), 0, height - 1).astype(np.intp)
-    column = np.clip(np.rint(u), 0, width - 1).astype(np.intp)
-    packed = source.view(np.uint32).reshape(-1).take(row * width + column)
-    return np.asarray(np.where(inside, packed, np.uint32(0))[..., None]).view(np.uint8)
+    u, v = np.clip(u, 0, width - 1), np.clip(v, 0, height - 1)
+    left, top = int(u[inside].min()), int(v[inside].min())
+    part = rgba(source[top : int(v[inside].max()) + 2, left : int(u[inside].max()) + 2])
+    u, v = np.clip(u - left, 0, part.shape[1] - 1), np.clip(v - top, 0, part.shape[0] - 1)
+    if smooth:
+        places = np.stack([v, u])
+        for channel in range(4):
+            values = map_coordinates(part[..., channel].astype(np.float32), places, order=1, mode="nearest")
+            result[..., channel] = np.rint(values)
+    else:
+        result[:] = part[np.rint(v).astype(np.intp), np.rint(u).astype(np.intp)]
+    result[~inside] = 0
+    return result
+
+
+def _level(picture: Picture, x: Array, y: Array) -> int:
+    """The copy of a picture for places that far apart."""
+    apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
+    typical = [float(np.median(distances)) for distances in apart if distances.size]
+    found = int(np.log2(max(min(typical, default=1.0), 1.0)))
+    return min(found, len(picture.levels) - 1)
 
 
 def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> Lines:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
@@ -15,8 +15,10 @@ from codegen.registration.solver import DEFAULT_SCHEME
 Side: TypeAlias = Literal["moving", "fixed"]
 Place: TypeAlias = tuple[float, float]
 
-MOST_PAIRS = 500
+MOST_PAIRS = 5000
 """More pairs than anyone clicks; a file with more is for the command line."""
+MOST_NAME = 200
+"""Characters of a landmark's name that are kept."""
 
 
 def other(side: Side) -> Side:
@@ -28,7 +30,8 @@ def other(side: Side) -> Side:
 class Pair:
     """One feature in both images, in pixels; `identity` stays when pairs before it are deleted.
 
-    `guessed` names the image in which its place is only what the present map says: nobody has put it there.
+    `guessed` names the image in which its place is only what the present map says: nobody has put it there. A pair that
+    is not `active` is kept and shown, and no part of the registration.
     """
 
     identity: int
@@ -36,6 +39,7 @@ class Pair:
     fixed: Place
     name: str = ""
     guessed: Side | None = None
+    active: bool = True
 
     def at(self, side: Side) -> Place:
         """Its place in one of the images."""
@@ -80,12 +84,21 @@ class Work:
         gone = set(identities)
         return replace(self, pairs=tuple(pair for pair in self.pairs if pair.identity not in gone))
 
+    @property
+    def active(self) -> tuple[Pair, ...]:
+        """The pairs that are registered, in their order."""
+        return tuple(pair for pair in self.pairs if pair.active)
+
     def landmarks(self) -> LandmarkPairs:
-        """The pairs as `register` takes them; LandmarkError where two points are at one place, or none is given."""
+        """The active pairs as `register` takes them; LandmarkError where two points are at one place, or none is given.
+
+        A pair without a name is called by its number among all pairs.
+        """
+        named = [(pair, pair.name or str(k + 1)) for k, pair in enumerate(self.pairs) if pair.active]
         return LandmarkPairs(
-            np.array([pair.moving for pair in self.pairs], dtype=np.float64).reshape(-1, 2),
-            np.array([pair.fixed for pair in self.pairs], dtype=np.float64).reshape(-1, 2),
-            tuple(pair.name or str(k + 1) for k, pair in enumerate(self.pairs)),
+            np.array([pair.moving for pair, _ in named], dtype=np.float64).reshape(-1, 2),
+            np.array([pair.fixed for pair, _ in named], dtype=np.float64).reshape(-1, 2),
+            tuple(name for _, name in named),
         )
 
 
@@ -103,7 +116,9 @@ def pairs_of(landmarks: LandmarkPairs, first_identity: int) -> tuple[Pair, ...]:
 def as_record(work: Work) -> dict[str, Any]:
     """Plain values for JSON."""
     return {
-        "pairs": [[*pair.moving, *pair.fixed, pair.name] for pair in work.pairs],
+        "pairs": [
+            [pair.identity, *pair.moving, *pair.fixed, pair.name, pair.guessed, pair.active] for pair in work.pairs
+        ],
         "settings": dict(vars(work.settings)),
     }
 
@@ -111,14 +126,20 @@ def as_record(work: Work) -> dict[str, Any]:
 def from_record(record: Mapping[str, Any]) -> Work:
     """What `as_record` made; LandmarkError when the record has been damaged."""
     try:
-        pairs = tuple(
-            Pair(k + 1, (float(a), float(b)), (float(c), float(d)), str(name))
-            for k, (a, b, c, d, name) in enumerate(record["pairs"][:MOST_PAIRS])
-        )
+        pairs = tuple(map(_pair, record["pairs"][:MOST_PAIRS]))
         given = record["settings"]
         settings = Settings(
             str(given["align"]), float(given["sigma"]), str(given["scheme"]), str(given["interpolation"])
         )
+        if len({pair.identity for pair in pairs}) < len(pairs):
+            raise ValueError("two pairs are the same")
     except (KeyError, TypeError, ValueError) as error:
         raise LandmarkError("the saved work cannot be read", "start again, or load a landmark file") from error
     return Work(pairs, settings)
+
+
+def _pair(row: Sequence[Any]) -> Pair:
+    identity, a, b, c, d, name, guessed, active = row
+    if guessed not in ("moving", "fixed", None):
+        raise ValueError(f"{guessed!r} is no image")
+    return Pair(int(identity), (float(a), float(b)), (float(c), float(d)), str(name)[:MOST_NAME], guessed, bool(active))

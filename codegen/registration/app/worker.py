@@ -13,13 +13,15 @@ Deliver: TypeAlias = Callable[[Callable[[], Any]], None]
 # Sessions take turns, one job each; what takes long must not keep anyone's dragged point waiting.
 quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
 slow = ThreadPoolExecutor(1, thread_name_prefix="registration-slow")
+# Nor may anything keep a work from being saved.
+saving = ThreadPoolExecutor(1, thread_name_prefix="registration-saving")
 
 
 class Worker:
     """Runs jobs of one session one after the other in the thread of a pool.
 
     `deliver` hands a function to the session's own thread. A job that was not begun when a newer one of the same
-    `kind` comes is dropped; kinds are begun in the order of `order`.
+    `kind` comes is dropped; kinds are begun in the order of `order`, others after them.
     """
 
     def __init__(self, deliver: Deliver, order: tuple[str, ...], pool: ThreadPoolExecutor = quick) -> None:
@@ -51,7 +53,7 @@ class Worker:
 
     def _run(self) -> None:
         with self._lock:
-            kind = next((kind for kind in self._order if kind in self._waiting), None)
+            kind = next((kind for kind in (*self._order, *self._waiting) if kind in self._waiting), None)
             if kind is None:
                 self._running = False
                 return

@@ -1,0 +1,323 @@
+"""One work while it is open: its session, the tabs that show it, and what is solved, drawn and saved for them.
+
+All tabs with the same work share one session. Each edit of a page has a number, is done once however often it arrives,
+and is kept by the page until it has been saved; so neither a second tab nor the end of the server loses any.
+"""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from codegen.errors import CodegenError, RegistrationError
+from codegen.registration.app import messages, preparing, solving
+from codegen.registration.app.autosave import Saved, Store
+from codegen.registration.app.keeping import Keeper
+from codegen.registration.app.operations import operate
+from codegen.registration.app.session import Session
+from codegen.registration.app.solving import Certified, Look, Shown, Wanted
+from codegen.registration.app.state import Work
+from codegen.registration.app.tabs import Line, Tab
+from codegen.registration.app.worker import Deliver, Worker, delivered, slow
+from codegen.registration.maps import Registration
+
+MOST_CLIENTS = 50
+"""The last edits of so many pages are remembered."""
+MOST_PIXELS = 1 << 23
+"""Pixels of a window that are drawn at the most."""
+
+
+class LiveWork:
+    """A session with its tabs.
+
+    `deliver` runs a function in the thread of the session, in which all methods are called; `store` says where the work
+    is saved, if at all, and `token` what it is called there.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        deliver: Deliver,
+        store: Store | None = None,
+        token: str = "",
+        saved: Saved | None = None,
+    ) -> None:
+        self.session, self.deliver = session, deliver
+        self.tabs: dict[str, Tab] = {}
+        self.shown: Shown | None = None
+        self.certified: Certified | None = None
+        self.message = ""
+        self.renamed: Callable[[LiveWork], None] = lambda _: None
+        """Called when the work has got another name."""
+        self._heard = dict(saved.heard) if saved else {}
+        self._told: Work | None = None  # what all tabs know
+        self._worker = Worker(deliver, ("draw",))
+        self._slow = Worker(deliver, ("sigma", "certify"), slow)
+        self._keeper = Keeper(deliver, store, token, saved, self._tell_saved, self._renamed)
+        self._awaited: Future[None] | None = None  # the solver that is being compiled
+
+    @property
+    def token(self) -> str:
+        """What the work is called where it is saved."""
+        return self._keeper.token
+
+    # --- tabs -------------------------------------------------------------------------------------------------------
+
+    def join(self, client: str, line: Line) -> None:
+        """Another tab shows this work; `client` is what it calls itself."""
+        self.tabs[client] = Tab(line)
+        hello = {"type": "hello", "token": self.token, "heard": self._heard.get(client, 0), **messages.offers()}
+        line.send(hello)
+        line.send(self._is_safe(client))  # it may have been saved without the page's having heard of it
+        line.send(messages.images(self.session))
+        line.send(messages.work(self.session, None))
+        if self._told is None:
+            self._told = self.session.work
+        if self.shown is not None:
+            line.send(messages.solved(self.shown))
+        if self.certified is not None and self.shown is not None:
+            self._send_certified(self.tabs[client], self.certified, self.shown)
+        self.draw()
+
+    def leave(self, client: str, line: Line) -> None:
+        """A tab was closed, or its connection was lost."""
+        if client in self.tabs and self.tabs[client].line is line:
+            del self.tabs[client]
+
+    def tell(self, message: Mapping[str, Any] | bytes) -> None:
+        """Send a message to every tab."""
+        for tab in self.tabs.values():
+            tab.line.send(message)
+
+    def hear(self, client: str, message: Any) -> None:
+        """Do what a tab asks for; what is wrong becomes a message of that tab."""
+        tab = self.tabs.get(client)
+        if tab is None or not isinstance(message, dict):
+            return
+        try:
+            asked = message.get("type")
+            if asked == "edit":
+                self._edit(client, tab, message)
+            elif asked == "look":
+                tab.look = _look(message)
+                self.draw(only=client)
+            elif asked == "drawn":
+                tab.drawn()
+            elif asked == "save":
+                self.save()
+            elif asked == "sigma":
+                self._choose_sigma()
+        except (KeyError, TypeError, ValueError, OverflowError):
+            tab.line.send(_message("the page sent what cannot be read; load it again"))
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything is being solved, made or saved, or could not be saved."""
+        return self._worker.busy or self._slow.busy or self._keeper.busy
+
+    # --- edits ------------------------------------------------------------------------------------------------------
+
+    def _edit(self, client: str, tab: Tab, message: Mapping[str, Any]) -> None:
+        number = int(message["number"])
+        added = None
+        if number > self._heard.get(client, 0):
+            self._heard.pop(client, None)  # the newest stand last
+            self._heard[client] = number
+            while len(self._heard) > MOST_CLIENTS:
+                del self._heard[next(iter(self._heard))]
+            try:
+                added = operate(self.session, message)
+            except CodegenError as error:
+                tab.line.send(_message(str(error)))
+        hasty = message.get("do") == "move" and not message.get("settled")
+        # First, so that the page knows by then which pair is the one that it has asked for.
+        tab.line.send({"type": "done", "number": number, "added": added})
+        self._tell_work()
+        if not hasty or message.get("live", True):
+            self.draw(hasty=hasty)
+        if not hasty:
+            self.save()
+
+    def change(self, act: Callable[[], Any], images: bool = False) -> None:
+        """Do something to the session, and show and save what comes of it; raises what that raises."""
+        act()
+        if images:
+            self.shown = self.certified = None
+            self._told = None
+            self.tell(messages.images(self.session))
+        self._tell_work()
+        self.draw()
+        self.save()
+
+    def _tell_work(self) -> None:
+        self.tell(messages.work(self.session, self._told))
+        self._told = self.session.work
+
+    # --- solving ----------------------------------------------------------------------------------------------------
+
+    def draw(self, hasty: bool = False, only: str | None = None) -> None:
+        """Register the present pairs beside the event loop, and show what comes of it in all tabs, or in one."""
+        wanted = Wanted(self.session.task(), hasty, waiting=not self._ready())
+        if self._known(wanted) is None:
+            only = None
+            self._slow.drop("certify")
+            self._tell_status("solving" if self.session.work.active and not wanted.waiting else "")
+        looks = {client: tab.look for client, tab in self.tabs.items() if only in (None, client)}
+
+        def job() -> Shown:
+            # What was found since this was asked for is not found again.
+            return solving.shown(wanted, looks, self.session.registration, self._known(wanted))
+
+        self._worker.ask("draw" if only is None else f"draw {only}", job, self._drawn, self._failed)
+
+    def _known(self, wanted: Wanted) -> Registration | None:
+        """The registration that is shown, if it is the one that is wanted."""
+        shown = self.shown
+        if wanted.hasty or shown is None or shown.wanted.hasty:
+            return None
+        return shown.registration if shown.wanted.task.revision == wanted.task.revision else None
+
+    def _drawn(self, shown: Shown) -> None:
+        task = shown.wanted.task
+        if task.moving is not self.session.moving or task.fixed is not self.session.picture("fixed"):
+            return  # other images have been opened meanwhile
+        is_new = self.shown is None or shown.registration is not self.shown.registration
+        self.shown = shown
+        self.session.registration = shown.registration
+        if is_new or shown.registration is None:
+            self.tell(messages.solved(shown))
+        for client, seen in shown.seen.items():
+            if client in self.tabs:
+                self.tabs[client].show(seen, shown.wanted.task.revision)
+        if is_new and not shown.wanted.hasty:
+            self._say("")
+        self._tell_status("")
+        if shown.wanted.hasty or shown.registration is None:
+            return
+        revision = shown.wanted.task.revision
+        if self.certified is None or self.certified.revision != revision:
+            stale = lambda: self.session.revision != revision  # noqa: E731
+            job = partial(solving.certified, shown.wanted, shown.registration, stale)
+            self._slow.ask("certify", job, partial(self._certify, shown), self._failed)
+
+    def _certify(self, shown: Shown, certified: Certified | None) -> None:
+        if certified is None or certified.revision != self.session.revision:
+            return  # overtaken by another change
+        self.certified = certified
+        for tab in self.tabs.values():
+            self._send_certified(tab, certified, shown)
+
+    def _send_certified(self, tab: Tab, certified: Certified, shown: Shown) -> None:
+        if certified.revision == shown.wanted.task.revision:
+            tab.line.send(messages.certified(certified, shown.wanted.task))
+            tab.line.send(messages.areas(certified))
+
+    def _ready(self) -> bool:
+        """Whether the solver of the present scheme is at hand, if one is needed; otherwise all is drawn when it is."""
+        if not self.session.work.active:
+            return True
+        solver = preparing.prepared(self.session.work.settings.scheme)
+        if not solver.done() and self._awaited is not solver:
+            self._awaited = solver
+            solver.add_done_callback(lambda _: delivered(self.deliver, self._arrived))
+        if solver.done() and (error := solver.exception()) is not None:
+            self.deliver(partial(self._failed, error))
+            return False
+        return solver.done()
+
+    def _arrived(self) -> None:
+        """The solver has been made ready, or could not be."""
+        self._awaited = None
+        self.draw()
+
+    def require_solver(self) -> None:
+        """CodegenError while there is no solver for what takes long."""
+        if not self._ready():
+            raise RegistrationError("the solver is still being compiled", "try again when the image is warped")
+
+    def _choose_sigma(self) -> None:
+        """Ask for the best sigma, which takes a while."""
+        try:
+            self.require_solver()
+        except CodegenError as error:
+            self._say(str(error))
+            return
+        settings = self.session.work.settings
+        self._say("choosing the distance by which landmarks may miss …", wrong=False)
+
+        def take(sigma: float) -> None:
+            self._say(f"landmarks may miss by {sigma:.3g} pixels", wrong=False)
+            self.change(lambda: self.session.set(replace(settings, sigma=round(sigma, 3))))
+
+        self._slow.ask("sigma", partial(solving.chosen_sigma, self.session.task()), take, self._failed)
+
+    # --- saving -----------------------------------------------------------------------------------------------------
+
+    def save(self) -> None:
+        """Save the work beside the event loop, and tell every tab which of its edits are safe."""
+        session = self.session
+        self._keeper.save(Saved(session.moving, session.fixed, session.work, dict(self._heard), ""))
+
+    def _tell_saved(self) -> None:
+        for client, tab in self.tabs.items():
+            tab.line.send(self._is_safe(client))
+
+    def _is_safe(self, client: str) -> dict[str, Any]:
+        """Which edits of a page need not be kept by it any longer."""
+        return {"type": "saved", "number": self._keeper.safe.get(client, 0), "problem": self._keeper.problem}
+
+    def _renamed(self, said: str) -> None:
+        """The work has got another name, because another server has changed what had the old one."""
+        self.renamed(self)
+        self.tell({"type": "moved", "token": self.token})
+        self._say(said)
+
+    # --- what is said -----------------------------------------------------------------------------------------------
+
+    def _tell_status(self, doing: str) -> None:
+        self.tell({"type": "status", "doing": preparing.COMPILING if self._awaited is not None else doing})
+
+    def _say(self, text: str, wrong: bool = True) -> None:
+        if text or self.message:
+            self.message = text
+            self.tell(_message(text, wrong))
+
+    def _failed(self, error: BaseException) -> None:
+        """Show what went wrong; the session goes on."""
+        self._tell_status("")
+        if isinstance(error, CodegenError):
+            self._say(str(error))
+        else:
+            traceback.print_exception(error)
+            self._say(f"Something unexpected went wrong ({type(error).__name__}); your landmarks are safe")
+
+
+def _message(text: str, wrong: bool = True) -> dict[str, Any]:
+    return {"type": "message", "text": text, "wrong": wrong}
+
+
+def _look(message: Mapping[str, Any]) -> Look:
+    """A tab's window, within bounds; ValueError where it is none."""
+    time = min(max(float(message["time"]), 0.0), 1.0)
+    given = message["window"]
+    if given is None:
+        return Look(None, time, bool(message["grid"]))
+    edges = [float(value) for value in given[:4]]
+    width, height = (int(value) for value in given[4:6])
+    left, top, right, bottom = edges
+    if not (right > left and bottom > top and max(map(abs, edges)) < 1e7 and width * height <= MOST_PIXELS):
+        raise ValueError("window")
+    return Look(solving.Window(left, top, right, bottom, max(1, width), max(1, height)), time, bool(message["grid"]))
+
+
+def parsed(text: str | bytes) -> Any:
+    """A message of a page; None where it is none."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None

@@ -1,0 +1,149 @@
+"""What a page is told, as values for JSON: images, changes of pairs, and the answers of the solver."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.registration.alignment import KINDS
+from codegen.registration.app import solving
+from codegen.registration.app.operations import INTERPOLATIONS, SCHEMES
+from codegen.registration.app.picture import Picture
+from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
+from codegen.registration.app.session import Session, Task
+from codegen.registration.app.solving import Certified, Seen, Shown
+from codegen.registration.app.state import MOST_PAIRS, Pair, Work
+from codegen.registration.app.tiles import SIDE
+from codegen.registration.formats import FORMATS
+
+Values: TypeAlias = dict[str, Any]
+ENDS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
+"""Blue for smaller, white, orange for larger: the colour-blind tell them apart."""
+
+
+def offers() -> Values:
+    """What does not change: limits and choices."""
+    return {
+        "limits": {"image": LIMITS.bytes, "landmarks": MOST_LANDMARK_BYTES, "pairs": MOST_PAIRS},
+        "tile": SIDE,
+        "alignments": KINDS,
+        "schemes": SCHEMES,
+        "interpolations": INTERPOLATIONS,
+        "formats": {name: form.title for name, form in FORMATS.items()},
+        "suffixes": sorted({suffix for form in FORMATS.values() for suffix in form.suffixes}),
+    }
+
+
+def images(session: Session) -> Values:
+    """The images of a session; `alone` where there is one only."""
+    pictures = {"moving": _image(session.moving), "fixed": _image(session.picture("fixed"))}
+    return {"type": "images", "alone": session.fixed is None, **pictures}
+
+
+def _image(picture: Picture) -> Values:
+    height, width = picture.shape
+    spacing = picture.spacing
+    size = None if spacing is None else {"x": spacing.x, "y": spacing.y, "unit": spacing.unit}
+    levels = [level.shape[1::-1] for level in picture.levels]
+    return {
+        "name": picture.name, "width": width, "height": height, "digest": picture.digest, "levels": levels,
+        "spacing": size,
+    }  # fmt: skip
+
+
+def work(session: Session, before: Work | None) -> Values:
+    """The pairs that changed since `before`, or all where that is None, in short rows, and what can be undone."""
+    now = session.work
+    known = {} if before is None else {pair.identity: pair for pair in before.pairs}
+    changed = [_row(pair) for pair in now.pairs if known.get(pair.identity) != pair]
+    order = [pair.identity for pair in now.pairs]
+    same = before is not None and order == [pair.identity for pair in before.pairs]
+    return {
+        "type": "work", "revision": session.revision, "all": before is None, "changed": changed,
+        "order": None if same else order, "settings": dict(vars(now.settings)),
+        "undo": session.history.can_undo, "redo": session.history.can_redo,
+    }  # fmt: skip
+
+
+def _row(pair: Pair) -> list[Any]:
+    return [pair.identity, *pair.moving, *pair.fixed, pair.name, pair.guessed, pair.active]
+
+
+def solved(shown: Shown) -> Values:
+    """The registration in numbers: residuals by identity, and a chart of where places are in the other image."""
+    registration, task = shown.registration, shown.wanted.task
+    told: Values = {"type": "solved", "revision": task.revision, "hasty": shown.wanted.hasty, "found": False}
+    if registration is None:
+        return told
+    identities = [pair.identity for pair in task.work.active]
+    told |= {
+        "found": True, "steps": registration.steps, "met": registration.status == "solved",
+        "residuals": _by_identity(identities, registration.residuals),
+    }  # fmt: skip
+    if shown.chart is not None:
+        charts = {"moving": shown.chart.moving, "fixed": shown.chart.fixed}
+        told["chart"] = {side: np.round(places, 3).tolist() for side, places in charts.items()}
+    return told
+
+
+def certified(found: Certified, task: Task) -> Values:
+    """What certifies a registration, and how well its landmarks predict each other."""
+    told: Values = {
+        "type": "certified", "revision": found.revision, "least": _number(found.det_min),
+        "most": _number(found.det_max), "folded": found.folded, "round_trip": _number(found.round_trip),
+        "left_out": None, "outliers": [], "extreme": extreme(found),
+    }  # fmt: skip
+    identities = [pair.identity for pair in task.work.active]
+    if found.left_out is not None:
+        told["left_out"] = _by_identity(identities, found.left_out.errors)
+        told["outliers"] = [identities[k] for k in found.left_out.outliers]
+    elif len(identities) > solving.MOST_LEFT_OUT:
+        told["note"] = f"of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn"
+    return told
+
+
+def _by_identity(identities: list[int], values: NDArray[np.float64]) -> dict[str, float | None]:
+    return {str(identity): _number(float(value)) for identity, value in zip(identities, values, strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def seen(shown: Seen, number: int, revision: int) -> bytes:
+    """A picture of a window, with the grid and the landmarks on their way."""
+    look, window = shown.look, shown.look.window
+    header: Values = {
+        "type": "frame", "number": number, "revision": revision, "time": look.time,
+        "window": None if window is None else [window.left, window.top, window.right, window.bottom],
+        "grid": [[np.round(axis, 2).tolist() for axis in axes] for axes in shown.grid],
+        "carried": np.round(shown.carried, 2).tolist(),
+    }  # fmt: skip
+    return packed(header, shown.image)
+
+
+def areas(found: Certified) -> bytes:
+    """The map of det J as a picture, on a logarithmic scale that is the same for growth and shrinking."""
+    values = np.log2(np.clip(found.areas, 1e-6, 1e6)) / extreme(found)
+    image = np.full((*values.shape, 4), 255, np.uint8)
+    for channel in range(3):
+        image[..., channel] = np.interp(values, [-1.0, 0.0, 1.0], [end[channel] for end in ENDS]).round()
+    return packed({"type": "areas", "extreme": extreme(found)}, image)
+
+
+def extreme(found: Certified) -> float:
+    """The largest of |log2 det J| on the map, 0.1 at least."""
+    return max(0.1, float(np.abs(np.log2(np.clip(found.areas, 1e-6, 1e6))).max()))
+
+
+def packed(header: Mapping[str, Any], image: NDArray[np.uint8]) -> bytes:
+    """A picture as a binary message: the length of its description, the description, and RGBA."""
+    height, width = image.shape[:2]
+    text = json.dumps({**header, "width": width, "height": height}, allow_nan=False).encode()
+    return struct.pack("<I", len(text)) + text + image.tobytes()
