@@ -60,12 +60,18 @@ def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[st
     name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
     if name not in sizes:
         return None
+    assert not any(_is_elif(branch, lines) for branch in (node, *node.orelse)), f"an elif beside {name}"
     if sizes[name] == 0:
         return _replaced(lines, node, node.orelse)
     if combined:
         first = node.lineno - 1
         return [*lines[:first], lines[first].replace(f"{name} and ", "", 1), *lines[first + 1 :]]
     return _replaced(lines, node, node.body)
+
+
+def _is_elif(statement: ast.stmt, lines: list[str]) -> bool:
+    """Whether a statement is the `elif` of another one, from which it cannot be told by its syntax tree."""
+    return isinstance(statement, ast.If) and lines[statement.lineno - 1].lstrip().startswith("elif ")
 
 
 def _without_zero(lines: list[str], node: ast.BinOp, sizes: Mapping[str, int]) -> list[str] | None:

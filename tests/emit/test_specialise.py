@@ -27,6 +27,13 @@ def test_other_branch():
     assert specialise(text, {"SHARED": 0}) == "a = [\n    2,\n]\n"
 
 
+@pytest.mark.parametrize("text", ["if X:\n    a\nelif b:\n    c\n", "if b:\n    c\nelif X:\n    a\n"])
+def test_elif_is_refused(text):
+    """It looks like an `if` inside an `else`, and would become unconditional."""
+    with pytest.raises(AssertionError, match="an elif beside X"):
+        specialise(text, {"X": 1})
+
+
 def test_combined_condition_keeps_what_is_unknown():
     text = "if SHARED and x > 0:\n    a = 1\nelse:\n    a = 2\n"
     assert specialise(text, {"SHARED": 2}) == "if x > 0:\n    a = 1\nelse:\n    a = 2\n"

@@ -17,7 +17,7 @@ from codegen.runtime.unknowns.tied import with_tied_values
 
 NEAR = 0.1  # residuals above it are far: a pushed cart-pole then takes 8 iterations either way, 19 at most and not 16
 if INEQUALITIES:
-    # Weights between it and a thousand times as much take an iteration more: they have yet to be lowered once.
+    # With a weight ten times as much an iteration is spent on lowering it.
     PART = 0.1  # of the tolerance is the weight of the barrier
     CLOSE = 1e-8  # unknowns are at least so far inside their bounds: closer than the weight's own distances
 
