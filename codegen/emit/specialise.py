@@ -60,7 +60,7 @@ def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[st
     name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
     if name not in sizes:
         return None
-    assert not any(_is_elif(branch, lines) for branch in (node, *node.orelse)), f"an elif beside {name}"
+    assert not any(_is_elif(branch, lines) for branch in node.orelse), f"an elif beside {name}"
     if sizes[name] == 0:
         return _replaced(lines, node, node.orelse)
     if combined:
