@@ -29,7 +29,7 @@ from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.unknowns.tied import with_tied_values
 from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.optimise.scaling_factors import IS_SLACK, fill_sizes
-from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
+from codegen.runtime.optimise.termination import VIOLATED, final_status, has_run_away, unscaled_unknowns
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
@@ -59,12 +59,16 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
     status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
+    if status == "solved" and is_far_out(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
+        status = "unbounded"
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
+        if status == "solved" and is_far_out(scaled, unknowns, point.unknowns):
+            status = "unbounded"
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
@@ -99,6 +103,11 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def is_far_out(scaled, guess, unknowns):
+    """Whether unknowns have run away from a guess, both in the problem's own units, in parts of the guess's sizes."""
+    return has_run_away(scaled, scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns))
 
 
 def slope_beside_bounds(grid, point):
