@@ -64,7 +64,7 @@ def test_an_end_condition_between_given_values_and_bounds_of_rounded_zeros():
 
 def test_a_small_violation_of_small_terms_is_one():
     """1e-10 is no rounding of 1e-10; until now it was of one."""
-    with pytest.raises(BoundaryError, match="start violates x >= 2.0e-10"):
+    with pytest.raises(BoundaryError, match=r"start violates x >= 2\.0e-10"):
         normalise(flight([x >= 2e-10], 1e-10, 0))
 
 
