@@ -57,7 +57,7 @@ def solve(
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of an optimiser.")] = None,
     scaling: Annotated[
-        str, typer.Option(help="auto, or none for an optimiser that works in the problem's own units.")
+        str, typer.Option(help="Of newton alone: auto, or none to work in the problem's own units.")
     ] = "auto",
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[

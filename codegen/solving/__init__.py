@@ -58,7 +58,7 @@ def solve(*positional: Any, **options: Any) -> Result:
       guesses and grids together and for each of `repeat` solves by itself; by default the driver's own;
     - `sensitivities`: of the result, `result.sensitivities()`: derivatives by parameters, boundary values and a given
       duration, for which a module of its own is built;
-    - `scaling`: "auto", or "none" for an optimiser that works in the problem's own units;
+    - `scaling`: of newton alone, "auto", or "none" to work in the problem's own units;
     - `log`: refuse drivers that keep no log; `watch`: called at every iterate of newton with its number and its row.
 
     For a simulation `every` stores every so many-th step, and `max_iterations` limits Newton's method in a step. For
