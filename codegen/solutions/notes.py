@@ -39,9 +39,9 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
             "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
         )
     for function, what, where in metadata.get("singular_at_guess", ()):
-        instead = (
-            "" if not function.startswith("sqrt(") else ", or write a control c >= 0 for it and its square <= c**2"
-        )
+        inside, instead = function.removeprefix("sqrt(")[:-1], ""
+        if function.startswith("sqrt(") and " + " in inside:
+            instead = f"; for a length in the cost, a control c >= 0 in its place with path {inside} <= c**2"
         found.append(
             f"{shortened(function)} has no finite {what} at the guess, {where}, where a search cannot begin: give "
             f"another guess, or bounds that keep away from there{instead}"
