@@ -102,6 +102,7 @@ class ControlModule(Protocol):
     plain_grid: Callable[[Grid], Grid]
     corrected_cost: Callable[[Grid, Any], float]
     worst_row: Callable[[Grid, Any], str]
+    not_finite: Callable[[Grid, Any], str]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]

@@ -27,6 +27,7 @@ from codegen.checks.derivation import (
     symplecticity,
 )
 from codegen.checks.derivation.phases import phase_contexts
+from codegen.checks.evaluation import NoPointError
 from codegen.checks.module import (
     assembly,
     derivatives,
@@ -165,6 +166,8 @@ def apply(name: str, context: Context, seconds: float = math.inf) -> list[Findin
     except Overdue:
         reason = f"the problem is too large for it, which was not done after {seconds:.0f} s of processor time"
         findings.append(not_measured(name, "all else" if findings else "the whole problem", reason))
+    except NoPointError as error:
+        findings.append(not_measured(name, "all else" if findings else "the whole problem", str(error)))
     except Exception as error:  # a damaged module may fail in any way
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return [Finding(name, "the check itself", False, f"could not be completed ({text[:300]})")]

@@ -15,9 +15,11 @@ import numpy as np
 import sympy
 from sympy import Expr, Symbol
 
+from codegen.checks.own_ranges import drawn_from, own_ranges, range_of
 from codegen.discretise import LENGTHS, STEP
 from codegen.errors import NumericsError
 from codegen.expressions.zeros import identically_zero
+from codegen.model import Model
 
 Point: TypeAlias = Mapping[Symbol, float]
 Function: TypeAlias = Callable[..., list[Any]]
@@ -28,6 +30,10 @@ NOTHING = mpmath.mpf(10) ** -30
 _INCREMENT = mpmath.mpf(10) ** -40
 _SEED = 20240229
 _ATTEMPTS = 200
+
+
+class NoPointError(NumericsError):
+    """No point was found at which expressions have values, so that they cannot be compared with anything."""
 
 
 def function_of(
@@ -52,7 +58,7 @@ def symbols_of(values: Sequence[Expr], *more: Sequence[Symbol]) -> list[Symbol]:
 def random_points(
     values: Sequence[Expr],
     symbols: Sequence[Symbol],
-    defaults: Point,
+    model: Model,
     count: int = 3,
     seed: int = _SEED,
     likely: Iterable[Point] = (),
@@ -60,9 +66,13 @@ def random_points(
 ) -> list[dict[Symbol, float]]:
     """Seeded random points at which all values are real and finite; parameters are drawn about their defaults.
 
-    Values may read `assignments`. Of the points that are `likely` those come first that have values, but one point at
-    least is random. Raises NumericsError when hardly any point is in the domain of the expressions.
+    What the model, or a likely point, has of another size than one is drawn where it is there. Values may read
+    `assignments`. Of the points that are `likely` those come first that have values, but one point at
+    least is random. Raises NoPointError when hardly any point is in the domain of the expressions.
     """
+    likely = list(likely)
+    defaults, ranges = model.default_values, own_ranges(model, likely)
+    elsewhere = [symbol for symbol in symbols if symbol not in defaults and symbol not in (STEP, *LENGTHS)]
     generator = np.random.default_rng(seed)
     function = function_of(symbols, values, assignments)
     points: list[dict[Symbol, float]] = []
@@ -71,13 +81,14 @@ def random_points(
             points.append({symbol: point[symbol] for symbol in symbols})
     for _ in range(_ATTEMPTS):
         drawn = {symbol: float(generator.uniform(0.4, 1.6)) for symbol in symbols}
+        drawn |= {s: drawn_from(generator, own) for s in elsewhere if (own := range_of(s, ranges)) is not None}
         drawn |= {symbol: value * drawn[symbol] for symbol, value in defaults.items() if symbol in drawn and value}
         drawn |= {length: 0.25 * drawn[length] for length in (STEP, *LENGTHS) if length in drawn}
         if _has_value(function, [drawn[symbol] for symbol in symbols]):
             points.append(drawn)
         if len(points) == count:
             return points
-    raise NumericsError("the expressions have no real value at random points", "check their domain")
+    raise NoPointError("the expressions have no real value at random points", "give bounds or a guess of their sizes")
 
 
 def _has_value(function: Function, numbers: Sequence[float]) -> bool:
@@ -99,9 +110,14 @@ def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int
 def second_differences(
     function: Function, numbers: Sequence[float], pairs: Sequence[tuple[int, int]]
 ) -> dict[tuple[int, int], Any]:
-    """Second forward differences of the first value of a function by pairs of arguments."""
+    """Second forward differences of the first value of a function by pairs of arguments.
+
+    Of values as large as 1e200 it takes more digits to see the difference.
+    """
     with mpmath.workdps(DIGITS):
         at = _shifted(function, numbers)
+        more = max(0, int(mpmath.ceil(mpmath.log10(1 + abs(at())))))
+    with mpmath.workdps(DIGITS + more):
         single = {i: at(i) for i in dict.fromkeys(index for pair in pairs for index in pair)}
         middle = at()
         return {(i, j): (at(i, j) - single[i] - single[j] + middle) / _INCREMENT**2 for i, j in pairs}

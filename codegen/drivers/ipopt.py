@@ -19,13 +19,25 @@ TOLERANCE = 1e-8
 MAX_ITERATIONS = 3000
 LONGEST = 1e20  # seconds of the processor, IPOPT's own
 OTHER = "try driver newton"
+NOT_FINITE = "change the guess or the parameters, or keep away from there by bounds"
 REMEDIES = {"iteration limit": f"raise max_iterations, or {OTHER}", "time limit": f"raise time_limit, or {OTHER}"}
 
 _STATUSES = {
     0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", -1: "iteration limit", -4: "time limit",
-    -13: "non-finite",
+    -10: "rank-deficient", -13: "non-finite",
 }  # fmt: skip
 """IPOPT's return codes; what is missing here counts as stalled."""
+_TOO_FEW_UNKNOWNS, _NOT_FINITE = -10, -13
+_REASONS = {
+    3: "its steps have become too small",
+    6: "it looks for no optimum where there are as many equations as unknowns",
+    -2: "its restoration of feasibility failed",
+    -3: "it could compute no step",
+    -11: "it takes the problem for no valid one",
+    -12: "it does not take an option",
+    -102: "there is not enough memory",
+}
+"""What other codes mean, by IPOPT's documentation of its return statuses; the rest are errors inside it."""
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
@@ -58,9 +70,29 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         for name, value in options.items():
             program.add_option(name, value)
         x, details = program.solve(problem.start)
-    status = _STATUSES.get(int(details["status"]), "stalled")
-    unknowns, remedy = problem.unknowns(x, details["mult_g"]), f"; {REMEDIES.get(status, OTHER)}"
+    code = int(details["status"])
+    status = _STATUSES.get(code, "stalled")
+    unknowns = problem.unknowns(x, details["mult_g"])
+    reason = _cause(problem, code, x, callbacks.iterations)
+    if reason:
+        message = f"{status}: {reason}"
+        return ControlAttempt(status, message, callbacks.iterations, unknowns, 10 * tolerance, is_explained=True)
+    why = f": {_REASONS.get(code, f'an error inside it, {code}')}" if status == "stalled" else ""
+    remedy = f"{why}; {REMEDIES.get(status, OTHER)}"
     return claim("IPOPT", status, callbacks.iterations, unknowns, 10 * tolerance, remedy)
+
+
+def _cause(problem: ScaledProblem, code: int, x: Vector, iterations: int) -> str:
+    """What was wrong and the remedy, where that is not an equation which does not hold; else nothing."""
+    if code == _TOO_FEW_UNKNOWNS:
+        lower, upper = problem.bounds
+        sizes = f"{np.count_nonzero(lower < upper)} unknowns for {problem.dual.size} equations"
+        return f"IPOPT takes no problem with fewer unknowns than equations, {sizes}; leave out conditions, or {OTHER}"
+    if code == _NOT_FINITE:
+        point = problem.module.evaluate(problem.grid, problem.unknowns(x))
+        where = "at the guess" if not iterations else f"after {iterations} iterations of IPOPT"
+        return f"{problem.module.not_finite(problem.grid, point)} {where}; {NOT_FINITE}"
+    return ""
 
 
 class _Callbacks:

@@ -13,7 +13,7 @@ from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt
 __all__ = ["connect", "control", "simulate"]
 
 TOLERANCE = 1e-10
-_OWN = ("tolerance", "trajectories", "scaled")
+_OWN = ("tolerance", "trajectories", "scaled", "is_explained")
 """What an attempt has beside what a module's solution calls the same, or modules of earlier versions do not have."""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)

@@ -10,6 +10,7 @@ from codegen.lower import inner_times
 from codegen.model import Model
 from codegen.model.definitions import prescribed
 from codegen.model.nonsmooth_costs import kinks
+from codegen.model.singular_guesses import singular_at_guess
 from codegen.transcribe.program import ControlProgram
 
 
@@ -30,6 +31,9 @@ def notable(program: ControlProgram) -> list[tuple[str, str]]:
     entries += inner_times.metadata(program)
     if bends := _kinks(program):
         entries.append(("kinks", repr(bends)))
+    singular = dict.fromkeys(one for own in model.phases or (model,) for one in singular_at_guess(own))
+    if singular:
+        entries.append(("singular_at_guess", repr(tuple(singular))))
     if redundant:
         entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
         entries.append(("redundant_conditions", repr(redundant)))

@@ -16,6 +16,7 @@ from codegen.author.problem import Control, Phases, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.expressions import checks as expressions
+from codegen.expressions.rounding import rounding_of
 from codegen.model import delays, drawings, normal_form, sample_points, values
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import FreeParameter, Model, prescribed
@@ -243,7 +244,7 @@ def _require_common_values(switch: int, before: Model, after: Model, jump: Mappi
         least = max(_numbers([bound.lower for bound in both], numbers), default=-math.inf)
         greatest = min(_numbers([bound.upper for bound in both], numbers), default=math.inf)
         for value in _numbers([given.get(symbol)], numbers):
-            if not least <= value <= greatest:
+            if value < least - rounding_of((value, least)) or value > greatest + rounding_of((value, greatest)):
                 raise BoundaryError(
                     f"{symbol} is {value:g} {where}, outside its bounds {least:g} and {greatest:g}",
                     "correct one of them",

@@ -8,13 +8,11 @@ import sympy
 
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError
 from codegen.expressions import checks as expressions
+from codegen.expressions.rounding import rounding_at, rounding_of
 from codegen.expressions.samples import hessian_samples
 from codegen.model.conditions.base import Points
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import Bounds, Condition, Model, prescribed
-
-_ROUNDING = 1e-9
-"""Relative size of a difference that counts as rounding of the values which an author gave."""
 
 
 def values_at_guess(model: Model) -> dict[sympy.Symbol, float]:
@@ -119,7 +117,7 @@ def _require_within(model: Model, bounds: Sequence[Bounds]) -> None:
                 if limit is None:
                     continue
                 edge = _number(f"bound of {symbol}", limit, values)
-                if sign * (number - edge) > _ROUNDING * max(abs(number), abs(edge)):
+                if sign * (number - edge) > rounding_of((number, edge)):
                     raise BoundaryError(f"{what} is {number:g}, {word} bound {edge:g}", "correct one of them")
 
 
@@ -161,5 +159,5 @@ def _require_agreement(model: Model, end: str, fixed: Mapping[sympy.Symbol, symp
         if excess is None:
             continue
         excess = abs(excess) if condition.equality else excess
-        if excess > _ROUNDING * max([1.0, *map(abs, numbers.values())]):
+        if excess > rounding_at(condition.expression, {**body, **numbers}):
             raise BoundaryError(f"{end} violates {condition} by {excess:g}", "correct one of them")

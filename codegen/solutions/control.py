@@ -64,7 +64,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
         message = (
             f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
         )
-    elif status != "solved" and driver != "newton":
+    elif status != "solved" and driver != "newton" and not attempt.is_explained:
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
     cost = _cost(module, scaled, conditions.point) if status == "solved" else float(module.cost(grid, unknowns))

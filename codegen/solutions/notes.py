@@ -38,6 +38,14 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
             f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
             "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
         )
+    for function, what, where in metadata.get("singular_at_guess", ()):
+        inside, instead = function.removeprefix("sqrt(")[:-1], ""
+        if function.startswith("sqrt(") and " + " in inside:
+            instead = f"; for a length in the cost, a control c >= 0 in its place with path {inside} <= c**2"
+        found.append(
+            f"{shortened(function)} has no finite {what} at the guess, {where}, where a search cannot begin: give "
+            f"another guess, or bounds that keep away from there{instead}"
+        )
     if unseen := metadata.get("unseen_controls", ()):
         found.append(
             f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "

@@ -83,7 +83,8 @@ class ControlAttempt:
     """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises.
 
     `trajectories` are what a module makes of the unknowns (`unpack`), and `scaled` is the grid with the sizes that it
-    finds at the guess (`scaled_grid`), where a driver has them anyway.
+    finds at the guess (`scaled_grid`), where a driver has them anyway. Where `is_explained` the message names what was
+    wrong, and no equation that is off need be.
     """
 
     status: str
@@ -94,6 +95,7 @@ class ControlAttempt:
     log: Matrix | None = None
     trajectories: tuple[Matrix, ...] = ()
     scaled: Grid | None = None
+    is_explained: bool = False
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,15 @@ from sympy import Expr, Symbol
 from codegen.discretise import STEP, PathValue, at_nodes
 from codegen.errors import BoundaryError
 from codegen.expressions import checks as expressions
+from codegen.expressions.rounding import rounding_at
 from codegen.transcribe.program import ControlProgram, EndElement
-
-_ROUNDING = 1e-9
-"""Relative size of a violation that counts as rounding of the values which an author gave."""
 
 
 @dataclass(frozen=True)
 class EndEquations:
     """The equations between the unknowns of an end: solved ones as substitutions, and others that vanish.
 
-    `numbers` are the default values of parameters and boundary values.
+    `numbers` are the default values of parameters and boundary values, `given` the unknowns that have a value there.
     """
 
     where: str
@@ -34,10 +32,15 @@ class EndEquations:
     solved: Mapping[Symbol, Expr]
     others: tuple[Expr, ...]
     numbers: Mapping[Symbol, float]
+    given: Mapping[Symbol, Expr]
 
     @staticmethod
     def of(
-        where: str, equations: Sequence[Expr], unknowns: frozenset[Symbol], numbers: Mapping[Symbol, float]
+        where: str,
+        equations: Sequence[Expr],
+        unknowns: frozenset[Symbol],
+        numbers: Mapping[Symbol, float],
+        given: Mapping[Symbol, Expr],
     ) -> EndEquations:
         """Solve those equations that are linear in the unknowns; all are expressions that vanish."""
         linear = [e for e in equations if _is_linear(e, unknowns)]
@@ -46,11 +49,12 @@ class EndEquations:
         values = next(iter(solutions), ())
         solved = {symbol: value for symbol, value in zip(present, values, strict=False) if value != symbol}
         others = (e.subs(solved, simultaneous=True) for e in equations if e not in linear)
-        return EndEquations(where, unknowns, solved, tuple(e for e in others if e.free_symbols & unknowns), numbers)
+        left = tuple(e for e in others if e.free_symbols & unknowns)
+        return EndEquations(where, unknowns, solved, left, numbers, given)
 
     def value(self, expression: Expr) -> Expr | None:
         """What an expression is equal to at this end, in given quantities alone; None where it may vary."""
-        value = expression.subs(self.solved, simultaneous=True)
+        value = expression.xreplace(dict(self.given)).subs(self.solved, simultaneous=True)
         if not value.free_symbols & self.unknowns:
             return value
         found = (_without_multiple(value, equation, self.unknowns) for equation in self.others)
@@ -65,10 +69,19 @@ class EndEquations:
         if value is None:
             return None
         excess = expressions.rounded_at(value, self.numbers)
-        size = max([1.0, *(abs(self.numbers[s]) for s in value.free_symbols if s in self.numbers)])
-        if excess is not None and excess > _ROUNDING * size:
+        if excess is None:
+            return ""
+        rounding = max(rounding_at(value, self.numbers), self._rounding_before(expression))
+        if excess > rounding:
             raise BoundaryError(f"the {self.where} violates {condition} by {excess:g}", "correct one of them")
-        return condition if excess is not None and excess >= -_ROUNDING * size else ""
+        return condition if excess >= -rounding else ""
+
+    def _rounding_before(self, expression: Expr) -> float:
+        """The rounding of an expression in whose value, numbers put in, the terms are no longer seen; else zero."""
+        known = {**self.given, **self.solved}
+        numbers = {s: expressions.rounded_at(known[s], self.numbers) for s in expression.free_symbols & set(known)}
+        at = {**self.numbers, **{symbol: number for symbol, number in numbers.items() if number is not None}}
+        return rounding_at(expression, at) if expression.free_symbols <= set(at) else 0.0
 
 
 def with_determined_values(program: ControlProgram, inequalities: Sequence[PathValue]) -> ControlProgram:
@@ -90,7 +103,7 @@ def _with_determined_values(program: ControlProgram, where: str, inequalities: S
     candidates = [(s.name, v.condition.name, v.value) for s, v in zip(program.slacks, inequalities, strict=True)]
     if equations.solved or equations.others:
         candidates += _of_the_node(program, end, node)
-    found = ((name, equations.touched(text, value.xreplace(given))) for name, text, value in candidates)
+    found = ((name, equations.touched(text, value)) for name, text, value in candidates)
     decided = dict[str, str]()
     for name, touched in found:
         if touched is not None:
@@ -139,6 +152,7 @@ def _equations(program: ControlProgram, where: str, given: Mapping[Symbol, Expr]
         [g.expression.subs(substitution, simultaneous=True).xreplace(given) for g in conditions if g.equality],
         frozenset(unknowns),
         {symbol: number for symbol, number in {**numbers, **values}.items() if number is not None},
+        given,
     )
 
 

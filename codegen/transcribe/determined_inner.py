@@ -68,7 +68,7 @@ def _equations(program: ControlProgram, number: int, suffix: str) -> EndEquation
     unknowns: set[Symbol] = {*program.element_symbols, *at_nodes(model.rates, suffix)}
     time = model.inner_times[number].time
     where = f"waypoint {number + 1}" if time is None else f"inner time {text(time)}"
-    return EndEquations.of(where, values, frozenset(unknowns), model.default_values)
+    return EndEquations.of(where, values, frozenset(unknowns), model.default_values, {})
 
 
 def _at(program: ControlProgram, number: int, suffix: str) -> dict[Symbol, Expr]:

@@ -47,7 +47,7 @@ def check(context: Context) -> Iterator[Finding]:
     free = [parameter.symbol for parameter in model.free_parameters]
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, *free, model.time]
     symbols = list(dict.fromkeys(symbols))
-    points = random_points(continuous, symbols, model.default_values)
+    points = random_points(continuous, symbols, model)
     for name, scheme_side, exact in zip(names, discrete, continuous, strict=True):
         at_h, limit = function_of([*symbols, STEP], [scheme_side]), function_of(symbols, [exact])
         gaps = []

@@ -44,7 +44,7 @@ def check(context: Context) -> Iterator[Finding]:
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
         gap = mpmath.mpf(0)
         with mpmath.workdps(DIGITS):
-            for point in random_points([integrand], symbols, model.default_values):
+            for point in random_points([integrand], symbols, model):
                 numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
                 wanted = limit(*numbers)[0]
                 gap = max(gap, abs(share(*numbers, _STEP)[0] / _STEP - wanted) / max(1, abs(wanted)))

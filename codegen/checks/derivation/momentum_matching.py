@@ -93,7 +93,7 @@ def _limits(context: Context, model: Model) -> Iterator[Finding]:
         function = function_of([*symbols, STEP], [e.xreplace(arrival) for e in (-after[i], before[i])])
         limit, worst = function_of(symbols, [momentum]), mpmath.mpf(0)
         with mpmath.workdps(DIGITS):
-            for point in random_points([momentum, *model.force], symbols, model.default_values, count=2):
+            for point in random_points([momentum, *model.force], symbols, model, count=2):
                 numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
                 exact = limit(*numbers)[0]
                 both = function(*numbers, mpmath.mpf(10) ** -20)

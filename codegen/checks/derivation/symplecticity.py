@@ -102,7 +102,7 @@ def defect_at_random_points(model: Model, step: StepEquations) -> float:
     form = mpmath.matrix(symplectic_form(len(step.left)).tolist())
     largest = 0.0
     with mpmath.workdps(_DIGITS):
-        for point in random_points(step.equations, symbols, model.default_values, count=2):
+        for point in random_points(step.equations, symbols, model, count=2):
             size = len(step.left)
             start = [point[step.left[i % size]] for i in range(-len(step.unknowns), 0)]
             for attempt in range(1, _SHORTER + 1):

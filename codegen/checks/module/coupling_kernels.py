@@ -32,7 +32,7 @@ def check_couplings(context: Context, program: ControlProgram) -> Iterator[Findi
     values, slopes, curvatures = Agreement(), Agreement(), Agreement()
     every = [*symbols, *others]
     functions = [function_of(every, [condition]) for condition in conditions]
-    for point in random_points(conditions, every, program.model.default_values):
+    for point in random_points(conditions, every, program.model):
         numbers, row = [point[s] for s in every], dict.fromkeys(program.shared_symbols, 0.0) | point
         parts = _assembled(context.module, [point[s] for s in symbols], parameter_vector(row, program), len(conditions))
         for r, (coupling, function) in enumerate(zip(program.couplings, functions, strict=True)):

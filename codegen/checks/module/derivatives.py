@@ -61,7 +61,7 @@ def _interval(context: Context, program: ControlProgram, stem: str, share: Inter
     names = [f"dl/d{x}" for x in unknowns]
     local = unknowns[: len(unknowns) - len(program.shared)]
     likely = near_interval(context, program, stem)
-    for point in random_points([share.element, share.cost], symbols, program.model.default_values, likely=likely):
+    for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
         numbers = [point[symbol] for symbol in symbols]
         x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
         t, h = point[program.model.time], point[STEP]
@@ -128,7 +128,7 @@ def _end(
     module, first, second = context.module, Agreement(), Agreement()
     pattern = pattern_of(module, name)
     likely = near_end(context, program, name)
-    for point in random_points([end.element], symbols, program.model.default_values, likely=likely):
+    for point in random_points([end.element], symbols, program.model, likely=likely):
         numbers = [point[symbol] for symbol in symbols]
         x, t, parameters = np.array(numbers[: len(node)]), point[program.model.time], parameter_vector(point, program)
         emitted, entries = np.zeros(len(unknowns)), np.zeros(len(pattern))

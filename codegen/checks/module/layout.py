@@ -13,8 +13,8 @@ import numpy as np
 import sympy
 
 from codegen import mangling
-from codegen.checks.base import Context, Finding
-from codegen.checks.evaluation import random_points
+from codegen.checks.base import Context, Finding, not_measured
+from codegen.checks.evaluation import NoPointError, random_points
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, other_symbols, parameter_vector
 from codegen.checks.module.step_kernels import step_length
@@ -28,11 +28,19 @@ _STEPS = 2
 
 def check(context: Context) -> Iterator[Finding]:
     """Compare names and sizes, then run every kernel."""
-    if isinstance(context.program, ControlProgram):
-        problem = _control_difference(context.module, context.program) or _control_run(context.module, context.program)
-    else:
-        problem = _step_difference(context.module, context.program) or _step_run(context.module, context.program)
+    try:
+        problem = _problem(context)
+    except NoPointError as error:
+        yield not_measured("layout", "sizes and patterns", str(error))
+        return
     yield Finding("layout", "sizes and patterns", not problem, problem or "every kernel fills its arrays, and no more")
+
+
+def _problem(context: Context) -> str:
+    """What does not fit; empty where everything does."""
+    if isinstance(context.program, ControlProgram):
+        return _control_difference(context.module, context.program) or _control_run(context.module, context.program)
+    return _step_difference(context.module, context.program) or _step_run(context.module, context.program)
 
 
 def _control_difference(module: Any, program: ControlProgram) -> str:
@@ -189,7 +197,7 @@ def _control_run(module: Any, program: ControlProgram) -> str:
     symbols = [*unknowns, *other_symbols(program)]
     values = [e for share in program.interval_elements for e in (share.element, share.cost)]
     values += [program.start.element, program.end.element]
-    (point,) = random_points(values, symbols, program.model.default_values, count=1)
+    (point,) = random_points(values, symbols, program.model, count=1)
     shared, size, node = len(program.shared), len(unknowns), len(program.node)
     x, given = np.array([point[s] for s in unknowns[: size - shared]]), parameter_vector(point, program)
     t, h = point[program.model.time], point[STEP]
@@ -219,7 +227,7 @@ def _run_couplings(module: Any, program: ControlProgram, given: Any) -> str:
         return ""
     conditions = [coupling.expression for coupling in program.couplings]
     symbols = shared_symbols(program)
-    (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model.default_values, count=1)
+    (point,) = random_points(conditions, [*symbols, *other_symbols(program)], program.model, count=1)
     values = np.array([point[symbol] for symbol in symbols])
     tables = module.COUPLING_KINDS, module.COUPLING_COUNTS, module.COUPLING_INDICES
     for kind, count, indices in zip(*tables, strict=True):
@@ -254,7 +262,7 @@ def _step_run(module: Any, program: StepProgram) -> str:
     symbols = [*program.left_symbols, *interval, *program.model.parameters, program.model.time]
     symbols = list(dict.fromkeys([*symbols, *program.lengths, *program.unknowns]))
     expressions = [value for _, value in program.equations]
-    (point,) = random_points(expressions, symbols, program.model.default_values, count=1)
+    (point,) = random_points(expressions, symbols, program.model, count=1)
 
     def at(group: Any) -> Any:
         return np.array([point[symbol] for symbol in group])

@@ -85,7 +85,7 @@ def _kernels(context: Context, program: ControlProgram, sample: SampleElement) -
     losses, indices = function_of(symbols, [sample.element]), range(len(unknowns))
     first, second = Agreement(_CHECK), Agreement(_CHECK)
     pairs = [(i, j) for i in indices for j in range(i + 1)]
-    for point in random_points([sample.element], symbols, program.model.default_values):
+    for point in random_points([sample.element], symbols, program.model):
         numbers = [point[symbol] for symbol in symbols]
         emitted, matrix, value = _emitted(context.module, program, sample, point, pattern)
         with mpmath.workdps(DIGITS):

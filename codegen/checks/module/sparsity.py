@@ -52,8 +52,8 @@ def _compared(
     emitted = pattern_of(context.module, name)
     free = [index for index in range(len(unknowns)) if index not in pinned]
     missing, occupied = set[Pair](), set[Pair]()
-    defaults, seed = program.model.default_values, 7
-    points = random_points(scalars, symbols, defaults, len(likely) + 1, seed, likely)
+    seed = 7
+    points = random_points(scalars, symbols, program.model, len(likely) + 1, seed, likely)
     for function, point in product([function_of(symbols, [scalar]) for scalar in scalars], points):
         numbers = [point[symbol] for symbol in symbols]
         values = second_differences(function, numbers, emitted)

@@ -27,7 +27,7 @@ def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
     written, height = Agreement(), Agreement()
     names = [name for name, _ in program.equations]
     module, size = context.module, len(interval)
-    points = random_points([v for _, v in program.equations], [*base, *interval], program.model.default_values)
+    points = random_points([v for _, v in program.equations], [*base, *interval], program.model)
     for point in points:
         arguments = _step_arguments(point, program)
         after = np.array([point[symbol] for symbol in interval])
@@ -81,7 +81,7 @@ def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
     functions = [function_of(symbols, [value], program.before) for value in program.residual]
     size = len(program.unknowns)
     values_seen, entries_seen = Agreement(), Agreement()
-    for point in random_points(program.residual, symbols, program.model.default_values, assignments=program.before):
+    for point in random_points(program.residual, symbols, program.model, assignments=program.before):
         numbers = [point[symbol] for symbol in symbols]
         unknowns, arguments = np.array(numbers[:size]), _step_arguments(point, program)
         alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))

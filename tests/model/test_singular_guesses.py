@@ -1,0 +1,72 @@
+"""Functions that are singular at the guess are told at build, and only those that are so all along it."""
+
+from __future__ import annotations
+
+import pytest
+from sympy import Abs, acos, exp, log, sqrt
+
+from codegen import Control, controls, coordinate, states
+from codegen.model import normalise
+from codegen.model.singular_guesses import singular_at_guess
+from codegen.solutions.notes import notes
+
+x, y = states("x y")
+a, b = controls("a b")
+
+
+def problem(cost=a**2, rate=a, end_y=0, **more) -> Control:
+    return Control(
+        dynamics={x: rate, y: b}, cost=cost, duration=2, start={x: 0, y: 0}, end={x: 1, y: end_y}, steps=4, **more
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (problem(log(a)), [("log(a)", "value", "a = 0")]),
+        (problem(sqrt(a**2 + b**2)), [("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0")]),
+        (problem(rate=a + 1 / b), [("1/b", "value", "b = 0")]),
+        (problem((a**2 + b**2) ** 1.5), [("(a**2 + b**2)**(3/2)", "curvature", "a = 0, b = 0")]),
+        (problem(acos(a), guess={a: 1}), [("acos(a)", "slope", "a = 1")]),
+        (problem(path=[sqrt(a**2 + b**2) <= 1]), [("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0")]),
+        (problem(sqrt(a**2 + b**2), guess={a: 1}), []),
+        (problem(log(a), bounds={a: (0, None)}), []),  # optimisers begin inside
+        (problem(log(a), bounds={a: (-1, None)}), [("log(a)", "value", "a = 0")]),
+        (problem(rate=sqrt(x) + a), []),  # zero at the start alone, where no scheme evaluates for long
+        (problem(rate=sqrt(y) + a), [("sqrt(y)", "slope", "y = 0")]),
+        (problem(rate=sqrt(y) + a, end_y=1), []),
+        (problem(a**2 * exp(-x) + Abs(a) + 1 / (1 + a**2)), []),
+    ],
+    ids=lambda one: "" if isinstance(one, list) else str(one.cost),
+)
+def test_singular_functions(given, expected):
+    assert list(singular_at_guess(normalise(given))) == expected
+
+
+def test_velocities_are_those_of_the_guess():
+    """A path length whose guess rests has no slope; of one that moves it has."""
+    (q, dq), (r, dr) = coordinate("q"), coordinate("r")
+
+    def length(end: float) -> Control:
+        return Control(
+            lagrangian=(dq**2 + dr**2) / 2,
+            force={q: a, r: b},
+            cost=sqrt(dq**2 + dr**2),
+            duration=1,
+            start={q: 0, r: 0},
+            end={q: end, r: 0},
+            steps=4,
+        )
+
+    assert [one[2] for one in singular_at_guess(normalise(length(0)))] == ["dq = 0, dr = 0"]
+    assert singular_at_guess(normalise(length(1))) == ()
+
+
+def test_note():
+    root, logarithm = notes(
+        {"singular_at_guess": (("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0"), ("log(c)", "value", "c = 0"))}
+    )
+    assert root.startswith("sqrt(a**2 + b**2) has no finite slope at the guess, a = 0, b = 0,")
+    assert root.endswith("for a length in the cost, a control c >= 0 in its place with path a**2 + b**2 <= c**2")
+    assert "give another guess" in logarithm
+    assert "control" not in logarithm
