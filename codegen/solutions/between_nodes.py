@@ -2,8 +2,9 @@
 
 The discrete equations hold such conditions at nodes, and where the scheme evaluates. On too coarse a grid a motion may
 pass through a thin obstacle all the same, or jump from one branch of an equality to another. The solution is carried to
-a grid on which every interval is cut in `PARTS`, and the conditions are read there off the gradient of the Lagrangian,
-by the module's own compiled code: at a new node they are what stands beside their multipliers.
+a grid on which every interval is cut in `PARTS`, then to one that has the peaks between these samples. The conditions
+are read there off the gradient of the Lagrangian, by the module's own compiled code: at a new node they are what stands
+beside their multipliers.
 """
 
 from __future__ import annotations
@@ -92,13 +93,16 @@ def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: V
     if not rows:
         return []
     coarse = time_grid(module, steps, fractions)
-    phases = module.metadata.get("phases", 1)
-    parts = np.repeat(np.diff(coarse.nodes).reshape(phases, -1), PARTS, axis=1)
-    parts /= parts.sum(axis=1, keepdims=True)
-    fine = time_grid(module, PARTS * steps, parts if phases > 1 else parts[0])
-    sampled = _Sampled(module, fine, _carried(module, coarse, fine, unknowns), phases * steps)
-    found = (_worst(sampled, row, steps) for row in rows)
-    return [one for one in found if one is not None]
+    intervals = module.metadata.get("phases", 1) * steps
+    evenly = _Sampled(module, coarse, unknowns, np.full((intervals, PARTS), 1.0 / PARTS))
+    found = list[Excursion]()
+    for row in rows:
+        worst = [_worst(evenly, row, steps)]
+        shares = _peaks(row, evenly.values(row))
+        if shares is not None:
+            worst.append(_worst(_Sampled(module, coarse, unknowns, np.stack([shares, 1.0 - shares], 1)), row, steps))
+        found += sorted((one for one in worst if one is not None), key=lambda one: one.relative)[-1:]
+    return found
 
 
 def sampled_conditions(module: ControlModule) -> tuple[str, ...]:
@@ -142,18 +146,47 @@ def _partners(module: Any) -> dict[int, set[int]]:
     return found
 
 
-def _carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector) -> Vector:
+def _peaks(row: _Row, values: Matrix) -> Vector | None:
+    """Where in every interval, in parts of it, a parabola through three samples is worst; None where none is violated.
+
+    What is thinner than the distance of samples lies between two of them, and shows in how values bend around it.
+    """
+    left, middle, right = values[..., :-2], values[..., 1:-1], values[..., 2:]
+    with np.errstate(all="ignore"):
+        slope, bend = 0.5 * (right - left), left - 2.0 * middle + right
+        offset = -slope / bend
+        peak = middle + 0.5 * slope * offset
+        height = np.abs(peak) if row.equality else np.where(bend < 0.0, peak, 0.0)
+    height = np.where((np.abs(offset) < 1.0) & np.isfinite(height), height, 0.0)
+    if height.max(initial=0.0) <= 0.0:
+        return None
+    intervals, triples = height.shape[1:]
+    best = height.swapaxes(0, 1).reshape(intervals, -1).argmax(axis=1)
+    body, triple = np.divmod(best, triples)
+    every = np.arange(intervals)
+    shares = (triple + 1 + offset[body, every, triple]) / (triples + 1)
+    return np.where(height[body, every, triple] > 0.0, np.clip(shares, 1e-6, 1.0 - 1e-6), 0.5)
+
+
+def _cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
+    """The grid on which every interval is cut in the parts (intervals, parts) of it."""
+    phases = module.metadata.get("phases", 1)
+    parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
+    parts /= parts.sum(axis=1, keepdims=True)
+    return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
+
+
+def _carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int) -> Vector:
     """The unknowns on the finer grid: states interpolated, what intervals have as it is, no slacks nor multipliers."""
     result = np.zeros(fine.is_multiplier.size)
     nodes, intervals = module.views(coarse, unknowns)
     new_nodes, new_intervals = module.views(fine, result)
-    steps = coarse.steps
-    phases, old, new = module.metadata.get("phases", 1), coarse.nodes / steps, fine.nodes / (PARTS * steps)
+    phases, old, new = module.metadata.get("phases", 1), coarse.nodes / coarse.steps, fine.nodes / fine.steps
     for phase in range(phases):
         count = intervals.shape[1] // phases
-        here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, PARTS * count))
+        here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
         new_nodes[:, there] = _interpolated(module, old[here], nodes[:, here], new[there])
-    new_intervals[:] = np.repeat(intervals, PARTS, axis=1)
+    new_intervals[:] = np.repeat(intervals, parts, axis=1)
     new_intervals[:, :, np.asarray(getattr(module, "SLACKS", ()), dtype=int) - nodes.shape[2]] = 0.0
     if module.ROOT:
         result[-module.ROOT :] = unknowns[-module.ROOT :]
@@ -175,21 +208,22 @@ def _interpolated(module: Any, t: Vector, values: Matrix, at: Vector) -> Matrix:
 
 
 class _Sampled:
-    """Values of conditions at the nodes of a finer grid, and the sizes of their terms."""
+    """Values of conditions where every interval is cut in some parts of it (intervals, parts), and sizes of terms."""
 
-    def __init__(self, module: Any, grid: Grid, unknowns: Vector, intervals: int) -> None:
-        self.module, self.grid, self.intervals = module, grid, intervals
-        self._unknowns = unknowns
-        self._gradient = self._gradient_at(unknowns)
+    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
+        self.module, self.grid = module, _cut(module, coarse, cuts)
+        self.intervals, self.parts = cuts.shape
+        self._unknowns = _carried(module, coarse, self.grid, unknowns, self.parts)
+        self._gradient = self._gradient_at(self._unknowns)
         self._moved: dict[int, Vector] = {}
-        self.times = np.asarray(module.unpack(grid, unknowns)[0])
+        self.times = np.asarray(module.unpack(self.grid, self._unknowns)[0])
 
     def values(self, row: _Row, gradient: Vector | None = None) -> Matrix:
-        """The condition's values (bodies, intervals, PARTS + 1), from the left node of an interval to its right one."""
+        """The condition's values (bodies, intervals, parts + 1), from the left node of an interval to its right one."""
         nodes, intervals = self.module.views(self.grid, self._gradient if gradient is None else gradient)
         width = nodes.shape[2]
         at_nodes = nodes[:, :, row.place] if row.equality else self._behind(intervals[:, :, row.place - width])
-        index = PARTS * np.arange(self.intervals)[:, None] + np.arange(PARTS + 1)
+        index = self.parts * np.arange(self.intervals)[:, None] + np.arange(self.parts + 1)
         return np.asarray(at_nodes[:, index])
 
     def sizes(self, row: _Row) -> Matrix:
@@ -235,7 +269,7 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
     if relative.max() <= 0.0:
         return None
     body, interval, part = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    metadata, time = sampled.module.metadata, sampled.times[PARTS * interval + part + 1]
+    metadata, time = sampled.module.metadata, sampled.times[sampled.parts * interval + part + 1]
     segments = segments_of(metadata)
     name = row.name if segments is None else segments.text(row.name, steps, float(sampled.times[-1]))
     worst, own = (body, interval, part), int(body) if metadata["bodies"] > 1 else None

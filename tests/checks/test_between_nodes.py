@@ -76,7 +76,6 @@ def problem(thickness: float = 0.02) -> Control:
         start={x: -1, y: 0},
         end={x: 1, y: 0},
         path=[(2 * x / thickness) ** 2 + y**2 >= 1],
-        guess={x: -0.9, y: 0.5},
         steps=9,
     )
 '''

@@ -87,6 +87,16 @@ def test_a_wall_between_two_nodes(scheme):
     assert found(module, [(-1.0, 0.0), (-1.0, 2.0), (1.0, 2.0), (1.0, 0.0)]) == []
 
 
+@pytest.mark.parametrize("thickness", [0.1, 0.01, 0.002])
+@pytest.mark.parametrize("left", [-0.3, -0.5, -0.7])
+def test_a_wall_between_two_samples(thickness, left):
+    """As thin as a thousandth of the motion: where the samples beside it bend is where it is."""
+    module = of_problem(outside(lambda x, y: [(2 * x / thickness) ** 2 + y**2 >= 1]))
+    (worst,) = found(module, [(-1.0, 0.0), (left, 0.0), (thickness / 2, 0.0), (1.0, 0.0)])
+    assert worst.violation == pytest.approx(1.0, abs=1e-5)
+    assert worst.relative == pytest.approx(1.0, abs=1e-3)
+
+
 def test_sizes_that_differ_do_not_hide_a_wall():
     """Nor do they make one of rounding."""
     module = of_problem(outside(lambda x, y: [x * y >= -1e-3]))
