@@ -24,7 +24,7 @@ PARTS = 8
 """In how many parts an interval is cut."""
 GROSS = 0.05
 """Violations above it, in parts of the terms of a condition, are worth a note."""
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-7
 """A violation that is less, in parts of the condition's largest terms along the motion, is none."""
 INCREMENT = 1e-6
 """Relative increments by which sizes of terms are measured."""
