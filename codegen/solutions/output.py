@@ -58,6 +58,7 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
         "iterations": result.iterations,
         "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
         "summary": {name: _finite(value) for name, value in result.summary.items()},
+        **({"notes": list(result.notes)} if result.notes else {}),
         **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
         **({"accuracy": _accuracy(result)} if result.accuracy else {}),
         **({"estimates": estimates.as_record(result.estimates)} if result.estimates else {}),
@@ -110,6 +111,8 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
     style = "green" if record["status"] == "solved" else "bold red"
     table.add_row("status", f"[{style}]{record['status']}[/]")
     table.add_row("", _escaped(record["message"]))
+    for note in record.get("notes", ()):
+        table.add_row("[bold red]note[/]", f"[bold red]{_escaped(note)}[/]")
     if record["cost"] is not None:
         table.add_row("cost", f"{record['cost']:.12g}")
     table.add_row("residual", _number(record["residual"]))

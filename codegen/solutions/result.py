@@ -172,8 +172,9 @@ class Result(Display):
     first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
     tells how the grids of a refinement ended. `grid` holds the fractions of the duration, or of every phase, that
     intervals last where they are not equal, `accuracy` what came of a request for it, and `estimates` what measurements
-    say of free parameters; `sensitivity` is what `sensitivities()` gives. `by_segments` is the result of a problem with
-    delays as its module has it, with columns for every segment; `background` is what pictures need.
+    say of free parameters; `sensitivity` is what `sensitivities()` gives. `notes` are sentences on a solution whose
+    equations hold, and whose motion violates conditions between its nodes. `by_segments` is the result of a problem
+    with delays as its module has it, with columns for every segment; `background` is what pictures need.
     """
 
     problem: str
@@ -203,6 +204,7 @@ class Result(Display):
     seconds_first: float = field(default=float("nan"), compare=False)
     compiled: bool = field(default=False, compare=False)
     attempts: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     levels: tuple[Result, ...] = ()
     stage_abscissae: tuple[float, ...] = ()
     grid: Vector | None = field(default=None, repr=False)

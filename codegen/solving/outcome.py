@@ -16,9 +16,10 @@ from codegen.author.points import PointSet, read_points
 from codegen.author.sources import split_points
 from codegen.drivers import Driver
 from codegen.errors import SchemeError
-from codegen.loading import GeneratedModule, Matrix, Vector
+from codegen.loading import GeneratedModule, Matrix, Vector, is_control
 from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
+from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
@@ -91,11 +92,20 @@ def outcome_of(
     said = [*said, *_rounded(request, module)]
     with following() as watch:
         result = _solved(request, module, driver, warm, points, request.watch or watch)
+    result = replace(result, notes=_notes(module, result))
     found = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
     result = replace(found, background=_background(request, module))
     if result.compiled:
         return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
     return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)
+
+
+def _notes(module: GeneratedModule, result: Result) -> tuple[str, ...]:
+    """What is to be said of the motion of a solution between its nodes."""
+    if not (is_control(module) and result.solved and result.unknowns is not None):
+        return ()
+    found = excursions(module, result.unknowns, result.steps, result.grid)
+    return tuple(one.note for one in found if one.is_gross)
 
 
 def _background(request: Request, module: Any) -> Background:

@@ -59,3 +59,44 @@ def test_bounds(prepared, tmp_path, scheme, told):
     (finding,) = findings(prepared, tmp_path, "bounds={x: (0.5, None)}", scheme=scheme)
     assert finding.passed
     assert told in finding.detail
+
+
+WALLED = '''"""From one side of a wall to the other at least effort, on a grid on which it lies between two nodes."""
+
+from codegen import Control, controls, states
+
+
+def problem(thickness: float = 0.02) -> Control:
+    x, y = states("x y")
+    u, w = controls("u w")
+    return Control(
+        dynamics={x: u, y: w},
+        cost=u**2 + w**2,
+        duration=1,
+        start={x: -1, y: 0},
+        end={x: 1, y: 0},
+        path=[(2 * x / thickness) ** 2 + y**2 >= 1],
+        steps=9,
+    )
+'''
+
+
+@pytest.mark.parametrize(("thickness", "passes"), [("0.02", False), ("2", True)])
+def test_motions_through_a_wall_fail(prepared, tmp_path, thickness, passes):
+    path = tmp_path / "walled.py"
+    path.write_text(WALLED, encoding="utf-8")
+    context = prepared(path, {"thickness": thickness})
+    assert context.solution.status == "solved"
+    (finding,) = checks.apply("path between nodes", context)
+    assert finding.passed == passes
+    told = "the motion violates it by" if passes else "between nodes the motion violates"
+    assert told in finding.detail
+    assert " % of the size of its terms" in finding.detail
+
+
+def test_a_holonomic_constraint_is_sampled(prepared):
+    """Chords of a sphere: the problem's own grid shows next to nothing."""
+    (finding,) = checks.apply("path between nodes", prepared("spherical_pendulum"))
+    assert finding.passed
+    assert finding.subject == "x**2 + y**2 + z**2 - 1"
+    assert "it holds at nodes; sampled inside intervals, the motion violates it by" in finding.detail

@@ -60,7 +60,6 @@ SILENT = {
     },  # path inequality, end condition, end cost
     "spherical_pendulum": {
         "inner times",
-        "path between nodes",
         "area preservation",
         "switches",
         "optimum",

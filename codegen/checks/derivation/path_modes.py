@@ -4,11 +4,14 @@ A condition at nodes alone leaves a mode to the discrete problem: nodes that alt
 region, or along a curve, meet it, while the points at which the cost and the dynamics are taken lie where the motion
 must not be. What is imposed at these points, or follows there from both nodes, has no such mode. Of the rest the
 solution is measured: along a smooth motion what is violated between nodes falls with the interval, in a mode it stays.
+
+Whatever is imposed, a motion on a coarse grid may pass through what is thin, or jump from one branch of an equality or
+a holonomic constraint to another. So the motion of the solution is sampled inside intervals as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,12 +19,13 @@ import numpy as np
 import sympy
 from sympy import Expr, S, Symbol
 
-from codegen.checks.base import Context, Finding, does_not_apply
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.discretise import STEP, PathValue, one_step_interval, variational_interval
 from codegen.model import Condition, Model
 from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import Scheme
+from codegen.solutions.between_nodes import Excursion, excursions, sampled_conditions
 from codegen.transcribe.assembly import scaled_in_time
 from codegen.transcribe.path_conditions import is_convex
 from codegen.transcribe.program import ControlProgram
@@ -36,11 +40,12 @@ _FALLS = 0.75
 def check(context: Context) -> Iterator[Finding]:
     """Say for every condition on states where it holds; where it need not hold, measure it at two solutions."""
     program = context.control
-    conditions = _conditions(program.model)
-    if program.phases or not conditions:
-        reason = "there are several phases" if program.phases else "there are no conditions on states alone"
-        yield does_not_apply(_NAME, reason)
+    conditions = () if program.phases else _conditions(program.model)
+    sampled = sampled_conditions(context.module)
+    if not (conditions or sampled):
+        yield does_not_apply(_NAME, "there are no conditions on states alone")
         return
+    excursion = _excursions(context) if sampled else {}
     open_values = {c: _open_values(program, context.scheme, c) for c in conditions}
     solutions: tuple[Any, ...] = ()
     if any(open_values.values()):
@@ -48,9 +53,44 @@ def check(context: Context) -> Iterator[Finding]:
     for condition, values in open_values.items():
         if not values:
             detail = "it holds, or follows from both nodes, wherever the scheme evaluates cost and dynamics"
-            yield Finding(_NAME, condition.name, True, detail)
+            finding = Finding(_NAME, condition.name, True, detail)
         else:
-            yield _measured(context, program, condition, values, solutions)
+            finding = _measured(context, program, condition, values, solutions)
+        yield _with_excursion(finding, condition.name, sampled, excursion)
+    known = {condition.name for condition in conditions}
+    for name in sampled:
+        if name in known:
+            continue
+        if excursion is None:
+            yield not_measured(_NAME, name, context.solution.message)
+        else:
+            yield _with_excursion(Finding(_NAME, name, True, "it holds at nodes"), name, sampled, excursion)
+
+
+def _excursions(context: Context) -> dict[str, Excursion] | None:
+    """What the solution violates inside intervals, by the names of conditions; None without a solution."""
+    solution, phases = context.solution, context.module.metadata.get("phases", 1)
+    if solution.status != "solved":
+        return None
+    found = excursions(context.module, solution.unknowns, (solution.t.size - 1) // phases, None)
+    return {one.condition: one for one in found}
+
+
+def _with_excursion(
+    finding: Finding, name: str, sampled: Sequence[str], found: Mapping[str, Excursion] | None
+) -> Finding:
+    """A finding, with what the motion of the solution does inside intervals; the gross is a failure."""
+    if name not in sampled:
+        return finding
+    if found is None:
+        return replace(finding, detail=f"{finding.detail}; not measured along a motion: none was found")
+    if name not in found:
+        return replace(finding, detail=f"{finding.detail}; sampled inside intervals, the motion does not violate it")
+    worst = found[name]
+    if worst.is_gross and finding.passed:
+        return replace(finding, passed=False, detail=worst.note)
+    within = f"sampled inside intervals, the motion violates it by {worst.figures} at most"
+    return replace(finding, detail=f"{finding.detail}; {within}")
 
 
 def _conditions(model: Model) -> list[Condition]:

@@ -1,0 +1,282 @@
+"""What the motion of a solution does inside intervals: path conditions on states alone, sampled between nodes.
+
+The discrete equations hold such conditions at nodes, and where the scheme evaluates. On too coarse a grid a motion may
+pass through a thin obstacle all the same, or jump from one branch of an equality to another. The solution is carried to
+a grid on which every interval is cut in `PARTS`, then to one that has the peaks between these samples. The conditions
+are read there off the gradient of the Lagrangian, by the module's own compiled code: at a new node they are what stands
+beside their multipliers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.loading import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solutions.segments import segments_of
+
+PARTS = 8
+"""In how many parts an interval is cut."""
+GROSS = 0.05
+"""Violations above it, in parts of the terms of a condition, are worth a note."""
+NEGLIGIBLE = 1e-7
+"""A violation that is less, in parts of the condition's largest terms along the motion, is none."""
+INCREMENT = 1e-6
+"""Relative increments by which sizes of terms are measured."""
+
+_SLACK = re.compile(r"slack of (?P<name>.*) at 1 of an interval")
+_MULTIPLIER = re.compile(r"multiplier of (?:the constraint )?(?P<name>.*)")
+
+
+@dataclass(frozen=True)
+class Excursion:
+    """How far a condition is violated inside an interval: its name, by how much, and when that is worst.
+
+    `relative` is the violation d in parts of d + sum |x_i dg/dx_i|, between 0 and 1: next to a limit the distance to
+    where the condition holds in parts of the states x, and 1 in the middle of an obstacle, where the gradient vanishes.
+    `time` is in the problem's units, and among segments of a delay's length from the beginning of the condition's own.
+    Of several bodies `body` is the number of the one that is worst.
+    """
+
+    condition: str
+    violation: float
+    relative: float
+    time: float
+    body: int | None = None
+
+    @property
+    def is_gross(self) -> bool:
+        """Whether a finer grid is called for."""
+        return self.relative > GROSS
+
+    @property
+    def note(self) -> str:
+        """What is to be said of it, and what helps."""
+        of_body = "" if self.body is None else f" of body {self.body}"
+        return (
+            f"between nodes the motion{of_body} violates {self.condition} by {self.figures}: the grid is too coarse "
+            "for it, and what was found may be no motion at all; take more --steps, or --doublings"
+        )
+
+    @property
+    def figures(self) -> str:
+        """By how much it is violated, and when."""
+        percent = 100.0 * self.relative
+        share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
+        return f"{self.violation:.2g} at t = {self.time:.4g}, {share} % of the size of its terms"
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A condition in the gradient: the place of its multiplier in a node or in an interval, and of states in a node."""
+
+    name: str
+    place: int
+    equality: bool
+    states: tuple[int, ...]
+    phases: tuple[int, ...]
+
+
+def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Excursion]:
+    """The worst violation between nodes of every path condition on states alone, and of every holonomic constraint.
+
+    States are straight lines between the nodes of a scheme of order two, and monotone cubics for higher orders; the
+    grid has `steps` equal intervals in every phase, or those of `fractions`. The first interval behind a switch is left
+    out, since a state may jump there. Empty where nothing is violated.
+    """
+    rows = list(_rows(module))
+    if not rows:
+        return []
+    coarse = time_grid(module, steps, fractions)
+    intervals = module.metadata.get("phases", 1) * steps
+    evenly = _Sampled(module, coarse, unknowns, np.full((intervals, PARTS), 1.0 / PARTS))
+    found = list[Excursion]()
+    for row in rows:
+        worst = [_worst(evenly, row, steps)]
+        shares = _peaks(row, evenly.values(row))
+        if shares is not None:
+            worst.append(_worst(_Sampled(module, coarse, unknowns, np.stack([shares, 1.0 - shares], 1)), row, steps))
+        found += sorted((one for one in worst if one is not None), key=lambda one: one.relative)[-1:]
+    return found
+
+
+def sampled_conditions(module: ControlModule) -> tuple[str, ...]:
+    """The names of the conditions that `excursions` looks at, each once."""
+    return tuple(dict.fromkeys(row.name for row in _rows(module)))
+
+
+def _rows(module: Any) -> Iterator[_Row]:
+    """The conditions of a module in which nothing but states of one node, times and parameters occur."""
+    metadata, first = module.metadata, len(module.metadata["node"])
+    partners = _partners(module)
+    stride = first + len(metadata["interval"])
+    meanings: Mapping[str, str] = metadata["meanings"]
+    every = tuple(range(metadata.get("phases", 1)))
+    for i, name in enumerate(metadata["node"]):
+        met = _MULTIPLIER.fullmatch(meanings.get(name, ""))
+        beside = partners.get(i, set()) - {i}
+        own = {j for j in beside if j < first}
+        if met and module.IS_MULTIPLIER[i] and own and not any(first <= j < stride + first for j in beside):
+            yield _Row(met["name"], i, True, tuple(sorted(own)), every)
+    for slack, multiplier in zip(getattr(module, "SLACKS", ()), getattr(module, "SLACK_MULTIPLIERS", ()), strict=True):
+        beside = partners.get(int(multiplier), set()) - {int(slack), int(multiplier)}
+        if any(j < stride for j in beside):
+            continue  # of the left node, or the interval
+        states = tuple(sorted(j - stride for j in beside if j < stride + first))
+        named: dict[str, list[int]] = {}
+        for phase, texts in enumerate(metadata.get("slacks", (meanings,))):
+            met = _SLACK.fullmatch(texts.get(metadata["interval"][slack - first], ""))
+            if met:
+                named.setdefault(met["name"], []).append(phase)
+        for name, where in named.items():
+            yield _Row(name, int(multiplier), False, states, tuple(where))
+
+
+def _partners(module: Any) -> dict[int, set[int]]:
+    """For every place in an interval with both its nodes those with which the Hessian of the Lagrangian couples it."""
+    found: dict[int, set[int]] = {}
+    for i, j in zip(module.HESSIAN_ROWS.tolist(), module.HESSIAN_COLUMNS.tolist(), strict=True):
+        found.setdefault(i, set()).add(j)
+        found.setdefault(j, set()).add(i)
+    return found
+
+
+def _peaks(row: _Row, values: Matrix) -> Vector | None:
+    """Where in every interval, in parts of it, a parabola through three samples is worst; None where none is violated.
+
+    What is thinner than the distance of samples lies between two of them, and shows in how values bend around it.
+    """
+    left, middle, right = values[..., :-2], values[..., 1:-1], values[..., 2:]
+    with np.errstate(all="ignore"):
+        slope, bend = 0.5 * (right - left), left - 2.0 * middle + right
+        offset = -slope / bend
+        peak = middle + 0.5 * slope * offset
+        height = np.abs(peak) if row.equality else np.where(bend < 0.0, peak, 0.0)
+    height = np.where((np.abs(offset) < 1.0) & np.isfinite(height), height, 0.0)
+    if height.max(initial=0.0) <= 0.0:
+        return None
+    intervals, triples = height.shape[1:]
+    best = height.swapaxes(0, 1).reshape(intervals, -1).argmax(axis=1)
+    body, triple = np.divmod(best, triples)
+    every = np.arange(intervals)
+    shares = (triple + 1 + offset[body, every, triple]) / (triples + 1)
+    return np.where(height[body, every, triple] > 0.0, np.clip(shares, 1e-6, 1.0 - 1e-6), 0.5)
+
+
+def _cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
+    """The grid on which every interval is cut in the parts (intervals, parts) of it."""
+    phases = module.metadata.get("phases", 1)
+    parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
+    parts /= parts.sum(axis=1, keepdims=True)
+    return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
+
+
+def _carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int) -> Vector:
+    """The unknowns on the finer grid: states interpolated, what intervals have as it is, no slacks nor multipliers."""
+    result = np.zeros(fine.is_multiplier.size)
+    nodes, intervals = module.views(coarse, unknowns)
+    new_nodes, new_intervals = module.views(fine, result)
+    phases, old, new = module.metadata.get("phases", 1), coarse.nodes / coarse.steps, fine.nodes / fine.steps
+    for phase in range(phases):
+        count = intervals.shape[1] // phases
+        here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
+        new_nodes[:, there] = _interpolated(module, old[here], nodes[:, here], new[there])
+    new_intervals[:] = np.repeat(intervals, parts, axis=1)
+    new_intervals[:, :, np.asarray(getattr(module, "SLACKS", ()), dtype=int) - nodes.shape[2]] = 0.0
+    if module.ROOT:
+        result[-module.ROOT :] = unknowns[-module.ROOT :]
+    result[fine.is_multiplier] = 0.0
+    return result
+
+
+def _interpolated(module: Any, t: Vector, values: Matrix, at: Vector) -> Matrix:
+    if module.metadata["order"] > 2 and t.size > 2:
+        from scipy.interpolate import PchipInterpolator  # which takes long to import
+
+        with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+            return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
+    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(0, t.size - 2))
+    right = np.minimum(left + 1, t.size - 1)
+    width = np.where(right > left, t[right] - t[left], 1.0)
+    share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
+    return np.asarray((1.0 - share) * values[:, left] + share * values[:, right])
+
+
+class _Sampled:
+    """Values of conditions where every interval is cut in some parts of it (intervals, parts), and sizes of terms."""
+
+    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
+        self.module, self.grid = module, _cut(module, coarse, cuts)
+        self.intervals, self.parts = cuts.shape
+        self._unknowns = _carried(module, coarse, self.grid, unknowns, self.parts)
+        self._gradient = self._gradient_at(self._unknowns)
+        self._moved: dict[int, Vector] = {}
+        self.times = np.asarray(module.unpack(self.grid, self._unknowns)[0])
+
+    def values(self, row: _Row, gradient: Vector | None = None) -> Matrix:
+        """The condition's values (bodies, intervals, parts + 1), from the left node of an interval to its right one."""
+        nodes, intervals = self.module.views(self.grid, self._gradient if gradient is None else gradient)
+        width = nodes.shape[2]
+        at_nodes = nodes[:, :, row.place] if row.equality else self._behind(intervals[:, :, row.place - width])
+        index = self.parts * np.arange(self.intervals)[:, None] + np.arange(self.parts + 1)
+        return np.asarray(at_nodes[:, index])
+
+    def sizes(self, row: _Row) -> Matrix:
+        """The sum of |x_i dg/dx_i| over all states, of the same shape."""
+        values = self.values(row)
+        total = np.zeros_like(values)
+        for state in row.states:
+            total += np.abs(self.values(row, self._beside(state)) - values) / INCREMENT
+        return total
+
+    @staticmethod
+    def _behind(at_right: Matrix) -> Matrix:
+        """Values at the right nodes of intervals as those at all nodes; the first node has none."""
+        return np.concatenate([np.full((at_right.shape[0], 1), -np.inf), at_right], axis=1)
+
+    def _beside(self, state: int) -> Vector:
+        """The gradient where one state of every node is a little larger."""
+        if state not in self._moved:
+            moved = self._unknowns.copy()
+            self.module.views(self.grid, moved)[0][:, :, state] *= 1.0 + INCREMENT
+            self._moved[state] = self._gradient_at(moved)
+        return self._moved[state]
+
+    def _gradient_at(self, unknowns: Vector) -> Vector:
+        gradient: Vector = self.module.evaluate(self.grid, unknowns).gradient
+        return gradient
+
+
+def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
+    """Where a condition is worst inside intervals, beyond what it is at their nodes."""
+    values = sampled.values(row)
+    violation = np.abs(values) if row.equality else np.maximum(values, 0.0)
+    at_nodes = np.maximum(violation[:, :, :1], violation[:, :, -1:])
+    beyond: NDArray[np.float64] = np.nan_to_num(violation - at_nodes, nan=0.0, posinf=0.0)[:, :, 1:-1]
+    beyond[:, ~_of_phases(row, beyond.shape[1], steps)] = 0.0
+    if beyond.max(initial=0.0) <= 0.0:
+        return None
+    with np.errstate(invalid="ignore"):
+        sizes = np.nan_to_num(sampled.sizes(row), nan=0.0, posinf=0.0)
+    largest = max(sizes.max(), np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    inside = sizes[:, :, 1:-1]
+    relative = np.where(beyond > NEGLIGIBLE * largest, beyond / np.maximum(beyond + inside, 1e-300), 0.0)
+    if relative.max() <= 0.0:
+        return None
+    body, interval, part = np.unravel_index(int(np.argmax(relative)), relative.shape)
+    metadata, time = sampled.module.metadata, sampled.times[sampled.parts * interval + part + 1]
+    segments = segments_of(metadata)
+    name = row.name if segments is None else segments.text(row.name, steps, float(sampled.times[-1]))
+    worst, own = (body, interval, part), int(body) if metadata["bodies"] > 1 else None
+    return Excursion(name, float(beyond[worst]), float(relative[worst]), float(time), own)
+
+
+def _of_phases(row: _Row, intervals: int, steps: int) -> NDArray[np.bool_]:
+    """Which intervals belong to the phases of a condition, without the first behind a switch."""
+    phase, number = np.divmod(np.arange(intervals), steps)
+    return np.asarray(np.isin(phase, row.phases) & ((phase == 0) | (number > 0)))
