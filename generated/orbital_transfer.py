@@ -2805,7 +2805,7 @@ def escape_steps(grid, unknowns, curvature, escapes):
 # The word for how a solution ended, corrected by what can be seen only afterwards.
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
-ROUNDED, RUN_AWAY = 1e-8, 1e6  # the like where equations are said to hold, but leave residuals above the former
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -2816,13 +2816,10 @@ HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 def final_status(grid, guess, point, status):
     """The status that a solver gave, or a better one.
 
-    Where unknowns grow and the cost falls, a duration is not positive, or equations hold by the rounding of unknowns
-    that have run away, the problem is unbounded. Where the equations hold, a solver that cannot go on has not found
-    them infeasible, but dependent on each other. Where they do not hold and are more than the unknowns, no better guess
-    would help it.
+    Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
+    hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
+    and are more than the unknowns, no better guess would help it.
     """
-    if status == "solved" and has_run_away(grid, guess, point):
-        return "unbounded"
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
@@ -2838,15 +2835,14 @@ def final_status(grid, guess, point, status):
     return status
 
 
-def has_run_away(grid, guess, point):
+def has_run_away(grid, guess, unknowns):
     """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
 
-    Far out any residual is rounding, and a motion that ends there obeys nothing.
+    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in parts of the
+    sizes that the grid has from the guess: by those that it has out there nothing would be seen.
     """
-    if point.residual <= ROUNDED:
-        return False
-    largest, first = np.abs(point.unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
-    return largest > RUN_AWAY * max(1.0, first)
+    largest, first = np.abs(unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
+    return largest > RUN_AWAY * max(1.0, first) and evaluate(grid, unknowns).residual > ROUNDED
 
 
 def unscaled_unknowns(grid, unknowns):
@@ -3488,12 +3484,16 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
     status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
+    if status == "solved" and is_far_out(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
+        status = "unbounded"
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
+        if status == "solved" and is_far_out(scaled, unknowns, point.unknowns):
+            status = "unbounded"
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
@@ -3528,6 +3528,11 @@ def refined(grid, start, point, tolerance, max_iterations, log):
         if not grid.sizes.size:
             break
     return "solved", grid, start, point, total
+
+
+def is_far_out(scaled, guess, unknowns):
+    """Whether unknowns have run away from a guess, both in the problem's own units, in parts of the guess's sizes."""
+    return has_run_away(scaled, scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns))
 
 
 def slope_beside_bounds(grid, point):
@@ -3885,7 +3890,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_5487831fc37ee275"
+_IDENTITY = "codegen_orbital_transfer_b878322fba1bae76"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
