@@ -39,6 +39,6 @@ Steps = Annotated[
 ]
 Every = Annotated[int, typer.Option(parser=positive, metavar="N", help="Store every so many-th step of a simulation.")]
 Repeat = Annotated[int, typer.Option(parser=positive, metavar="N", help="Time the best of so many solves.")]
-Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver.")]
+Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver (newton).")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]

@@ -55,10 +55,10 @@ def solve(
     max_iterations: Annotated[
         int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
     ] = None,
-    time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of an optimiser.")] = None,
-    scaling: Annotated[
-        str, typer.Option(help="Of newton: auto, or none for work in the problem's own units.")
-    ] = "auto",
+    time_limit: Annotated[
+        float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")
+    ] = None,
+    scaling: Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")] = "auto",
     warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
     doublings: Annotated[
         int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
@@ -138,7 +138,7 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
     told = [note for found in (result.estimates, result.sensitivity) if found is not None for note in found.notes]
-    for note in (*notes.notes(outcome.module.metadata), *told, *result.notes):
+    for note in (*notes.notes(outcome.module.metadata), *told):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))

@@ -70,7 +70,7 @@ def sweep(
         int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of a solve.")
     ] = None,
     time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")] = None,
-    scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve.")] = "auto",
+    scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")] = "auto",
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
     ] = False,

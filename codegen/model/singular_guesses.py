@@ -9,7 +9,7 @@ from sympy import Dummy, Expr, Symbol
 
 from codegen.expressions.checks import rounded_at
 from codegen.model.definitions import Model
-from codegen.model.lines import guessed
+from codegen.model.lines import guessed, known_values
 from codegen.model.values import values_at_guess
 
 Singular = tuple[str, str, str]
@@ -46,6 +46,11 @@ def point_of_guess(model: Model, share: float) -> dict[Symbol, float]:
         lines |= {v: sympy.diff(lines[q], model.time) for q, v in zip(model.coordinates, model.rates, strict=True)}
     elif model.form == "first-order":
         lines |= dict(zip(model.rates, guessed(model, model.rates, model.duration), strict=True))
+    # Models that are rewritten in momenta say nothing of their ends, and what is left open may be guessed elsewhere.
+    known_ends = known_values(model, model.start, model.start_conditions)
+    known_ends |= known_values(model, model.end, model.end_conditions)
+    owner = dict(zip(model.rates, model.coordinates, strict=False)) if model.form == "lagrangian" else {}
+    lines = {s: value for s, value in lines.items() if {s, owner.get(s, s)} & {*known_ends, *given}}
     lines |= {u: given.get(u, sympy.S.Zero) for u in model.controls}
     numbers = {s: rounded_at(given.get(s, value), at) for s, value in lines.items()}
     known = {s: number for s, number in numbers.items() if number is not None}

@@ -6,9 +6,11 @@ import pytest
 from sympy import Abs, acos, exp, log, sqrt
 
 from codegen import Control, controls, coordinate, states
+from codegen.lower.notable import notable
 from codegen.model import normalise
 from codegen.model.singular_guesses import singular_at_guess
 from codegen.solutions.notes import notes
+from codegen.transcribe import transcribe
 
 x, y = states("x y")
 a, b = controls("a b")
@@ -60,6 +62,22 @@ def test_velocities_are_those_of_the_guess():
 
     assert [one[2] for one in singular_at_guess(normalise(length(0)))] == ["dq = 0, dr = 0"]
     assert singular_at_guess(normalise(length(1))) == ()
+
+
+@pytest.mark.parametrize("method", ["variational", "hamiltonian"])
+def test_values_at_the_ends_count_whatever_the_method(method):
+    """1/r has a value on the line from 5 to 6, although the Hamiltonian's ends are written otherwise."""
+    (q, dq), (r, dr) = coordinate("q"), coordinate("r")
+    orbit = Control(
+        lagrangian=(dr**2 + r**2 * dq**2) / 2 + 1 / r,
+        force={q: a, r: b},
+        cost=a**2 + b**2,
+        duration=1,
+        start={q: 0, r: 5, dq: 1, dr: 0},
+        end={q: 1, r: 6, dq: 1, dr: 0},
+        steps=4,
+    )
+    assert "singular_at_guess" not in dict(notable(transcribe(normalise(orbit), None, method)))
 
 
 def test_note():
