@@ -179,3 +179,13 @@ def test_times_of_a_delayed_motion_are_those_of_the_whole():
     assert result.solved
     (note,) = result.notes
     assert "violates 10000.0*x**2 + y**2 >= 1 by 1 at t = 0.6" in note
+
+
+@pytest.mark.parametrize("name", ["convoy", "spherical_pendulum"])
+def test_the_gallery_is_far_below_the_limit(interpreted, name):
+    module = interpreted(name)
+    result = solve(module)
+    assert result.solved
+    assert sampled_conditions(module)
+    assert all(one.relative < GROSS / 10 for one in excursions(module, result.unknowns, result.steps, None))
+    assert result.notes == ()
