@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.loading import ControlModule, Grid, Matrix, Vector, time_grid
-from codegen.solutions.segments import segments_of
 
 PARTS = 8
 """In how many parts an interval is cut."""
@@ -30,6 +29,7 @@ INCREMENT = 1e-6
 """Relative increments by which sizes of terms are measured."""
 
 _SLACK = re.compile(r"slack of (?P<name>.*) at 1 of an interval")
+_IN_SEGMENT = re.compile(r" in segment (?P<number>\d+)$")
 _MULTIPLIER = re.compile(r"multiplier of (?:the constraint )?(?P<name>.*)")
 
 
@@ -39,8 +39,8 @@ class Excursion:
 
     `relative` is the violation d in parts of d + sum |x_i dg/dx_i|, between 0 and 1: next to a limit the distance to
     where the condition holds in parts of the states x, and 1 in the middle of an obstacle, where the gradient vanishes.
-    `time` is in the problem's units, and among segments of a delay's length from the beginning of the condition's own.
-    Of several bodies `body` is the number of the one that is worst.
+    `condition` is the module's name of it, with its segment where a delay cut the motion; `time` is that of the whole
+    motion, in the problem's units. Of several bodies `body` is the number of the one that is worst.
     """
 
     condition: str
@@ -58,8 +58,9 @@ class Excursion:
     def note(self) -> str:
         """What is to be said of it, and what helps."""
         of_body = "" if self.body is None else f" of body {self.body}"
+        condition = _IN_SEGMENT.sub("", self.condition)
         return (
-            f"between nodes the motion{of_body} violates {self.condition} by {self.figures}: the grid is too coarse "
+            f"between nodes the motion{of_body} violates {condition} by {self.figures}: the grid is too coarse "
             "for it, and what was found may be no motion at all; take more --steps, or --doublings"
         )
 
@@ -270,10 +271,10 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
         return None
     body, interval, part = np.unravel_index(int(np.argmax(relative)), relative.shape)
     metadata, time = sampled.module.metadata, sampled.times[sampled.parts * interval + part + 1]
-    segments = segments_of(metadata)
-    name = row.name if segments is None else segments.text(row.name, steps, float(sampled.times[-1]))
+    if met := _IN_SEGMENT.search(row.name):
+        time += (int(met["number"]) - 1) * (sampled.times[-1] - sampled.times[0])
     worst, own = (body, interval, part), int(body) if metadata["bodies"] > 1 else None
-    return Excursion(name, float(beyond[worst]), float(relative[worst]), float(time), own)
+    return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own)
 
 
 def _of_phases(row: _Row, intervals: int, steps: int) -> NDArray[np.bool_]:

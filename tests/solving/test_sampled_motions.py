@@ -163,3 +163,29 @@ def test_a_wall_in_the_second_of_two_phases():
     (worst,) = excursions(module, unknowns, 4, None)
     assert worst.violation == pytest.approx(1.0)
     assert worst.time == pytest.approx(1.625)
+
+
+def test_times_of_a_delayed_motion_are_those_of_the_whole():
+    """The motion is solved as two segments, and the wall stands in the second half."""
+    x, y = states("x y")
+    u, w = controls("u w")
+    module = of_problem(
+        Control(
+            dynamics={x: u - x.delayed(0.5) / 100, y: w}, cost=u**2 + w**2, duration=1, start={x: -2, y: 0},
+            end={x: 1, y: 0}, history={x: -2}, path=[(x / 0.01) ** 2 + y**2 >= 1], steps=12,
+        )
+    )  # fmt: skip
+    result = solve(module)
+    assert result.solved
+    (note,) = result.notes
+    assert "violates 10000.0*x**2 + y**2 >= 1 by 1 at t = 0.6" in note
+
+
+@pytest.mark.parametrize("name", ["convoy", "spherical_pendulum"])
+def test_the_gallery_is_far_below_the_limit(interpreted, name):
+    module = interpreted(name)
+    result = solve(module)
+    assert result.solved
+    assert sampled_conditions(module)
+    assert all(one.relative < GROSS / 10 for one in excursions(module, result.unknowns, result.steps, None))
+    assert result.notes == ()
