@@ -44,10 +44,16 @@ def require_values(model: Model, bounds: Sequence[Bounds], points: Points) -> No
 
 
 def require_regular_lagrangian(model: Model, points: Points) -> None:
-    """Refuse a Lagrangian whose velocities cannot be recovered from the momenta (its Hessian in v is singular)."""
+    """Refuse a Lagrangian whose velocities cannot be recovered from the momenta (its Hessian in v is singular).
+
+    Across holonomic constraints there is no velocity to recover: a rigid body's Lagrangian says nothing of how the
+    length of its quaternion changes.
+    """
     if model.form != "lagrangian":
         return
-    null = expressions.null_direction(hessian_samples(model.function, model.rates, points))
+    across = [sympy.Matrix([c]).jacobian(model.coordinates).dot(model.rates) for c in model.holonomic]
+    known = model.function + sum(rate**2 for rate in across)
+    null = expressions.null_direction(hessian_samples(known, model.rates, points))
     if null is not None:
         names = " ".join(str(v) for v, weight in zip(model.rates, null, strict=True) if abs(weight) > 1e-6)
         raise DegenerateError(

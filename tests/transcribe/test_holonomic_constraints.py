@@ -1,5 +1,7 @@
 """Holonomic constraints: pendulums in Cartesian coordinates against the same in angles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dense_assembly import DenseProblem
@@ -7,7 +9,7 @@ from dense_layout import pinned_names
 from sympy import cos, sin
 
 from codegen import Control, control, controls, coordinate, coordinates, parameters, time
-from codegen.errors import ArgumentError, BoundaryError
+from codegen.errors import ArgumentError, BoundaryError, DegenerateError
 from codegen.model import normalise
 from codegen.transcribe import transcribe
 
@@ -55,6 +57,26 @@ def cartesian_pendulum(end=("x", "y", "dx", "dy"), start=("x", "y", "dx", "dy"))
 def exact_swing():
     costs = [dense.cost(z) for dense, z in (solved(angle_pendulum(), n) for n in (40, 80))]
     return (4 * costs[1] - costs[0]) / 3
+
+
+def test_lagrangian_may_be_singular_across_a_constraint(exact_swing):
+    """A rotation's kinetic energy says nothing of what the constraint forbids, as with quaternions of a rigid body."""
+    problem, errors = cartesian_pendulum(), []
+    x, y, dx, dy = (next(s for s in problem.start if s.name == name) for name in ("x", "y", "dx", "dy"))
+    problem = replace(problem, lagrangian=(x * dy - y * dx) ** 2 / 2 - 9.81 * y)
+    for steps in (10, 20):
+        dense, z = solved(problem, steps)
+        assert dense.at_nodes(z, "x") ** 2 + dense.at_nodes(z, "y") ** 2 == pytest.approx(1, abs=1e-12)
+        errors.append(abs(dense.cost(z) - exact_swing))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.25)
+
+
+def test_lagrangian_that_is_singular_along_a_constraint_is_refused():
+    problem = cartesian_pendulum()
+    dx = next(s for s in problem.start if s.name == "dx")
+    x, y = (next(s for s in problem.start if s.name == name) for name in ("x", "y"))
+    with pytest.raises(DegenerateError, match="degenerate in dy"):
+        normalise(replace(problem, lagrangian=dx**2 / 2 - y, constraint=[x - point(FROM)[0]]))
 
 
 @pytest.mark.parametrize(("scheme", "order"), [("midpoint", 2), ("trapezoidal", 2), ("rectangle", 1)])
