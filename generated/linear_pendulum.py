@@ -1652,7 +1652,6 @@ def negative_curvature_direction(grid, unknowns, curvature=0.0):
 # The word for how a solution ended, corrected by what can be seen only afterwards.
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
-ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -1680,16 +1679,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def has_run_away(grid, guess, unknowns):
-    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
-
-    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in parts of the
-    sizes that the grid has from the guess: by those that it has out there nothing would be seen.
-    """
-    largest, first = np.abs(unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
-    return largest > RUN_AWAY * max(1.0, first) and evaluate(grid, unknowns).residual > ROUNDED
 
 
 def unscaled_unknowns(grid, unknowns):
@@ -2246,7 +2235,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_9998c8319aa8fe0c"
+_IDENTITY = "codegen_linear_pendulum_43ed6e394ae2704e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -2805,7 +2805,6 @@ def escape_steps(grid, unknowns, curvature, escapes):
 # The word for how a solution ended, corrected by what can be seen only afterwards.
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
-ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -2833,16 +2832,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def has_run_away(grid, guess, unknowns):
-    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
-
-    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in parts of the
-    sizes that the grid has from the guess: by those that it has out there nothing would be seen.
-    """
-    largest, first = np.abs(unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
-    return largest > RUN_AWAY * max(1.0, first) and evaluate(grid, unknowns).residual > ROUNDED
 
 
 def unscaled_unknowns(grid, unknowns):
@@ -3464,6 +3453,7 @@ LARGE_CORRECTION = 1e-3  # part of the cost
 # In other sizes it may be solved, for which iterations beyond a number are kept.
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 LONG = 1000
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -3484,7 +3474,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
     status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
-    if status == "solved" and is_far_out(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
+    if status == "solved" and has_run_away(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
         status = "unbounded"
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
@@ -3492,7 +3482,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
-        if status == "solved" and is_far_out(scaled, unknowns, point.unknowns):
+        if status == "solved" and has_run_away(scaled, unknowns, point.unknowns):
             status = "unbounded"
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
@@ -3530,9 +3520,23 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def is_far_out(scaled, guess, unknowns):
-    """Whether unknowns have run away from a guess, both in the problem's own units, in parts of the guess's sizes."""
-    return has_run_away(scaled, scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns))
+def has_run_away(scaled, guess, unknowns):
+    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+
+    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in the
+    problem's own units, and have to be far apart in these and in parts of the sizes that the grid has from the guess,
+    which may mean little: by those that they have out there nothing would be seen.
+    """
+    if not is_beyond(scaled, guess, unknowns, 0.0):
+        return False
+    guess, unknowns = scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns)
+    return is_beyond(scaled, guess, unknowns, 1.0) and evaluate(scaled, unknowns).residual > ROUNDED
+
+
+def is_beyond(grid, guess, unknowns, least):
+    """Whether the largest unknown is far larger than the largest of the guess, and than `least`."""
+    is_primal = ~grid.is_multiplier
+    return np.abs(unknowns[is_primal]).max() > RUN_AWAY * max(least, np.abs(guess[is_primal]).max())
 
 
 def slope_beside_bounds(grid, point):
@@ -3890,7 +3894,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_b878322fba1bae76"
+_IDENTITY = "codegen_orbital_transfer_43387e776c67e570"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -184,7 +184,7 @@ def test_element_of_a_chain_of_three_pendulums(method):
     others = sorted(program.element.free_symbols - set(found.unknowns), key=str)
     symbols_ = [*found.unknowns, *others]
     scalar = function_of(symbols_, [program.element])
-    (point,) = random_points([program.element], symbols_, program.model.default_values, count=1)
+    (point,) = random_points([program.element], symbols_, program.model, count=1)
     numbers = [point[symbol] for symbol in symbols_]
     indices = range(len(found.unknowns))
     pairs = [(i, j) for i in indices for j in range(i + 1)]

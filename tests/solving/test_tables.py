@@ -185,7 +185,7 @@ def test_phases_with_tables(folder):
     (folder / "tabled.py").write_text(_PHASES.format(drag='Table("drag.csv", "v", "drag")'))
     (folder / "written.py").write_text(_PHASES.format(drag="lambda v: v**2 / 5 + v**3 / 50"))
     found, exact = (interpreted(folder / name).solve() for name in ("tabled.py", "written.py"))
-    assert found.status == exact.status == "solved"
+    assert (found.status, exact.status) == ("solved", "solved"), (found.message, exact.message)
     assert found.cost == pytest.approx(exact.cost, rel=1e-10)
     v /= 10
     np.savetxt(folder / "drag.csv", np.stack([v, v**2 / 5 + v**3 / 50], 1), delimiter=",", header="v,drag", comments="")

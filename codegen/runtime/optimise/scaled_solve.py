@@ -29,7 +29,7 @@ from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.unknowns.tied import with_tied_values
 from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.optimise.scaling_factors import IS_SLACK, fill_sizes
-from codegen.runtime.optimise.termination import VIOLATED, final_status, has_run_away, unscaled_unknowns
+from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
 COARSE, COARSE_COST = 3e3, 3e6
@@ -39,6 +39,7 @@ LARGE_CORRECTION = 1e-3  # part of the cost
 # In other sizes it may be solved, for which iterations beyond a number are kept.
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 LONG = 1000
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -59,7 +60,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
     status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
-    if status == "solved" and is_far_out(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
+    if status == "solved" and has_run_away(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
         status = "unbounded"
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
@@ -67,7 +68,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
         status = final_status(grid, unknowns, point, status)
-        if status == "solved" and is_far_out(scaled, unknowns, point.unknowns):
+        if status == "solved" and has_run_away(scaled, unknowns, point.unknowns):
             status = "unbounded"
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
@@ -105,9 +106,23 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     return "solved", grid, start, point, total
 
 
-def is_far_out(scaled, guess, unknowns):
-    """Whether unknowns have run away from a guess, both in the problem's own units, in parts of the guess's sizes."""
-    return has_run_away(scaled, scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns))
+def has_run_away(scaled, guess, unknowns):
+    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+
+    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in the
+    problem's own units, and have to be far apart in these and in parts of the sizes that the grid has from the guess,
+    which may mean little: by those that they have out there nothing would be seen.
+    """
+    if not is_beyond(scaled, guess, unknowns, 0.0):
+        return False
+    guess, unknowns = scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns)
+    return is_beyond(scaled, guess, unknowns, 1.0) and evaluate(scaled, unknowns).residual > ROUNDED
+
+
+def is_beyond(grid, guess, unknowns, least):
+    """Whether the largest unknown is far larger than the largest of the guess, and than `least`."""
+    is_primal = ~grid.is_multiplier
+    return np.abs(unknowns[is_primal]).max() > RUN_AWAY * max(least, np.abs(guess[is_primal]).max())
 
 
 def slope_beside_bounds(grid, point):

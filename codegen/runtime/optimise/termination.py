@@ -12,7 +12,6 @@ from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.shared import least_duration
 
 GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
-ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
@@ -42,16 +41,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def has_run_away(grid, guess, unknowns):
-    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
-
-    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in parts of the
-    sizes that the grid has from the guess: by those that it has out there nothing would be seen.
-    """
-    largest, first = np.abs(unknowns[~grid.is_multiplier]).max(), np.abs(guess[~grid.is_multiplier]).max()
-    return largest > RUN_AWAY * max(1.0, first) and evaluate(grid, unknowns).residual > ROUNDED
 
 
 def unscaled_unknowns(grid, unknowns):
