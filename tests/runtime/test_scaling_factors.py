@@ -11,6 +11,7 @@ from sympy import cos, exp, sin
 from codegen import Control, control, controls, free_parameter, parameter, solving, states, time
 from codegen.author.problem import Phases
 from codegen.compiler import build
+from codegen.loading import time_grid
 
 FIRST, SECOND = 2e-5, 1e-5  # rates of the reactions, 1/s
 POISON = 1.093664682973  # IPOPT 3.14 on the same program
@@ -218,3 +219,36 @@ def test_a_search_that_goes_on_and_on_in_parts_of_sizes_leaves_iterations_for_ot
     limits.clear()
     assert module.solve(5, max_iterations=20).iterations == 20
     assert limits == [20]
+
+
+def climb() -> Control:
+    """Climb by 100 km in a thin atmosphere, in metres; at one time the guess is 300 km below the ground."""
+    x, v = states("x v")
+    u, w = controls("u w")
+    t = time()
+    return Control(
+        dynamics={x: v, v: u + 1e-3 * w - 9.81 - 1e-3 * exp(-x / 7200) * v},
+        cost=u**2 + w**2,
+        duration=100,
+        start={x: 1e5, v: 0},
+        end={x: 2e5, v: 0},
+        bounds={u: (-300, 300), w: (-30, 30)},
+        guess={x: 1e5 - 4e5 * exp(-(((t - 50) / 2) ** 2)), v: 1000, u: 10},
+        steps=40,
+    )
+
+
+def test_a_sample_where_derivatives_leave_all_measure_does_not_count():
+    """Else equations are divided by 1e18, and controls that seem to do nothing are as large."""
+    module = as_machine_code(text_of(climb()), "climb")
+    grid = time_grid(module, 40)
+    sizes = dict(
+        zip(
+            [*module.metadata["node"], *module.metadata["interval"]],
+            module.scaled_grid(grid, module.initial_guess(grid)).sizes,
+            strict=False,
+        )
+    )
+    assert 1e-2 <= sizes["w"] <= 1e2
+    assert 1e-6 <= sizes["mu_v"] <= 1e6
+    assert module.solve().status == "solved"

@@ -28,6 +28,7 @@ from codegen.runtime.unknowns.shared import read_shared
 from codegen.runtime.unknowns.times import span
 
 SAMPLES = 4  # intervals on which derivatives are looked at
+OUTLYING = 1e6  # derivatives so many times as large as at most samples say more of a poor guess than of a solution
 CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 
 KINDS = STRIDE + SHARED + COUPLINGS
@@ -67,6 +68,7 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
     if PHASES:
         intervals = steps // PHASES
     stride = max(1, intervals // SAMPLES)
+    steepest = typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters) * OUTLYING
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
@@ -82,6 +84,8 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
+            if np.abs(hessian).max() > steepest:
+                continue
             part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
             for j in range(HESSIAN_ROWS.size):
@@ -100,6 +104,26 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
                     moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
                     moments[row, KIND[column], 3] += abs(hessian[j])
             fold(moments, intervals, part, tables)
+
+
+@njit(error_model="numpy")
+def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters):
+    """The median of the largest derivatives on the sampled intervals of the first body.
+
+    Between phases, or across what a straight line passes, a guess may be where exponentials leave all measure: a
+    straight line through a planet's atmosphere made one of four samples 1e18 times as steep as the others.
+    """
+    hessian, largest, count = zero_vector(HESSIAN_ROWS.size), zero_vector(steps), 0
+    if SHARED:
+        read_shared(unknowns, 0, parameters)
+    for k in range(steps):
+        if k % intervals % stride == 0:
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
+            largest[count] = np.abs(hessian).max()
+            count += 1
+    median = np.sort(largest[:count])[(count - 1) // 2]
+    return median if count > 2 and median > 0.0 else np.inf
 
 
 @njit(error_model="numpy")

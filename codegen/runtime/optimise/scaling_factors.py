@@ -71,7 +71,7 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
             rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
-    bound = fit_bounds(lower, upper, kinds, size)
+    bound, between = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, nodes, parameters, tables)
     if INEQUALITIES and (inside != primal).any():
         others = np.zeros((3, KINDS, KINDS))
@@ -84,7 +84,7 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
         for i in range(ROOT):
             for j in range(i + 1):
                 add_entry(kinds[first + i], kinds[first + j], abs(matrix[i, j]), tables)
-    drop_negligible_sizes(size, tables[1])
+    drop_negligible_sizes(size, between, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
@@ -184,8 +184,8 @@ if TIED:
 def fit_bounds(lower, upper, kinds, size):
     """Make sizes fit the largest finite bound, where there is one on either side: no less than a part of it.
 
-    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise. Bounds of
-    slacks say nothing about their size.
+    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise; and the
+    largest of bounds on either side. Bounds of slacks say nothing about their size.
     """
     bound, between = zero_vector(KINDS), zero_vector(KINDS)
     for i in range(lower.size):
@@ -201,12 +201,15 @@ def fit_bounds(lower, upper, kinds, size):
             size[j] = min(max(size[j], LOOSE * between[j]), between[j])
         elif size[j] == 0.0:
             size[j] = between[j]
-    return bound
+    return bound, between
 
 
 @njit(error_model="numpy")
-def drop_negligible_sizes(size, effect):
-    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
+def drop_negligible_sizes(size, between, effect):
+    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding.
+
+    Those that lie between two bounds are what these say.
+    """
     for j in range(KINDS):
         least = np.inf
         for i in range(KINDS):
@@ -216,7 +219,7 @@ def drop_negligible_sizes(size, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if least < np.inf and size[j] < NEGLIGIBLE * least:
+        if between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
