@@ -4068,6 +4068,7 @@ def of_body(body):
 # How steep equations and cost are: the largest derivatives by kinds of unknowns, from some intervals and both ends.
 
 SAMPLES = 4  # intervals on which derivatives are looked at
+OUTLYING = 1e6  # derivatives so many times as large as at most samples say more of a poor guess than of a solution
 CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
 
 KINDS = STRIDE + SHARED
@@ -4104,6 +4105,7 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
     intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT + SHARED, KINDS, 4))
     intervals = steps // PHASES
     stride = max(1, intervals // SAMPLES)
+    steepest = typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters) * OUTLYING
     for body in range(BODIES):
         read_shared(unknowns, body, parameters)
         note_ends(unknowns, body, steps, h, parameters, tables)
@@ -4113,6 +4115,8 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
+            if np.abs(hessian).max() > steepest:
+                continue
             part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
             for j in range(HESSIAN_ROWS.size):
@@ -4131,6 +4135,25 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
                     moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
                     moments[row, KIND[column], 3] += abs(hessian[j])
             fold(moments, intervals, part, tables)
+
+
+@njit(error_model="numpy")
+def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters):
+    """The median of the largest derivatives on the sampled intervals of the first body.
+
+    Between phases, or across what a straight line passes, a guess may be where exponentials leave all measure: a
+    straight line through a planet's atmosphere made one of four samples 1e18 times as steep as the others.
+    """
+    hessian, largest, count = zero_vector(HESSIAN_ROWS.size), zero_vector(steps), 0
+    read_shared(unknowns, 0, parameters)
+    for k in range(steps):
+        if k % intervals % stride == 0:
+            t, length = span(nodes, k, h)
+            interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
+            largest[count] = np.abs(hessian).max()
+            count += 1
+    median = np.sort(largest[:count])[(count - 1) // 2]
+    return median if count > 2 and median > 0.0 else np.inf
 
 
 @njit(error_model="numpy")
@@ -4223,13 +4246,13 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
             rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
-    bound = fit_bounds(lower, upper, kinds, size)
+    bound, between = fit_bounds(lower, upper, kinds, size)
     measure_intervals(primal, steps, h, nodes, parameters, tables)
     if (inside != primal).any():
         others = np.zeros((3, KINDS, KINDS))
         measure_intervals(inside, steps, h, nodes, parameters, others)
         tables = np.fmin(tables, others)
-    drop_negligible_sizes(size, tables[1])
+    drop_negligible_sizes(size, between, tables[1])
     for j in range(KINDS):
         if GIVEN[j] > 0.0:
             size[j] = GIVEN[j]
@@ -4308,8 +4331,8 @@ def size_of_equation(row, size, slopes):
 def fit_bounds(lower, upper, kinds, size):
     """Make sizes fit the largest finite bound, where there is one on either side: no less than a part of it.
 
-    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise. Bounds of
-    slacks say nothing about their size.
+    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise; and the
+    largest of bounds on either side. Bounds of slacks say nothing about their size.
     """
     bound, between = zero_vector(KINDS), zero_vector(KINDS)
     for i in range(lower.size):
@@ -4325,12 +4348,15 @@ def fit_bounds(lower, upper, kinds, size):
             size[j] = min(max(size[j], LOOSE * between[j]), between[j])
         elif size[j] == 0.0:
             size[j] = between[j]
-    return bound
+    return bound, between
 
 
 @njit(error_model="numpy")
-def drop_negligible_sizes(size, effect):
-    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding."""
+def drop_negligible_sizes(size, between, effect):
+    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding.
+
+    Those that lie between two bounds are what these say.
+    """
     for j in range(KINDS):
         least = np.inf
         for i in range(KINDS):
@@ -4340,7 +4366,7 @@ def drop_negligible_sizes(size, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if least < np.inf and size[j] < NEGLIGIBLE * least:
+        if between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
@@ -4927,7 +4953,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_d9447069e9c9e29c"
+_IDENTITY = "codegen_bouncing_ball_f02fd7c371b9b274"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
