@@ -38,7 +38,8 @@ SURFACES = (x**2 + y**2 >= R**2, sqrt(x**2 + y**2) >= R, (x**2 + y**2) ** 2 >= R
 @pytest.mark.parametrize("surface", SURFACES)
 def test_a_start_on_the_surface_is_no_violation(surface, sign):
     """x^2 + y^2 - R^2 is -0.018 m^2 in decimals of 15 digits, one rounding error of 4e13 m^2."""
-    transcribe(normalise(flight([surface], sign * A, sign * B)), "midpoint")
+    program = transcribe(normalise(flight([surface], sign * A, sign * B)), "midpoint")
+    assert len(program.model.path) == 1  # it is not left out for that
 
 
 @pytest.mark.parametrize("surface", SURFACES)
