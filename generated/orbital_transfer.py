@@ -1402,9 +1402,13 @@ def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multipli
 
 
 def sizes_of_terms(grid, unknowns, enough=np.inf, as_many=np.inf):
-    """The same of a grid, in parts of sizes where it has them."""
+    """The same of a grid, in parts of sizes where it has them.
+
+    Without a cost all multipliers tend to zero, and terms of stationarity with them: one stands for their size.
+    """
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = grid
-    return term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
+    terms = term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
+    return terms
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
@@ -2027,9 +2031,11 @@ class Globalisation:
 def settles_multipliers(search, iterate, step, trial):
     """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
 
-    Cost and violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
+    With bounds these are also those of the barrier problem, in which duals may be all that is left to move. Cost and
+    violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
     """
-    if not trial.point.error < CLOSER * iterate.point.error:
+    is_closer = trial.point.error < CLOSER * iterate.point.error
+    if not is_closer:
         return False
     rests = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
     return bool((rests | search.grid.is_multiplier).all())
@@ -2893,7 +2899,7 @@ REMEDIES = {
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
+    "unbounded": "nothing stops it; check the sign of a cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "nothing nearby satisfies the equations; relax a condition or bound, change the duration or the"
     " steps, or start from another guess",
@@ -3919,7 +3925,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_27f50ed4887081ca"
+_IDENTITY = "codegen_orbital_transfer_781eccbf51d66c90"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -24,8 +24,8 @@ def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
     """The number of bodies, whether it is more than one, the shared unknowns of each and in all, and their conditions.
 
-    Then whether there are phases, inequalities, and a right-hand side that takes part in the elimination, and how many
-    numbers tables have.
+    Then whether there are phases, inequalities, slacks on intervals, no cost, and a right-hand side that takes part in
+    the elimination, and how many numbers tables have.
     """
     own, shared, couplings = program.own, len(program.shared), len(program.couplings)
     return (
@@ -42,11 +42,19 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("FREE_TIMES", len(program.inner.lacking)),
         ("INEQUALITIES", int(program.has_inequalities)),
         ("UNBOUNDED", int(not program.has_inequalities)),
+        ("SLACKED", len(program.slacks)),
+        ("COSTLESS", int(is_costless(program))),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("BACKWARD", int(sweeps_backward(program))),
         ("CARRIED", int(carries_right_hand_side(program, derivatives))),
         ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
+
+
+def is_costless(program: ControlProgram) -> bool:
+    """Whether any motion that obeys the conditions will do."""
+    parts = (*program.interval_elements, program.start, program.end)
+    return not program.sample and all(part.cost == 0 for part in parts)
 
 
 def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:

@@ -9,6 +9,7 @@ from codegen.discretise import at_nodes
 from codegen.lower import inner_times
 from codegen.model import Model
 from codegen.model.definitions import prescribed
+from codegen.model.jumps import jumps
 from codegen.model.nonsmooth_costs import kinks
 from codegen.model.singular_guesses import singular_at_guess
 from codegen.transcribe.program import ControlProgram
@@ -31,6 +32,8 @@ def notable(program: ControlProgram) -> list[tuple[str, str]]:
     entries += inner_times.metadata(program)
     if bends := _kinks(program):
         entries.append(("kinks", repr(bends)))
+    if steps := _jumps(program):
+        entries.append(("jumps", repr(steps)))
     singular = dict.fromkeys(one for own in model.phases or (model,) for one in singular_at_guess(own))
     if singular:
         entries.append(("singular_at_guess", repr(tuple(singular))))
@@ -78,6 +81,17 @@ def _kinks(program: ControlProgram) -> tuple[str, ...]:
         moving = (*model.coordinates, *model.rates, *model.controls)
         for cost in (model.cost or sympy.S.Zero, model.terminal_cost):
             found |= dict.fromkeys(kinks(cost, moving))
+    return tuple(found)
+
+
+def _jumps(program: ControlProgram) -> tuple[str, ...]:
+    """Borders at which the cost, the dynamics, forces or path conditions of any phase jump."""
+    found: dict[str, None] = {}
+    for model in program.model.phases or (program.model,):
+        moving = (*model.coordinates, *model.rates, *model.controls)
+        conditions = (condition.expression for condition in model.path)
+        for part in (model.cost, model.function, *model.force, *model.dynamics, *conditions):
+            found |= dict.fromkeys(jumps(part, moving) if part is not None else ())
     return tuple(found)
 
 

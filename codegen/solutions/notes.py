@@ -38,6 +38,12 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
             f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
             "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
         )
+    if jumps := metadata.get("jumps", ()):
+        named = ", ".join(map(shortened, jumps))
+        found.append(
+            f"something jumps where {named} changes, which derivatives do not see: make it smooth, as by "
+            "(1 + tanh(s/width))/2, or give each side a phase of its own"
+        )
     for function, what, where in metadata.get("singular_at_guess", ()):
         inside, instead = function.removeprefix("sqrt(")[:-1], ""
         if function.startswith("sqrt(") and " + " in inside:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from conftest import PROBLEMS
 from failed_checks import failures
 
 from codegen import checks
+from codegen.checks.solution.second_order import is_determined
 
 
 def with_solution(context, **changes):
@@ -85,6 +87,50 @@ def test_slacks_of_conditions_that_are_not_met_leave_a_minimum_strict(prepared, 
     assert "a strict local minimum" in finding.detail
     left_out = context.module.metadata["left_out"]
     assert "derivatives of the dynamics by x: no right-hand side depends on x" in left_out
+
+
+PERIOD = '''"""The half period of a pendulum without a cost: as many equations as unknowns."""
+from sympy import sin
+from codegen import Control, free_parameter, states
+def problem() -> Control:
+    x, v = states("x v")
+    T = free_parameter("T", 3.3, lower=0.5)
+    return Control(dynamics={x: v, v: -sin(x)}, duration=T, start={x: 1, v: 0}, end={v: 0}, guess={x: 0, v: -1},
+                   steps=20)
+'''
+
+
+def test_where_equations_determine_everything_there_is_nothing_to_minimise(prepared, tmp_path: Path):
+    path = tmp_path / "period.py"
+    path.write_text(PERIOD)
+    context = prepared(path)
+    (finding,) = checks.apply("second-order condition", context)
+    assert not finding.applies
+    assert "the equations alone determine the solution" in finding.detail
+    assert context.solution.status == "solved"
+    grid = context.module.make_grid(20)
+    free = np.zeros(context.solution.unknowns.size)
+    assert is_determined(context.module, grid, context.solution.unknowns, free)
+    assert not is_determined(context.module, grid, np.zeros(free.size), free)  # at rest T means nothing
+
+
+STEEP = '''"""A mass in a force of 1e9 times another one, so that second derivatives are large wherever it is."""
+from sympy import exp
+from codegen import Control, control, states
+def problem() -> Control:
+    x, v = states("x v")
+    u = control("u")
+    return Control(dynamics={x: v, v: u - exp(20 * (x + 1))}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1},
+                   steps=10)
+'''
+
+
+def test_the_newton_step_is_compared_whatever_the_units_of_the_hessian(prepared, tmp_path: Path):
+    path = tmp_path / "steep.py"
+    path.write_text(STEEP)
+    found = {finding.subject: finding for finding in checks.apply("assembly", prepared(path))}
+    assert found["Newton step"].passed, found["Newton step"].detail
+    assert "it solves all" in found["Newton step"].detail
 
 
 def test_rows_that_need_a_solution_are_not_measured_where_there_is_none(prepared):

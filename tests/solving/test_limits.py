@@ -3,6 +3,7 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from conftest import PROBLEMS
 from failing_problems import INFEASIBLE
@@ -210,3 +211,35 @@ class TestGrids:
         result = solving.solve(interpreted("double_integrator_effort"), steps=1, doublings=1)
         assert [level.status == "solved" for level in result.levels] == [False, True]
         assert "cost_extrapolated" not in result.summary
+
+
+SLACKED = '''"""A mass on a way with two conditions that its controls decide."""
+from codegen import Control, control, states
+def problem() -> Control:
+    x, v = states("x v")
+    u = control("u")
+    return Control(dynamics={x: v, v: u}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1, v: 0},
+                   path=[v + u <= 5, v - 2*x*u <= 3], steps=4)
+'''
+
+
+def test_an_inequality_is_off_by_what_it_exceeds(interpreted):
+    """A slack far from its equation makes the row of a condition that holds huge; it is not what is wrong."""
+    module = interpreted("slacked", SLACKED)
+    grid = module.make_grid(4)
+    unknowns = module.initial_guess(grid)
+    nodes, intervals = module.views(grid, unknowns)
+    nodes[0, :, :2], intervals[0, :, module.SLACKS - module.NODE] = 0.0, 0.0
+    controls = intervals[0, :, list(module.metadata["interval"]).index("u")]
+    controls[2] = 7.0
+    intervals[0, 1, module.SLACKS - module.NODE] = 3e12
+    point = module.evaluate(grid, unknowns)
+    assert np.abs(point.gradient[grid.is_multiplier]).max() >= 2e12
+    violated = module.with_violations(grid, point)
+    index = np.argmax(np.where(grid.is_multiplier, np.abs(violated.gradient), 0.0))
+    assert module.row_text(grid, violated, index).startswith("u + v <= 5")
+    assert "interval 2" in module.row_text(grid, violated, index)
+    assert violated.gradient[index] == 2.0
+    controls[2] = 0.0
+    holds = module.evaluate(grid, unknowns)
+    assert module.with_violations(grid, holds) is holds  # nothing else is wrong: the row stays

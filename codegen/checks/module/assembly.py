@@ -189,7 +189,11 @@ def _newton_step(
     """The structured elimination against the dense matrix; a shift of the Hessian makes both regular."""
     system, step = module.allocate_system(grid), np.empty_like(unknowns)
     subject = "Newton step"
-    for shift in _SHIFTS:
+    # The last shift is enough whatever the Hessian's units: it makes every row diagonally dominant.
+    primal = module.primal_unknowns(grid)
+    dominant = np.ones(unknowns.size)
+    dominant[primal] += np.abs(matrix[np.ix_(primal, primal)]).sum(axis=1)
+    for shift in (*_SHIFTS, dominant[free]):
         diagonal = np.zeros(unknowns.size)
         diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
         excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
-from codegen.checks.base import Context, Finding, not_measured
+from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.transcribe.program import ControlProgram
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
@@ -21,6 +23,8 @@ _NOTHING = (1e-9, 1e-8, 1e-7)
 _HELD, _FAST = 1.0, 1e12
 """From the first on z / distance counts as holding an unknown (inside the bounds it is as small as the tolerance); no
 more than the second is needed to hold it fast, and it would be infinite on the bound itself."""
+_REGULAR = 1e13
+"""Condition numbers below it are those of regular matrices."""
 
 
 def check(context: Context) -> Iterator[Finding]:
@@ -35,6 +39,9 @@ def check(context: Context) -> Iterator[Finding]:
     sizes = sizes_of_curvature(module, grid, solution.unknowns)
     sizes[slacks(context.control, module, grid)] = 0.0  # they follow from other unknowns
     judged = _judged(module, grid, solution.unknowns, diagonal, sizes)
+    if judged is None and is_determined(module, grid, solution.unknowns, diagonal):
+        yield does_not_apply("second-order condition", "the equations alone determine the solution, whatever it costs")
+        return
     if judged is None:
         yield not_measured("second-order condition", subject, "equations depend on each other at the solution")
         return
@@ -42,6 +49,30 @@ def check(context: Context) -> Iterator[Finding]:
     if module.metadata["inequalities"]:
         detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"
     yield Finding("second-order condition", subject, passed, detail)
+
+
+def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64]) -> bool:
+    """Whether there are as many equations as unknowns that no bound holds, and their Jacobian is regular.
+
+    Regular to rounding, that is, after rows and columns are brought to sizes of one.
+    """
+    free = diagonal[module.primal_unknowns(grid)] <= _HELD
+    rows, columns, values = module.jacobian(grid, unknowns)
+    shape = (module.multiplier_unknowns(grid).size, free.size)
+    matrix = coo_array((values, (rows, columns)), shape=shape).tocsc()[:, free]
+    if matrix.shape[0] != matrix.shape[1]:
+        return False
+    for axis in (1, 0):  # rows, then columns
+        largest = abs(matrix).max(axis=axis).toarray()
+        if not largest.all():
+            return False
+        matrix = matrix.multiply(1.0 / (largest[:, None] if axis == 1 else largest)).tocsc()
+    try:
+        factors = splu(matrix)
+    except RuntimeError:  # exactly singular
+        return False
+    inverse = LinearOperator(matrix.shape, factors.solve, rmatvec=lambda vector: factors.solve(vector, "T"))
+    return bool(onenormest(matrix) * onenormest(inverse) < _REGULAR)
 
 
 def held_by_bounds(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:

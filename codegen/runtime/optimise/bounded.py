@@ -283,6 +283,12 @@ def barrier_objective(iterate):
     return iterate.point.cost - iterate.mu * iterate.logarithms
 
 
+def barrier_error(iterate):
+    """The error of a measured iterate in the optimality conditions of its barrier problem, (5) without its scales."""
+    lowest, highest = iterate.measured.lowest, iterate.measured.highest
+    return max(iterate.point.error, highest - iterate.mu, iterate.mu - lowest)
+
+
 def predicted_cost(search, iterate):
     """The cost of the optimum nearby, to first order: residuals, and distances to bounds, are worth their multipliers.
 

@@ -7,6 +7,7 @@ from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.ends_linear import add_end_terms
 from codegen.runtime.stand_ins.example import (
     BODIES,
+    COSTLESS,
     ELEMENT,
     HESSIAN_COLUMNS,
     HESSIAN_ROWS,
@@ -75,9 +76,15 @@ def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multipli
 
 
 def sizes_of_terms(grid, unknowns, enough=np.inf, as_many=np.inf):
-    """The same of a grid, in parts of sizes where it has them."""
+    """The same of a grid, in parts of sizes where it has them.
+
+    Without a cost all multipliers tend to zero, and terms of stationarity with them: one stands for their size.
+    """
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = grid
-    return term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
+    terms = term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
+    if COSTLESS:
+        terms = terms[0], max(1.0, terms[1])
+    return terms
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):

@@ -8,6 +8,7 @@ import numpy as np
 from codegen.runtime.kkt.system import solve_kkt
 from codegen.runtime.optimise.bounded import (
     InertiaCorrection,
+    barrier_error,
     barrier_objective,
     moved,
     step_along,
@@ -163,9 +164,13 @@ class Globalisation:
 def settles_multipliers(search, iterate, step, trial):
     """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
 
-    Cost and violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
+    With bounds these are also those of the barrier problem, in which duals may be all that is left to move. Cost and
+    violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
     """
-    if not trial.point.error < CLOSER * iterate.point.error:
+    is_closer = trial.point.error < CLOSER * iterate.point.error
+    if INEQUALITIES:
+        is_closer = is_closer or barrier_error(trial) < CLOSER * barrier_error(iterate)
+    if not is_closer:
         return False
     rests = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
     return bool((rests | search.grid.is_multiplier).all())

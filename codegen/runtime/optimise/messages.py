@@ -16,6 +16,7 @@ from codegen.runtime.stand_ins.example import (
     ROOT,
     SCALED,
     SHARED,
+    SLACKED,
     STRIDE,
     duration_of,
     interval_gradient,
@@ -35,6 +36,7 @@ from codegen.runtime.unknowns.phases import node_times
 from codegen.runtime.unknowns.shared import least_duration, read_shared
 from codegen.runtime.optimise.termination import GROWTH, HOLDS
 from codegen.runtime.unknowns.times import span
+from codegen.runtime.unknowns.slacks import with_violations
 
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
@@ -42,7 +44,7 @@ REMEDIES = {
     "non-finite": "change the guess or the parameters, or keep away from there by bounds",
     "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
     "saddle point": "this point is stationary, but no minimum; start from another guess",
-    "unbounded": "nothing stops it; check the sign of the cost, add bounds, or start from a better guess",
+    "unbounded": "nothing stops it; check the sign of a cost, add bounds, or start from a better guess",
     "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
     "infeasible": "nothing nearby satisfies the equations; relax a condition or bound, change the duration or the"
     " steps, or start from another guess",
@@ -73,6 +75,8 @@ def describe(grid, guess, point, status):
         return status, f"all {reached(point)}"
     if SCALED and grid.sizes.size:
         grid = plain_grid(grid)
+    if SLACKED:
+        point = with_violations(grid, point)
     return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
 
 
