@@ -3223,24 +3223,33 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
         status, iterate = first
     if status in ("stalled", "infeasible") and iterate.point.residual > VIOLATED and total < max_iterations:
         left = max_iterations - total
-        status, iterate, iterations = from_least_violation(search, iterate, status, tolerance, left, log)
+        status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
         total += iterations
     return status, within_bounds(search, iterate, tolerance), total
 
 
-def from_least_violation(search, iterate, status, tolerance, max_iterations, log):
-    """(status, iterate, iterations) after the violation has been brought to its minimum nearby.
+def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
+    """(status, iterate, iterations) after the violation has been brought to its minimum near an iterate and the guess.
 
-    Where that is not zero, nothing near the iterate obeys the equations: it is "infeasible", and not only a search that
-    has `status` because it found no way on. Where they hold, a last search begins there.
+    Where it is zero, a last search begins there, among motions that obey the equations: others may have lowered the
+    cost, as a duration, beyond where any do. Where it is not, nothing near the iterate obeys them: that is
+    "infeasible", and not only a search that has `status` because it found no way on.
     """
-    found, least = least_violation(search, iterate, tolerance, log.is_late)
-    if found == "infeasible":
-        return found, least, 0
-    if found != "restored":
-        return status, iterate, 0
-    ended, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, max_iterations, log)
-    return (ended, last, iterations) if ended == "solved" else (status, iterate, iterations)
+    ended, total = None, 0
+    for start in (iterate, guess):
+        found, least = least_violation(search, start, tolerance, log.is_late)
+        if found == "restored":
+            weight = CASCADE[0].weight  # that of the restoration is tiny in the end
+            least = least._replace(mu=weight, duals=central_duals(weight, least.distance), measured=None)
+            left = max_iterations - total
+            tried, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, left, log)
+            total += iterations
+            if tried == "solved":
+                return tried, last, total
+            ended = "stalled" if status == "infeasible" else status, iterate  # something does obey them
+        elif found == "infeasible" and ended is None:
+            ended = found, least
+    return *(ended or (status, iterate)), total
 
 
 def first_iterate(search, unknowns, attempt, known):
@@ -4481,21 +4490,28 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
-    if status == "solved" and has_run_away(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
-        status = "unbounded"
+    status = verdict(scaled, grid, unknowns, point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
-        status = final_status(grid, unknowns, point, status)
-        if status == "solved" and has_run_away(scaled, unknowns, point.unknowns):
-            status = "unbounded"
+        status = verdict(scaled, grid, unknowns, point, status)
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations, scaled
+
+
+def verdict(scaled, grid, guess, point, status):
+    """The status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
+
+    The guess (n,) is in the problem's own units.
+    """
+    status = final_status(grid, scaled_unknowns(grid, guess), point, status)
+    if status == "solved" and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
+        return "unbounded"
+    return status
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
@@ -4966,7 +4982,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_e592a773668d0d7f"
+_IDENTITY = "codegen_bouncing_ball_194d61e4129ece20"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -43,7 +43,8 @@ def entry_of(role: str, what: str, value: Any, key: Quantity | None = None) -> E
 def checked_mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, Any]:
     """A mapping whose keys were declared; ExpressionError, or SymbolError for a key, that shows how to write it."""
     if not isinstance(mapping, Mapping):
-        raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}")
+        relations = f", and relations as {what}_conditions=[...]" if what in ("start", "end") else ""
+        raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}{relations}")
     for key in mapping:
         require_declared(what, "has the key", key)
     return mapping

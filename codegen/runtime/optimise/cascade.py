@@ -9,6 +9,7 @@ from codegen.runtime.optimise.bounded import (
     Iterate,
     barrier_curvature,
     begin,
+    central_duals,
     predicted_cost,
     search_on,
 )
@@ -77,7 +78,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
         status, iterate = first
     if status in ("stalled", "infeasible") and iterate.point.residual > VIOLATED and total < max_iterations:
         left = max_iterations - total
-        status, iterate, iterations = from_least_violation(search, iterate, status, tolerance, left, log)
+        status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
         total += iterations
     if INEQUALITIES:
         return status, within_bounds(search, iterate, tolerance), total
@@ -85,19 +86,29 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
         return status, iterate.point, total
 
 
-def from_least_violation(search, iterate, status, tolerance, max_iterations, log):
-    """(status, iterate, iterations) after the violation has been brought to its minimum nearby.
+def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
+    """(status, iterate, iterations) after the violation has been brought to its minimum near an iterate and the guess.
 
-    Where that is not zero, nothing near the iterate obeys the equations: it is "infeasible", and not only a search that
-    has `status` because it found no way on. Where they hold, a last search begins there.
+    Where it is zero, a last search begins there, among motions that obey the equations: others may have lowered the
+    cost, as a duration, beyond where any do. Where it is not, nothing near the iterate obeys them: that is
+    "infeasible", and not only a search that has `status` because it found no way on.
     """
-    found, least = least_violation(search, iterate, tolerance, log.is_late)
-    if found == "infeasible":
-        return found, least, 0
-    if found != "restored":
-        return status, iterate, 0
-    ended, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, max_iterations, log)
-    return (ended, last, iterations) if ended == "solved" else (status, iterate, iterations)
+    ended, total = None, 0
+    for start in (iterate, guess):
+        found, least = least_violation(search, start, tolerance, log.is_late)
+        if found == "restored":
+            if INEQUALITIES:
+                weight = CASCADE[0].weight  # that of the restoration is tiny in the end
+                least = least._replace(mu=weight, duals=central_duals(weight, least.distance), measured=None)
+            left = max_iterations - total
+            tried, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, left, log)
+            total += iterations
+            if tried == "solved":
+                return tried, last, total
+            ended = "stalled" if status == "infeasible" else status, iterate  # something does obey them
+        elif found == "infeasible" and ended is None:
+            ended = found, least
+    return *(ended or (status, iterate)), total
 
 
 def first_iterate(search, unknowns, attempt, known):

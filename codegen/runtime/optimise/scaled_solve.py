@@ -59,21 +59,28 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
-    status = final_status(grid, scaled_unknowns(grid, unknowns), point, status)
-    if status == "solved" and has_run_away(scaled, unknowns, unscaled_unknowns(grid, point.unknowns)):
-        status = "unbounded"
+    status = verdict(scaled, grid, unknowns, point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
         # Sizes come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
-        status = final_status(grid, unknowns, point, status)
-        if status == "solved" and has_run_away(scaled, unknowns, point.unknowns):
-            status = "unbounded"
+        status = verdict(scaled, grid, unknowns, point, status)
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations, scaled
+
+
+def verdict(scaled, grid, guess, point, status):
+    """The status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
+
+    The guess (n,) is in the problem's own units.
+    """
+    status = final_status(grid, scaled_unknowns(grid, guess), point, status)
+    if status == "solved" and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
+        return "unbounded"
+    return status
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
