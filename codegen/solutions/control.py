@@ -28,6 +28,8 @@ from codegen.solutions.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
+STEEP = 1e-3
+"""Slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum, whatever multipliers are."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,8 @@ def _is_accurate(
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
     scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
+    if stationarity > STEEP * max(1.0, steepest):
+        return False  # multipliers without limit would forgive any slope
     return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
         attempt.tolerance * scale, rounding
     )
