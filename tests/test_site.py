@@ -12,7 +12,9 @@ from references import STORED, UNSOLVED, digest, known_of, misses, problem_files
 
 import codegen
 from codegen import errors
+from codegen.cli.reading import PAGE
 from codegen.solutions.result import STATUSES
+from codegen.sweeping.statuses import MEANINGS
 
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"
@@ -76,13 +78,17 @@ def test_every_public_name_has_its_signature_and_an_example():
 
 
 def test_every_status_and_every_kind_of_error_has_an_anchor():
-    headings = set(re.findall(r"^### (.*)$", text_of(DOCS / "guide" / "statuses.md"), re.MULTILINE))
+    page = text_of(DOCS / "guide" / "statuses.md")
+    assert page.startswith(f"# {PAGE}\n")  # to which failed commands refer
+    headings = set(re.findall(r"^### (.*)$", page, re.MULTILINE))
     kinds = {
         name
         for name, kind in vars(errors).items()
         if isinstance(kind, type) and issubclass(kind, errors.CodegenError) and kind is not errors.CodegenError
     }
     assert set(STATUSES) | kinds <= headings
+    of_sweeps = set(MEANINGS) - set(STATUSES)
+    assert of_sweeps == set(re.findall(r"^(.*)\n: ", page, re.MULTILINE))
 
 
 def test_every_problem_is_in_the_gallery():
