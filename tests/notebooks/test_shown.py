@@ -149,6 +149,7 @@ def test_a_film_is_inline_and_a_file(solution, tmp_path):
     data = base64.b64decode(str(image["src"]).removeprefix("data:image/gif;base64,"))
     assert data == film.data
     assert image["alt"] == "Push a cart."
+    assert repr(film) == "Film(title='Push a cart.')"
     film.save(tmp_path / "push.gif")
     assert (tmp_path / "push.gif").read_bytes() == data
     with pytest.raises(ArgumentError, match="unknown kind of film; let it end in"):
