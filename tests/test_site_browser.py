@@ -95,6 +95,21 @@ def test_search_finds_a_saddle_point(chromium, address):
     visit.page.close()
 
 
+@pytest.mark.parametrize("motion", ["no-preference", "reduce"])
+def test_films_can_be_closed_and_stand_still_where_readers_want_nothing_to_move(chromium, address, motion):
+    page = chromium.new_page(reduced_motion=motion)
+    page.goto(address + "gallery/cart_pole.html")
+    page.wait_for_selector("details[open] > summary")
+    moves, stands = page.locator("img.film"), page.locator("img.still")
+    assert (moves.is_visible(), stands.is_visible()) == ((True, False) if motion == "no-preference" else (False, True))
+    assert moves.get_attribute("alt").startswith("Film from t = 0 to 2. ")
+    page.focus("details > summary")
+    page.keyboard.press("Enter")
+    assert not moves.is_visible()
+    assert not stands.is_visible()
+    page.close()
+
+
 class Links(HTMLParser):
     """The links and the anchors of a page."""
 

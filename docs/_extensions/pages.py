@@ -268,8 +268,12 @@ def newest_figures() -> Path:
 
 def make(app: Any) -> None:
     """Write all pages that are made."""
-    stamp = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-    gallery(stamp)
+    makers = [
+        *Path(__file__).parent.glob("*.py"),
+        *(ROOT / "codegen" / "notebooks").glob("*.py"),
+        ROOT / "codegen/lettering.py",
+    ]
+    gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())
     write(DOCS / "reference" / "commands.md", commands())
     write(DOCS / "benchmarks.md", benchmarks())
 

@@ -27,8 +27,8 @@ def speed_section(path: Path) -> list[str]:
         "",
         "Warm solves of the same discrete problem from the same guess to the tolerance 1e-8, all built before; "
         f"the least of {cases[-1]['solves']} each, in turn in one run, on {own['processor']} (cores: {own['cores']}), "
-        f"CasADi {own['casadi']}, {' and '.join(dates)}. The machine did other work as well, so that ratios say more "
-        "than times. `python tests/benchmarks/gallery_speed.py --site` measures it.",
+        f"CasADi {own['casadi']}, {' and '.join(dates)}. The machine did other work as well, by which long solves "
+        "suffer more than short ones. `python tests/benchmarks/gallery_speed.py --site` measures it.",
         "",
     ]
 
