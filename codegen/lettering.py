@@ -20,7 +20,7 @@ def in_latex(name: str) -> str:
     """A name as mathematics: `theta1` and `theta_1` are a letter with an index, `rod` is a word, `m_dry_1` has two."""
     parts = [part for part in name.split("_") if part]
     if not parts:
-        return r"\mathrm{" + name.replace("_", r"\_") + "}"
+        return word(name)
     first, *indices = [*_NUMBERED.sub(r"_\1", parts[0]).split("_"), *parts[1:]]
     below = ",".join(word(part) for part in indices)
     return word(first) + (f"_{{{below}}}" if below else "")
@@ -34,4 +34,5 @@ def word(text: str) -> str:
         text = text.capitalize() if found[1] == "CAPITAL" else text
     if text in _SMALL or text in _CAPITAL:
         return _VARIANTS.get(text, "\\" + text)
-    return text if len(text) == 1 or text.isdigit() else r"\mathrm{" + text.replace("_", r"\_") + "}"
+    is_letter = len(text) == 1 and text.isalpha()
+    return text if is_letter or text.isdigit() else r"\mathrm{" + text.replace("_", r"\_") + "}"
