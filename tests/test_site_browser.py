@@ -5,7 +5,9 @@ CODEGEN_SITE=docs/_build/html pytest tests/test_site_browser.py
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import threading
 from collections.abc import Iterator
@@ -126,6 +128,17 @@ class Links(HTMLParser):
         wanted = {"a": "href", "img": "src", "link": "href", "script": "src"}.get(tag)
         if wanted and given.get(wanted):
             self.links.append(given[wanted])
+
+
+def test_downloaded_notebooks_are_code_between_plain_markdown():
+    notebooks = sorted((SITE / "_downloads").rglob("*.ipynb"))
+    assert len(notebooks) >= 9
+    for path in notebooks:
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+        assert text.startswith("# ")
+        assert not re.search(r"\{[\w-]+\}`|^```\{|\]\((?!https?:)", text, re.MULTILINE), path
+        assert sum(cell["cell_type"] == "code" for cell in cells) >= 3
 
 
 def test_links_hold():
