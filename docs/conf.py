@@ -16,7 +16,6 @@ os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"
-os.environ["CODEGEN_DOCS_ROOT"] = str(ROOT)
 
 
 def _package_digest() -> str:
@@ -33,7 +32,7 @@ project = "codegen"
 version = release = codegen.__version__
 copyright = "the authors of codegen, BSD-3-Clause"
 language = "en"
-extensions = ["myst_nb", "mathml", "signature", "pages"]
+extensions = ["myst_nb", "mathml", "signature", "pages", "downloads"]
 exclude_patterns = ["_build", "README.md", "_extensions"]
 html_math_renderer = "mathml"
 html_theme = "furo"

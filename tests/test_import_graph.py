@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "codegen"
 
 FLOORS = (
-    ("__init__", "mangling", "runtime"),
+    ("__init__", "lettering", "mangling", "runtime"),
     ("errors", "machine", "tasks"),
     ("tables",),
     ("drawing", "expressions", "files", "loading", "schemes"),

@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 from conftest import PROBLEMS
-from references import STORED, UNSOLVED, digest, known_of, misses, problem_files
+from PIL import Image
+from references import LOWER, STORED, UNSOLVED, digest, known_of, misses, problem_files
 
 import codegen
 from codegen import errors
+from codegen.cli.reading import PAGE
 from codegen.solutions.result import STATUSES
+from codegen.sweeping.statuses import MEANINGS
 
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"
@@ -76,13 +79,17 @@ def test_every_public_name_has_its_signature_and_an_example():
 
 
 def test_every_status_and_every_kind_of_error_has_an_anchor():
-    headings = set(re.findall(r"^### (.*)$", text_of(DOCS / "guide" / "statuses.md"), re.MULTILINE))
+    page = text_of(DOCS / "guide" / "statuses.md")
+    assert page.startswith(f"# {PAGE}\n")  # to which failed commands refer
+    headings = set(re.findall(r"^### (.*)$", page, re.MULTILINE))
     kinds = {
         name
         for name, kind in vars(errors).items()
         if isinstance(kind, type) and issubclass(kind, errors.CodegenError) and kind is not errors.CodegenError
     }
     assert set(STATUSES) | kinds <= headings
+    of_sweeps = set(MEANINGS) - set(STATUSES)
+    assert of_sweeps == set(re.findall(r"^(.*)\n: ", page, re.MULTILINE))
 
 
 def test_every_problem_is_in_the_gallery():
@@ -102,6 +109,34 @@ def test_a_record_belongs_to_its_problem_and_to_what_is_known_of_it(record):
     cases = {case["of"]: case for case in read["cases"]}
     for known in known_of(record.stem):
         assert misses(known, cases[known.title]) == ""
+
+
+def test_every_drawing_has_a_film_and_a_still_picture_on_record():
+    with_drawing = [path for path in problem_files() if "drawing=" in text_of(path)]
+    assert with_drawing
+    for path in with_drawing:
+        film = json.loads(text_of(STORED / f"{path.stem}.json"))["film"]
+        assert film["shows"]
+        with Image.open(STORED / f"{path.stem}.gif") as moving, Image.open(STORED / f"{path.stem}.still.png") as still:
+            assert moving.n_frames > 20
+            assert list(moving.size) == list(still.size) == film["size"]
+            assert (STORED / f"{path.stem}.gif").stat().st_size < 300_000
+
+
+SPEED = json.loads(text_of(DOCS / "gallery" / "speed.json"))
+
+
+@pytest.mark.parametrize("case", SPEED.values(), ids=SPEED)
+def test_times_beside_casadi_are_of_the_same_optimum_or_say_that_they_are_not(case):
+    assert case["problem"] in {path.stem for path in problem_files()}
+    own, *others = case["solvers"].values()
+    same = [abs(own["cost"] - other["cost"]) <= 1e-5 * max(1e-3, abs(other["cost"])) for other in others]
+    solved = {each["status"] for each in (own, *others)} == {"solved"}
+    assert case["comparable"] == (solved and all(same))
+    if own["status"] == "solved" and not case["comparable"]:
+        assert case["problem"] in LOWER
+    assert case["machine"]["processor"]
+    assert case["date"]
 
 
 def test_a_value_that_misses_is_found():

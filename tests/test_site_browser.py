@@ -5,7 +5,9 @@ CODEGEN_SITE=docs/_build/html pytest tests/test_site_browser.py
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import threading
 from collections.abc import Iterator
@@ -95,6 +97,23 @@ def test_search_finds_a_saddle_point(chromium, address):
     visit.page.close()
 
 
+@pytest.mark.parametrize("motion", ["no-preference", "reduce"])
+def test_films_can_be_closed_and_stand_still_where_readers_want_nothing_to_move(chromium, address, motion):
+    page = chromium.new_page(reduced_motion=motion)
+    page.goto(address + "gallery/cart_pole.html")
+    page.wait_for_selector("details[open] > summary")
+    page.focus("details > summary")  # images are loaded once they come into view
+    moves, stands = page.locator("img.film"), page.locator("img.still")
+    shown, hidden = (moves, stands) if motion == "no-preference" else (stands, moves)
+    shown.wait_for(state="visible")
+    assert not hidden.is_visible()
+    assert moves.get_attribute("alt").startswith("Film from t = 0 to 2. ")
+    page.keyboard.press("Enter")
+    assert not moves.is_visible()
+    assert not stands.is_visible()
+    page.close()
+
+
 class Links(HTMLParser):
     """The links and the anchors of a page."""
 
@@ -109,6 +128,17 @@ class Links(HTMLParser):
         wanted = {"a": "href", "img": "src", "link": "href", "script": "src"}.get(tag)
         if wanted and given.get(wanted):
             self.links.append(given[wanted])
+
+
+def test_downloaded_notebooks_are_code_between_plain_markdown():
+    notebooks = sorted((SITE / "_downloads").rglob("*.ipynb"))
+    assert len(notebooks) >= 9
+    for path in notebooks:
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+        assert text.startswith("# ")
+        assert not re.search(r"\{[\w-]+\}`|^```\{|\]\((?!https?:)", text, re.MULTILINE), path
+        assert sum(cell["cell_type"] == "code" for cell in cells) >= 3
 
 
 def test_links_hold():

@@ -25,6 +25,7 @@ from codegen.cli.options import (
     Steps,
     positive,
 )
+from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError, one_line
 from codegen.tasks import TASKS
 from codegen.terminal import console, following, working
@@ -109,7 +110,8 @@ def solve(
     wanted.save(outcome.module, outcome.result)
     _tell(outcome, json, log)
     if not outcome.result.solved:
-        typer.echo(one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}"), err=True)
+        told = one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}")
+        typer.echo(told + on_statuses(outcome.result.status), err=True)
         raise typer.Exit(1)
 
 

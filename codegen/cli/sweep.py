@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from codegen.cli.options import Controls, ControlSites, Every, Json, Problem, Scheme, Set, Steps, positive
+from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
@@ -169,6 +170,5 @@ def _tell(outcome: Any, json: bool) -> None:
         typer.echo(f"{tally.jumps} jumps of the cost remain: where jump is 1, a neighbour is better", err=True)
     if tally.failed:
         number = tally.cases - tally.solved
-        typer.echo(
-            f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}", err=True
-        )
+        told = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
+        typer.echo(told + on_statuses(*tally.failed), err=True)

@@ -15,6 +15,7 @@ import mpmath
 import sympy
 from sympy import Expr
 
+from codegen.lettering import in_latex
 from codegen.tables.data import TableData
 from codegen.tables.evaluation import DEGREE, derivative
 
@@ -49,13 +50,11 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
         return printer._print_Function(sympy.Function(written(self.table, self.order))(*self.args))
 
     def _latex(self, printer: Any, exp: str | None = None) -> str:
-        name = printer._print(sympy.Symbol(self.table.shape.name))
-        by = "".join(
-            printer._print(sympy.Symbol(i)) * o for i, o in zip(self.table.shape.inputs, self.order, strict=True)
-        )
-        below = f"_{{{by}}}" if by else ""
+        by = [i for i, o in zip(self.table.shape.inputs, self.order, strict=True) for _ in range(o)]
+        below = f"_{{{','.join(map(in_latex, by))}}}" if by else ""
         power = f"^{{{exp}}}" if exp else ""
-        return rf"{{{name}}}{below}{power}\left({', '.join(map(printer._print, self.args))}\right)"
+        arguments = ", ".join(map(printer._print, self.args))
+        return rf"{{{in_latex(self.table.shape.name)}}}{below}{power}\left({arguments}\right)"
 
 
 def value(table: TableData, order: tuple[int, ...], at: Iterable[Any]) -> Any:

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import sympy
 
 from codegen.author.description import quantities_in
+from codegen.author.measurements import Measurements
 from codegen.author.particles import Connect, Pairwise
-from codegen.author.problem import Control, Phases, Problem
-from codegen.author.symbols import Coordinate, Velocity
+from codegen.author.problem import Control, Phases, Problem, Waypoint
+from codegen.author.quantities import Moving, Quantity
+from codegen.author.symbols import Coordinate, FreeParameter
+from codegen.lettering import in_latex
+from codegen.notebooks.printer import Printer
 
-_RATES = r"\frac{d}{dt} "
+_NEVER = (None, None)
 
 
 def latex(problem: Problem | Phases) -> str:
     """The problem as aligned rows, phase by phase; what cannot be printed stands as it is, since nothing is checked."""
-    if isinstance(problem, Phases):
-        parts = [_aligned(part) for part in problem.phases]
-        return "\n".join(rf"\text{{Phase {number}:}}\quad {part}\\[1ex]" for number, part in enumerate(parts, start=1))
-    return _aligned(problem)
+    if not isinstance(problem, Phases):
+        return _aligned(_rows(_Part.alone(problem)))
+    parts = [_Part.phase(problem, number) for number in range(1, len(problem.phases) + 1)]
+    blocks = [rf"\text{{Phase {part.number}:}}\quad {_aligned(_rows(part))}\\[1ex]" for part in parts]
+    told = [row for part, jump in zip(parts, problem.jumps, strict=False) for row in _jump(part, jump)]
+    return "\n".join([*blocks, *([rf"\text{{Jumps:}}\quad {_aligned(told)}\\[1ex]"] if told else [])])
 
 
 def displayed(problem: Problem | Phases) -> str:
@@ -29,55 +36,98 @@ def displayed(problem: Problem | Phases) -> str:
     return "$$" + (rf"\begin{{array}}{{l}}{body}\end{{array}}" if isinstance(problem, Phases) else body) + "$$"
 
 
-def _aligned(problem: Problem) -> str:
-    print_ = _Printer(problem)
-    return r"\begin{aligned}" + r" \\ ".join(_rows(problem, print_)) + r"\end{aligned}"
+def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
+    return r"\begin{aligned}" + r" \\ ".join(rows) + r"\end{aligned}"
 
 
-class _Printer:
-    """LaTeX of expressions, with a dot for the velocity of a coordinate that is called by its name."""
+@dataclass(frozen=True)
+class _Part:
+    """A problem, or one of several phases, with its two ends of time as they are written; alone its number is 0.
 
-    def __init__(self, problem: Problem) -> None:
-        velocities = [symbol for symbol in quantities_in(problem) if isinstance(symbol, Velocity)]
-        self.names = {v: rf"\dot{{{sympy.latex(v.partner)}}}" for v in velocities if v.name == f"d{v.partner.name}"}
+    Of free parameters those are its `own` that no earlier phase has.
+    """
 
-    def __call__(self, value: Any) -> str:
-        try:
-            return str(sympy.latex(sympy.sympify(value), symbol_names=self.names))
-        except (sympy.SympifyError, TypeError, ValueError, AttributeError):
-            return rf"\text{{{type(value).__name__}}}"
+    problem: Problem
+    print_: Printer
+    first: str
+    last: str
+    own: tuple[FreeParameter, ...]
+    number: int = 0
+
+    @classmethod
+    def alone(cls, problem: Problem) -> _Part:
+        """Time ends at the duration, where that is one symbol, else at T, or t_f where T is another quantity."""
+        quantities, duration = quantities_in(problem), problem.duration
+        is_taken = any(symbol.name == "T" for symbol in quantities)
+        last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
+        return cls(problem, Printer(quantities), "0", last, _free(quantities))
+
+    @classmethod
+    def phase(cls, problem: Phases, number: int) -> _Part:
+        """Time goes on from phase to phase."""
+        earlier, phase = problem.phases[: number - 1], problem.phases[number - 1]
+        known = {symbol for part in earlier for symbol in _free(quantities_in(part))}
+        own = tuple(symbol for symbol in _free(quantities_in(phase)) if symbol not in known)
+        first = f"t_{{{number - 1}}}" if number > 1 else "0"
+        return cls(phase, Printer(quantities_in(problem)), first, f"t_{{{number}}}", own, number)
 
 
-def _rows(problem: Problem, print_: _Printer) -> Iterator[str]:
+def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
+    return tuple(symbol for symbol in quantities if isinstance(symbol, FreeParameter))
+
+
+def _rows(part: _Part) -> Iterator[str]:
+    problem = part.problem
     if isinstance(problem, Control):
-        yield from _objective(problem, print_)
+        yield from _objective(problem, part)
     elif isinstance(problem, Connect):
         yield r"&\text{connect particles that start at given points with their targets}"
     else:
         yield r"&\text{follow the motion}"
-    yield from _motion(problem, print_)
-    yield f"T &= {print_(problem.duration)}"
-    for mapping, mark in ((problem.start, "0"), (getattr(problem, "end", {}), "T")):
+    yield from _motion(problem, part.print_)
+    yield from _time(part)
+    for mapping, time in ((problem.start, part.first), (getattr(problem, "end", {}), part.last)):
         if isinstance(mapping, Mapping):
-            yield from (f"{print_(key)}({mark}) &= {print_(value)}" for key, value in mapping.items())
+            yield from (f"{part.print_.at(key, time)} &= {part.print_(value)}" for key, value in mapping.items())
     if isinstance(problem, Control):
-        yield from _conditions(problem, print_)
+        yield from _conditions(problem, part)
+        yield from _waypoints(problem, part)
+        yield from _bounds(problem, part)
 
 
-def _objective(problem: Control, print_: _Printer) -> Iterator[str]:
+def _objective(problem: Control, part: _Part) -> Iterator[str]:
+    print_ = part.print_
     is_greatest = _is_given(problem.maximise) or _is_given(problem.terminal_maximise)
     rate = problem.maximise if is_greatest else problem.cost
     last = problem.terminal_maximise if is_greatest else problem.terminal_cost
-    terms = [rf"\int_0^T \left({print_(rate)}\right) dt"] if _is_given(rate) else []
-    terms += [rf"\left.\left({print_(last)}\right)\right|_{{t = T}}"] if _is_given(last) else []
-    yield (r"\text{maximise}\quad &" if is_greatest else r"\text{minimise}\quad &") + (" + ".join(terms) or "0")
+    terms = [rf"\int_{{{part.first}}}^{{{part.last}}} \left({print_(rate)}\right) dt"] if _is_given(rate) else []
+    if _is_given(last):
+        moves = not isinstance(last, sympy.Expr) or any(isinstance(symbol, Moving) for symbol in last.free_symbols)
+        terms += [rf"\left.\left({print_(last)}\right)\right|_{{t = {part.last}}}" if moves else print_(last)]
+    given = problem.observations
+    for measured in [given] if isinstance(given, Measurements) else given:
+        terms += _misfits(measured, print_)
+    if terms:
+        yield (r"\text{maximise}\quad &" if is_greatest else r"\text{minimise}\quad &") + " + ".join(terms)
+    elif not part.number:
+        yield r"&\text{find a motion}"
 
 
 def _is_given(value: Any) -> bool:
     return not (isinstance(value, (int, float)) and value == 0)
 
 
-def _motion(problem: Problem, print_: _Printer) -> Iterator[str]:
+def _misfits(measured: Measurements, print_: Printer) -> Iterator[str]:
+    """The sums over measured values, which are called as their columns are."""
+    for (value, column), sigma in zip(measured.values.items(), measured.data.layout.sigmas, strict=True):
+        name = in_latex(f"{column}_i") if column.isidentifier() else r"\text{measured}_i"
+        error = f"{print_.at(value, 't_i')} - {name}"
+        error = rf"\frac{{{error}}}{{\sigma_i}}" if sigma is not None else error
+        form = r"\left({}\right)^2" if measured.loss == "squares" else rf"\text{{{measured.loss}}}" + r"\left({}\right)"
+        yield rf"\sum_i {form.replace('{}', error)}"
+
+
+def _motion(problem: Problem, print_: Printer) -> Iterator[str]:
     if problem.lagrangian is not None:
         yield f"L &= {print_(problem.lagrangian)}"
     if isinstance(problem.hamiltonian, Pairwise):
@@ -85,30 +135,83 @@ def _motion(problem: Problem, print_: _Printer) -> Iterator[str]:
     elif problem.hamiltonian is not None:
         yield f"H &= {print_(problem.hamiltonian)}"
     if isinstance(problem.dynamics, Mapping):
-        for state, rate in problem.dynamics.items():
-            yield rf"\dot{{{print_(state)}}} &= {print_(rate)}"
+        yield from (f"{print_.rate(state)} &= {print_(rate)}" for state, rate in problem.dynamics.items())
     if isinstance(problem.force, Mapping):
-        for coordinate, value in problem.force.items():
-            of = coordinate if isinstance(coordinate, Coordinate) else sympy.Symbol("q")
-            yield f"f_{{{print_(of)}}} &= {print_(value)}"
+        named = [print_(key) if isinstance(key, Coordinate) else "q" for key in problem.force]
+        values = [print_(value) for value in problem.force.values()]
+        letter = "Q" if any(f"f_{{{name}}}" in value for name in named for value in values) else "f"
+        yield from (f"{letter}_{{{name}}} &= {value}" for name, value in zip(named, values, strict=True))
 
 
-def _conditions(problem: Control, print_: _Printer) -> Iterator[str]:
+def _time(part: _Part) -> Iterator[str]:
+    """The end of time, where it has another name than the duration; a number of bodies."""
+    duration = part.print_(part.problem.duration)
+    if duration != part.last:
+        yield f"{part.last} &= " + (f"{part.first} + {duration}" if part.number > 1 else duration)
+    if getattr(part.problem, "bodies", 1) != 1:
+        yield rf"&\text{{for each of }} {part.print_(part.problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
+
+
+def _conditions(problem: Control, part: _Part) -> Iterator[str]:
+    print_ = part.print_
+    if isinstance(problem.history, Mapping):
+        for symbol, value in problem.history.items():
+            yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"
+    grows = problem.periodic if isinstance(problem.periodic, Mapping) else dict.fromkeys(problem.periodic, 0)
+    for symbol, by in grows.items():
+        yield f"{print_.at(symbol, part.last)} &= {print_.at(symbol, part.first)}" + (f" + {print_(by)}" if by else "")
+    over = rf"\quad\text{{for the integral over }} [{part.first}, {part.last}]"
     for given, where in (
-        (problem.start_conditions, r"\quad\text{at } t = 0"),
-        (problem.end_conditions, r"\quad\text{at } t = T"),
+        (problem.start_conditions, rf"\quad\text{{at }} t = {part.first}"),
+        (problem.end_conditions, rf"\quad\text{{at }} t = {part.last}"),
         (problem.path, r"\quad\text{at every time}"),
-        (problem.integral, r"\quad\text{for the integral over } [0, T]"),
+        (problem.integral, over),
+        *((relations, rf"\quad\text{{at }} t = {print_(time)}") for time, relations in _items(problem.at)),
     ):
-        listed = given.values() if isinstance(given, Mapping) else given
-        yield from (f"&{print_(relation)}{where}" for relation in listed)
+        yield from (f"&{print_.relation(relation)}{where}" for relation in _listed(given))
     for relation in problem.constraint:
         yield rf"0 &= {print_(relation)}\quad\text{{(holonomic)}}"
-    if isinstance(problem.bounds, Mapping):
-        for symbol, (low, high) in problem.bounds.items():
-            lower = rf"{print_(low)} \le " if low is not None else ""
-            upper = rf" \le {print_(high)}" if high is not None else ""
-            yield f"&{lower}{print_(symbol)}{upper}"
-    for time, relations in problem.at.items() if isinstance(problem.at, Mapping) else ():
-        listed = relations.values() if isinstance(relations, Mapping) else relations
-        yield from (rf"&{print_(relation)}\quad\text{{at }} t = {print_(time)}" for relation in listed)
+
+
+def _waypoints(problem: Control, part: _Part) -> Iterator[str]:
+    """Conditions at times that are to be found, which have numbers."""
+    times = [f"t_{{{number}}}" for number in range(1, len(problem.waypoints) + 1)]
+    for given, time in zip(problem.waypoints, times, strict=True):
+        point = given if isinstance(given, Waypoint) else Waypoint(given)
+        conditions = r",\; ".join(map(part.print_.relation, _listed(point.conditions)))
+        yield rf"&{conditions}\quad\text{{at }} t = {time}"
+        if point.window != _NEVER:
+            yield f"&{_between(part.print_, time, point.window)}"
+    if times:
+        yield "&" + " < ".join([part.first, *times, part.last])
+
+
+def _bounds(problem: Control, part: _Part) -> Iterator[str]:
+    """Bounds of what moves and of free parameters; a duration is not negative."""
+    given = dict(_items(problem.bounds))
+    for symbol in part.own:
+        low, high = given.pop(symbol, (symbol.lower, symbol.upper))
+        low = 0 if low is None and symbol == problem.duration and not problem.periodic else low
+        yield rf"&{_between(part.print_, part.print_(symbol), (low, high))}\quad\text{{(free)}}"
+    yield from (f"&{_between(part.print_, part.print_(symbol), pair)}" for symbol, pair in given.items())
+
+
+def _between(print_: Printer, written: str, pair: Sequence[Any]) -> str:
+    low, high = pair
+    lower = rf"{print_(low)} \le " if low is not None else ""
+    upper = rf" \le {print_(high)}" if high is not None else ""
+    return f"{lower}{written}{upper}"
+
+
+def _jump(part: _Part, jump: Mapping[Any, Any]) -> Iterator[str]:
+    """Values after a switch in terms of those before it."""
+    for symbol, value in jump.items():
+        yield rf"&{part.print_(symbol)} \mapsto {part.print_(value)}\quad\text{{at }} t = {part.last}"
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    return list(given.values()) if isinstance(given, Mapping) else given
+
+
+def _items(given: Any) -> Sequence[tuple[Any, Any]]:
+    return list(given.items()) if isinstance(given, Mapping) else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +44,9 @@ class Picture:
 class Film:
     """A film of a motion: `data` are the bytes of a GIF, which a notebook shows; `save` writes it to a file."""
 
-    data: bytes
+    data: bytes = field(repr=False)  # hundreds of kilobytes, which notebooks keep as text beside the picture
     title: str
-    _written: Callable[[Path], None]
+    _written: Callable[[Path], None] = field(repr=False)
 
     def save(self, path: Path | str) -> None:
         """Write the film, .gif or .mp4; ArgumentError for another ending, or where ffmpeg is missing or fails."""

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from codegen import lettering
 from codegen.solutions.result import Result
 
 if TYPE_CHECKING:
@@ -49,10 +50,6 @@ STYLE: dict[Any, Any] = {
 }
 """Settings of matplotlib, to be used in a context."""
 
-_GREEK = set(
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi "
-    "omega".split()
-)
 _SIGNS = (("**", "^"), ("<=", "≤"), (">=", "≥"), ("*", "·"))
 
 
@@ -74,16 +71,15 @@ def body_map() -> Any:
 def label(name: str) -> str:
     """A symbol's name as mathematics: phi1 becomes a Greek letter with an index."""
     parts = re.sub(r"(?<=[A-Za-z])(\d+)$", r"_\1", name).split("_")
-    letters = [_letter(part) for part in parts if part]
+    letters = [_letter(part) for part in parts if part] or [lettering.word(name)]
     return "$" + letters[0] + ("_{" + ",".join(letters[1:]) + "}" if len(letters) > 1 else "") + "$"
 
 
 def _letter(name: str) -> str:
-    if name.lower() in _GREEK:
-        return rf"\{name}"
-    if name.startswith("d") and (len(name) == 2 or name[1:].lower() in _GREEK) and not name[1:].isdigit():
-        return rf"\dot{{{_letter(name[1:])}}}"
-    return name if len(name) == 1 else rf"\mathrm{{{name}}}"
+    rest = name[1:]
+    if name.startswith("d") and rest and not rest.isdigit() and not lettering.word(rest).startswith(r"\mathrm"):
+        return rf"\dot{{{lettering.word(rest)}}}"
+    return lettering.word(name)
 
 
 def relation(text: str, longest: int = 46) -> str:

@@ -12,7 +12,7 @@ from sympy import Add, Expr, Symbol, expand_mul
 from sympy.printing.pretty.pretty import PrettyPrinter
 from sympy.printing.pretty.stringpict import prettyForm
 
-from codegen import mangling
+from codegen import lettering, mangling
 from codegen.model import Model
 
 WIDTH = 100
@@ -25,7 +25,6 @@ _GREEK = (
 ).split()
 _LETTERS = dict(zip(_GREEK, "αβγδεζηθικλμνξοπρστυφχψω", strict=True))
 _LETTERS |= {name.capitalize(): letter.upper() for name, letter in list(_LETTERS.items())}
-_VARIANTS = {"phi": r"\varphi", "epsilon": r"\varepsilon"}
 _LOW = str.maketrans("0123456789+-k", "₀₁₂₃₄₅₆₇₈₉₊₋ₖ")
 _HIGH = str.maketrans("0123456789+-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻")
 
@@ -126,10 +125,7 @@ class Notation:
             return rf"\dot{{{self._letter(word)}}}" if self.latex else self._letter(word) + "\u0307"
         if not self.latex:
             return _LETTERS.get(word, word)
-        if word.lower() in _GREEK:
-            return _VARIANTS.get(word, "\\" + word)
-        word = word.replace("_", r"\_")
-        return word if len(word) == 1 or word.isdigit() else rf"\mathrm{{{word}}}"
+        return lettering.word(word)
 
 
 def written(title: str, blocks: Sequence[Block], notation: Notation) -> str:

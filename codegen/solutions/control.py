@@ -29,7 +29,7 @@ from codegen.solutions.segments import put_together, segments_of
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
 STEEP = 1e-3
-"""Slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum, whatever multipliers are."""
+"""Slopes of the Lagrangian above it, in parts of the cost's or of one, are no optimum's, whatever multipliers are."""
 
 
 @dataclass(frozen=True)

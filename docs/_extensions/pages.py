@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from references import PROBLEMS, ROOT, STORED, Known, digest, known_of, misses, problem_files
+from speed import ratio, read_speed, speed_section
 from sphinx.errors import ExtensionError
 from sphinx.util import logging
 
@@ -59,6 +60,7 @@ def gallery_page(path: Path, record: dict[str, Any] | None) -> str:
             f"## The solution\n\n```text\ncodegen solve {place} --plot {path.stem}.png\n```\n",
             *(solution_section(path, title, record) if record else known_section(path)),
             "",
+            *speed_section(path),
         ]
     )
 
@@ -81,10 +83,28 @@ def solution_section(path: Path, title: str, record: dict[str, Any]) -> list[str
         f"```{{image}} stored/{path.stem}.png",
         f":alt: Figure of the solution of {path.stem}. {title}",
         ":class: figure-card\n:loading: lazy\n```\n",
+        *film_section(path, title, record),
         *values_section(path, record),
         f"Recorded on {record['date']} with codegen {record['version']}, Python {own['python']}, numba {own['numba']} "
         f"and numpy {own['numpy']}, on {own['processors']} cores of {own['processor']} that did other work as well; "
         "the time is the least of three solves.",
+    ]
+
+
+def film_section(path: Path, title: str, record: dict[str, Any]) -> list[str]:
+    """The film, which can be closed, and a still picture in its place for readers who want nothing to move."""
+    film = record.get("film")
+    if not film:
+        return []
+    shown = f"{title}. Shown: {', '.join(film['shows'])}"
+    return [
+        "```{raw} html\n<details open><summary>Film</summary>\n```\n",
+        f"```{{image}} stored/{path.stem}.gif\n:alt: Film from t = 0 to {film['until']:.4g}. {shown}\n"
+        ":class: film\n:loading: lazy\n```\n",
+        f"```{{image}} stored/{path.stem}.still.png\n:alt: The last frame of the film. {shown}\n"
+        ":class: still\n:loading: lazy\n```\n",
+        f"```text\ncodegen solve {path.relative_to(ROOT).as_posix()} --animate {path.stem}.gif\n```\n",
+        "```{raw} html\n</details>\n```\n",
     ]
 
 
@@ -148,7 +168,8 @@ def gallery(stamp: str) -> None:
     for path in problem_files():
         record = read_record(path)
         page = DOCS / "gallery" / f"{path.stem}.md"
-        mark = hashlib.sha256((stamp + digest(path) + json.dumps(record)).encode()).hexdigest()[:16]
+        figures = [case for case in read_speed().values() if case["problem"] == path.stem]
+        mark = hashlib.sha256((stamp + digest(path) + json.dumps([record, figures])).encode()).hexdigest()[:16]
         comment = f"% made by docs/_extensions/pages.py: {mark}"
         if not page.exists() or page.read_text(encoding="utf-8").partition("\n")[0] != comment:
             write(page, f"{comment}\n{gallery_page(path, record)}")
@@ -237,7 +258,7 @@ def benchmarks() -> str:
         f"{own['numpy']}, at a load of {own['load of the machine when the page was made']}"
     )
     front = (DOCS / "benchmarks.in").read_text(encoding="utf-8")
-    return front.replace("@ROWS@", "\n".join(rows)).replace("@MACHINE@", machine)
+    return front.replace("@ROWS@", "\n".join(rows)).replace("@MACHINE@", machine).replace("@RATIO@", ratio())
 
 
 def newest_figures() -> Path:
@@ -247,8 +268,12 @@ def newest_figures() -> Path:
 
 def make(app: Any) -> None:
     """Write all pages that are made."""
-    stamp = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-    gallery(stamp)
+    makers = [
+        *Path(__file__).parent.glob("*.py"),
+        *(ROOT / "codegen" / "notebooks").glob("*.py"),
+        ROOT / "codegen/lettering.py",
+    ]
+    gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())
     write(DOCS / "reference" / "commands.md", commands())
     write(DOCS / "benchmarks.md", benchmarks())
 

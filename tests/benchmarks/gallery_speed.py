@@ -1,12 +1,12 @@
 """Time the generated solvers on the gallery against CasADi with IPOPT, on the same programs, in the same run.
 
-    python tests/benchmarks/gallery_speed.py [--set equalities|inequalities|all] [--rounds R] [--csv FILE] [PROBLEM ...]
+    python tests/benchmarks/gallery_speed.py [--set SET] [--rounds R] [--csv FILE] [--site] [PROBLEM ...]
 
 Every case runs ours, CasADi's virtual machine and CasADi's compiled C in turn, several solves in a row each, so that a
 slow spell of the machine hits all. A time is that of one warm call, from the problem's guess to the solution, with
 everything built and compiled before. `ratio` is the best time over ours; the last lines give its geometric mean over
 the cases that both solved, to the same cost. `residual` is CasADi's measure for all three: the largest violation of
-any constraint or bound, unscaled.
+any constraint or bound, unscaled. With `--site` the pages of the gallery show the figures, with machine and date.
 """
 
 import os
@@ -16,10 +16,12 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import argparse
 import csv
+import json
 import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
+from datetime import date
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -35,9 +37,13 @@ from peers.casadi_gallery import PreparedGallery
 from peers.gallery_bridge import GeneratedGallery
 from peers.gallery_table import GALLERY
 
+STORED = Path(__file__).resolve().parents[2] / "docs" / "gallery" / "speed.json"
+"""What the site shows."""
 BLOCK = 5  # solves in a row before the next contestant has its turn
 TOLERANCE = 1e-8  # IPOPT's default, and what is asked of ours
 SAME_COST = 1e-5  # relative; beyond it two solvers have found different local optima
+
+SOLVERS = ("generated", "CasADi, virtual machine", "CasADi, compiled C")
 
 Case = tuple[str, dict[str, str], int]
 EQUALITIES: list[Case] = [
@@ -103,9 +109,10 @@ def compare(case: Case, rounds: int) -> list[Row]:
     name, arguments, steps = case
     problem = GALLERY[name, tuple(arguments.items())]()
     options = {"ipopt.tol": TOLERANCE, "ipopt.max_iter": 1000}
+    _, machine_of_casadi, c_of_casadi = SOLVERS
     peers = {
-        "CasADi, virtual machine": PreparedGallery(problem, steps, options=options),
-        "CasADi, compiled C": PreparedGallery(problem, steps, compiled=True, options=options),
+        machine_of_casadi: PreparedGallery(problem, steps, options=options),
+        c_of_casadi: PreparedGallery(problem, steps, compiled=True, options=options),
     }
     contestants: dict[str, Any] = peers
     failure = ""
@@ -171,6 +178,27 @@ def geometric_means(results: Sequence[Sequence[Row]]) -> dict[str, tuple[float, 
     return {solver: (math.exp(sum(values) / len(values)), len(values)) for solver, values in logarithms.items()}
 
 
+def store(case: Case, rows: Sequence[Row], load: str, rounds: int) -> None:
+    """Put the figures of a case beside those that the site has of others."""
+    stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
+    own = {key: value for key, value in machine().items() if key != "cores"}
+    solvers = {
+        row.solver: {key: getattr(row, key) for key in ("status", "cost", "iterations", "best", "median")}
+        for row in rows
+    }
+    stored[f"{title(*case[:2])} N={case[2]}"] = {
+        "problem": case[0],
+        "arguments": case[1],
+        "steps": case[2],
+        "date": date.today().isoformat(),
+        "machine": {**own, "cores": load},
+        "solves": rounds * BLOCK,
+        "comparable": all(comparable(rows[0], other) for other in rows[1:]),
+        "solvers": solvers,
+    }
+    STORED.write_text(json.dumps(dict(sorted(stored.items())), indent=1) + "\n", encoding="utf-8")
+
+
 def table(results: Sequence[Sequence[Row]]) -> Table:
     """All solvers on all cases."""
     chart = Table(title="One warm solve, times in ms", title_justify="left")
@@ -194,6 +222,7 @@ def main() -> None:
     parser.add_argument("--set", choices=list(SETS), default="all")
     parser.add_argument("--rounds", type=int, default=8, help=f"rounds of {BLOCK} solves each")
     parser.add_argument("--csv", type=Path, help="write the rows to this file")
+    parser.add_argument("--site", action="store_true", help="keep the figures for the site's gallery")
     arguments = parser.parse_args()
     console = Console(width=190)
     for name, value in machine().items():
@@ -201,7 +230,10 @@ def main() -> None:
     results = []
     for case in SETS[arguments.set]:
         if not arguments.problems or case[0] in arguments.problems:
+            load = machine()["cores"]
             results.append(compare(case, arguments.rounds))
+            if arguments.site and len(results[-1]) == len(SOLVERS):
+                store(case, results[-1], load, arguments.rounds)
             console.print(f"{title(*case[:2])}, N = {case[2]}: done", style="dim")
     console.print(table(results))
     for solver, (mean, count) in geometric_means(results).items():

@@ -62,6 +62,7 @@ class TestJson:
         assert record["status"] != "solved"
         assert record["status"] in STATUSES
         assert result.stderr.startswith(f"codegen: {record['message']}")
+        assert result.stderr.endswith(f'; the guide explains {record["status"]}: see "Statuses and errors"\n')
         assert result.stderr.count("\n") == 1
 
     def test_log_goes_to_stderr(self, solved):

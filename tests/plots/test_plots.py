@@ -20,8 +20,11 @@ from codegen.plots.quantities import Inequality, Quantity
     ("name", "label"),
     [
         ("r", "$r$"),
-        ("phi", r"$\phi$"),
-        ("p_phi", r"$p_{\phi}$"),
+        ("phi", r"$\varphi$"),
+        ("p_phi", r"$p_{\varphi}$"),
+        ("ETA", r"$\mathrm{ETA}$"),  # LaTeX and matplotlib have no such letter
+        ("dTheta", r"$\dot{\Theta}$"),
+        ("_", r"$\mathrm{\_}$"),
         ("theta2", r"$\theta_{2}$"),
         ("p_theta2", r"$p_{\theta,2}$"),
         ("lambda_x", r"$\lambda_{x}$"),
@@ -57,7 +60,7 @@ class TestControlFigure:
         with np.errstate(all="ignore"):  # as in compiled code
             result = solving.solve(module, steps=8)
         figure = plots.control_figure(module, result, unit="nondimensional")
-        assert {"$r$", r"$\phi$", "$p_{r}$", r"$p_{\phi}$", r"$\lambda_{r}$", "$u$", "max-norm"} <= texts(figure)
+        assert {"$r$", r"$\varphi$", "$p_{r}$", r"$p_{\varphi}$", r"$\lambda_{r}$", "$u$", "max-norm"} <= texts(figure)
         assert "8 steps" in figure.get_suptitle()
         assert "Transfer a satellite" in figure.get_suptitle()
         assert "NOT SOLVED" not in figure.get_suptitle()

@@ -16,6 +16,7 @@ from command_lines import ORBIT, PENDULUM, run
 from conftest import PROBLEMS
 
 import codegen
+from codegen.cli.reading import on_statuses
 from codegen.engines import processes
 from codegen.engines.journal import journal_of
 from codegen.sweeping.statuses import LOST, MEANINGS, NOT_BUILT, UNUSABLE
@@ -179,7 +180,8 @@ class TestFailures:
         assert {**record, "seconds": 0} == {
             "cases": 3, "solved": 2, "failed": {UNUSABLE: 1}, "seconds": 0, "out": "s.zarr"
         }  # fmt: skip
-        assert done.stderr == "codegen: 1 of 3 cases failed; see status and message in s.zarr\n"
+        told = "codegen: 1 of 3 cases failed; see status and message in s.zarr"
+        assert done.stderr == f"{told}{on_statuses(UNUSABLE)}\n"
         table = run("sweep", ORBIT, "--vary", "r1=5.9,-6,6", "--steps", 20, "--out", "s.nc", "--workers", 1)
         assert UNUSABLE in table.stdout
         assert "math domain error" in table.stdout
