@@ -7,7 +7,6 @@ which the prediction of one by all others needs no solve.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError
 from codegen.registration.alignment import Kind, align, require_unmirrored
+from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs
@@ -42,7 +42,7 @@ class AlignmentChoice:
         return f"{self.kind} by leave-one-out (pixels: {compared})" if compared else f"{self.kind}: too few to compare"
 
 
-def chosen_alignment(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -> AlignmentChoice:
+def chosen_alignment(pairs: LandmarkPairs, shape: Extent, **options: Any) -> AlignmentChoice:
     """Compare alignments; arguments are those of `Matching.of`. LandmarkError where the landmarks mirror the image."""
     require_unmirrored(pairs)
     if len(pairs) < FEWEST:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import LandmarkError
+from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.matching import Matching
 from codegen.registration.outliers import outliers_of
@@ -30,7 +30,7 @@ class SigmaEstimate:
     message: str = ""
 
 
-def estimate_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -> SigmaEstimate:
+def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> SigmaEstimate:
     """Estimate how far landmarks are from where they should be, from how far neighbours disagree.
 
     Displacements after the alignment are smoothed by the linear theory, as strongly as makes the generalised
@@ -63,6 +63,6 @@ def _doubt(sigma: float, spread: float, is_inside: bool, count: int, said: str) 
     return f"of {count} landmarks alone, sigma is uncertain" if count < FEW else ""
 
 
-def choose_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -> float:
+def choose_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> float:
     """The estimate of `estimate_sigma`, in pixels; see there for arguments and errors."""
     return estimate_sigma(pairs, shape, **options).sigma

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Literal
 
 from codegen.registration.alignment import Kind
 from codegen.registration.choice import chosen_alignment
 from codegen.registration.frame import MARGIN
+from codegen.registration.grid import Extent
 from codegen.registration.losses import Loss
 from codegen.registration.maps import TOLERANCE, Registration
 from codegen.registration.noise import choose_sigma
@@ -18,9 +19,9 @@ from codegen.registration.solver import DEFAULT_SCHEME
 
 def register(
     pairs: LandmarkPairs,
-    shape: Sequence[int],
+    shape: Extent,
     *,
-    fixed_shape: Sequence[int] | None = None,
+    fixed_shape: Extent | None = None,
     align: Kind = "auto",
     sigma: float | Literal["auto"] = 0.0,
     loss: Loss = "linear",
