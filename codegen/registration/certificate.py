@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.errors import RegistrationError
 from codegen.registration.coarse import Positions
 from codegen.registration.frame import pixel_grid
 from codegen.registration.grid import Extent, Grid, grid_of, mesh, slabs
-from codegen.registration.maps import ROUND_TRIP, Registration
+from codegen.registration.maps import ROUND_TRIP, Registration, in_steps
 from codegen.registration.pairs import PointArray
 from codegen.registration.step_bounds import bound_of_steps
 
@@ -18,6 +19,8 @@ SPACING = 8
 """Pixels between those at which det J is evaluated where it is proved to be positive."""
 NEAR, EXTREMES, REACH = 2, 24, {2: SPACING, 3: 4}
 """How far about landmarks every pixel is evaluated; of how many extremes, and how far, all are that lie about them."""
+MOST_STEPS, NODES = 64, 200_000
+"""The most steps that are made for the sake of a proof in space, and nodes of a grid by which one is tried."""
 CHEAPER = 4
 """A node of a proof costs less than a pixel; so many times fewer are taken at most."""
 SENT = {2: 129, 3: 25}
@@ -92,6 +95,19 @@ def certificate_of(
     return replace(found, proved=True, det_bounds=(low, high), message=message), None
 
 
+def in_provable_steps(registration: Registration) -> Registration:
+    """The same map in so many more steps that each is proved not to fold; as it is where that takes too many."""
+    found = registration
+    while bound_of_steps(found.flow, NODES) is None:
+        if 2 * found.steps > MOST_STEPS or found.status != "solved":
+            return registration
+        try:
+            found = in_steps(found.matching, 2 * found.steps, found.velocities, quick=True)
+        except RegistrationError:
+            return registration
+    return replace(found, error=registration.error, solves=registration.solves)
+
+
 def _whole(registration: Registration, shape: Extent | None, inverse: bool) -> Grid:
     default = registration.grid if inverse else registration.fixed_grid
     return default if shape is None else grid_of(shape)
@@ -101,7 +117,8 @@ def _bounds(registration: Registration, grid: Grid) -> NDArray[np.float64] | Non
     """Bounds of the flow's steps, if they decide with less work than evaluating every pixel."""
     if registration.alignment.determinant <= 0.0 or registration.status != "solved":
         return None
-    return bound_of_steps(registration.flow, int(grid.count / CHEAPER))
+    least = NODES if grid.dimension == 3 else 0  # in space few nodes take less time than all voxels of a small volume
+    return bound_of_steps(registration.flow, max(least, int(grid.count / CHEAPER)))
 
 
 def _sparse(registration: Registration, grid: Grid, inverse: bool) -> PointArray:
@@ -210,7 +227,9 @@ def _judged(registration: Registration, grid: Grid, inverse: bool, found: _Found
         found.first,
         round_trip,
         float(registration.residuals.max()),
-        found.folded == 0 and round_trip <= ROUND_TRIP and registration.status == "solved",
+        found.folded == 0
+        and round_trip <= ROUND_TRIP * registration.fixed_grid.pixel
+        and registration.status == "solved",
         _message(registration, round_trip, found),
         evaluated=found.evaluated,
     )
@@ -221,8 +240,8 @@ def _message(registration: Registration, round_trip: float, found: _Found) -> st
         what = "pixels" if registration.dimension == 2 else "voxels"
         place = ", ".join(f"{x:g}" for x in found.first)
         return f"the map folds at {found.folded} {what}, the first at ({place}); take more steps"
-    if not round_trip <= ROUND_TRIP:
-        return f"points come back only to within {round_trip:.1e} pixels; take more steps"
+    if not round_trip <= ROUND_TRIP * registration.fixed_grid.pixel:
+        return f"points come back only to within {round_trip:.1e} {registration.fixed_grid.unit}; take more steps"
     if registration.status != "solved":
         return registration.message
     return f"the map does not fold: det J is at least {found.least:.4g}"

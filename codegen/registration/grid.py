@@ -29,14 +29,15 @@ class Grid:
     """`size` counts samples along each axis, columns first; `origin` is the place of the first one.
 
     `spacing` is the distance of neighbours along each axis, and the columns of `direction`, a tuple of rows, are the
-    axes' unit vectors. Raises LandmarkError for a grid that has no samples or no extent, and for axes that are not
-    orthogonal to each other.
+    axes' unit vectors. `unit` is what coordinates are counted in. Raises LandmarkError for a grid that has no samples
+    or no extent, and for axes that are not orthogonal to each other.
     """
 
     size: tuple[int, ...]
     origin: tuple[float, ...]
     spacing: tuple[float, ...]
     direction: tuple[tuple[float, ...], ...]
+    unit: str = "pixels"
 
     def __post_init__(self) -> None:
         said = " x ".join(map(str, self.size))
@@ -72,6 +73,11 @@ class Grid:
         """How many samples it has."""
         return int(np.prod(self.size, dtype=object))
 
+    @property
+    def pixel(self) -> float:
+        """The finest spacing, in units of which errors are judged."""
+        return min(self.spacing)
+
     @cached_property
     def matrix(self) -> NDArray[np.float64]:
         """The derivative of places by indices, shape (d, d)."""
@@ -81,11 +87,6 @@ class Grid:
     def is_plain(self) -> bool:
         """Whether places are indices."""
         return bool((self.matrix == np.eye(self.dimension)).all()) and not any(self.origin)
-
-    def scaled(self, factor: float) -> Grid:
-        """The same grid in coordinates that are `factor` times as large."""
-        origin, spacing = ((tuple(factor * x for x in values)) for values in (self.origin, self.spacing))
-        return Grid(self.size, origin, spacing, self.direction)
 
     def to_places(self, indices: PointArray) -> PointArray:
         """Places for indices (column, row, ...), shape (n, d)."""
@@ -136,3 +137,8 @@ def slabs(length: int, thickness: int) -> Iterator[slice]:
     """Slices of so many samples at most, one after the other."""
     for begin in range(0, length, thickness):
         yield slice(begin, min(begin + thickness, length))
+
+
+def short(unit: str) -> str:
+    """A unit as tables have it."""
+    return "px" if unit == "pixels" else unit

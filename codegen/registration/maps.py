@@ -12,7 +12,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
 from codegen.registration.flow import Flow
 from codegen.registration.frame import Frame, coarse_grid
-from codegen.registration.grid import Grid
+from codegen.registration.grid import Grid, short
 from codegen.registration.matching import Matching, place_text
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 
@@ -53,7 +53,10 @@ class Registration:
 
     def __repr__(self) -> str:
         found = f"{self.status} in {self.steps} steps of {self.scheme}"
-        errors = f"residuals at most {self.residuals.max(initial=0.0):.2g} px, round trip {self.round_trip:.2g} px"
+        unit = short(self.matching.unit)
+        errors = (
+            f"residuals at most {self.residuals.max(initial=0.0):.2g} {unit}, round trip {self.round_trip:.2g} {unit}"
+        )
         return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {found}, {errors}>"
 
     @property
@@ -234,10 +237,10 @@ def in_steps(
 def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> str:
     """What is said of a map whose inverse meets the landmarks, as the solver found, but which itself misses them."""
     worst = int(np.argmax(residuals))
-    if matching.sigma > 0.0 or residuals[worst] <= MISSED:
+    if matching.sigma > 0.0 or residuals[worst] <= MISSED * matching.pixel:
         return ""
     place = place_text(matching.pairs.moving[worst])
-    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residuals[worst]:.2g} pixels"
+    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residuals[worst]:.2g} {matching.unit}"
     return f"the map folds in {steps} steps and misses {where}; take more steps"
 
 
@@ -253,6 +256,7 @@ def refined(
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
     coarse, steps, probe = None, first, _probe(matching)
+    least, back = tolerance * matching.pixel, ROUND_TRIP * matching.pixel
     while True:
         try:
             fine = in_steps(matching, steps, velocities if coarse is None else coarse.velocities, quick=True)
@@ -265,7 +269,7 @@ def refined(
         if coarse is not None:
             coarse, fine = _with_errors(coarse, fine, probe)
             for found in (coarse, fine):
-                if found.error <= tolerance and found.round_trip <= ROUND_TRIP:
+                if found.error <= least and found.round_trip <= back:
                     return found
         if 2 * steps > MOST_STEPS:
             return fine

@@ -83,13 +83,13 @@ class Matching:
         fixed_grid = grid if fixed_shape is None else grid_of(fixed_shape)
         _require_dimension(pairs, grid, fixed_grid)
         if not 0.0 <= sigma < np.inf:
-            raise LandmarkError(f"sigma is {sigma!r}", "give a distance in pixels that is not negative")
+            raise LandmarkError(f"sigma is {sigma!r}", f"give a distance in {fixed_grid.unit} that is not negative")
         if weights is None:
             weights = np.ones(len(pairs))
         alignment = _aligned(pairs.chosen(weights >= TRUSTED) if (weights >= TRUSTED).any() else pairs, align)
         moved = [alignment.apply(corners(grid)), alignment.apply(pairs.moving)]
         frame = Frame.around(np.vstack([corners(fixed_grid), pairs.fixed, *moved]), margin)
-        groups = groups_of(pairs.moving, pairs.fixed)
+        groups = groups_of(pairs.moving, pairs.fixed, fixed_grid.pixel)
         return cls(
             pairs, grid, fixed_grid, alignment, frame, float(sigma), scheme, float(strength), weights, groups,
             align, margin,
@@ -104,6 +104,16 @@ class Matching:
     def fixed_shape(self) -> tuple[int, ...]:
         """That of the fixed image."""
         return self.fixed_grid.shape
+
+    @property
+    def pixel(self) -> float:
+        """The finest spacing of the fixed image, in units of which errors are judged: 1 for pictures."""
+        return self.fixed_grid.pixel
+
+    @property
+    def unit(self) -> str:
+        """What distances are counted in: pixels for pictures."""
+        return self.fixed_grid.unit
 
     @property
     def module(self) -> FlowModule:

@@ -43,7 +43,9 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Sigma
         options = {**options, "align": "similarity"}
     matching = Matching.of(pairs, shape, **options)
     if len(pairs) < FEWEST:
-        raise LandmarkError(f"{len(pairs)} landmarks do not tell how large their errors are", "give a sigma in pixels")
+        raise LandmarkError(
+            f"{len(pairs)} landmarks do not tell how large their errors are", f"give a sigma in {matching.unit}"
+        )
     outliers = outliers_of(matching)
     trusted = np.ones(len(pairs), dtype=bool)
     trusted[list(outliers.numbers)] = False
@@ -51,12 +53,12 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Sigma
     linear = Linear(matching.covariance, alignment.apply(pairs.moving) - pairs.fixed, alignment.parameters)
     _, sigma, is_inside = linear.chosen(trusted).by_cross_validation()
     spread = float(np.sqrt(((pairs.fixed - pairs.fixed.mean(axis=0)) ** 2).mean()))
-    return SigmaEstimate(sigma, _doubt(sigma, spread, is_inside, int(trusted.sum()), outliers.message))
+    return SigmaEstimate(sigma, _doubt(sigma, spread, matching.unit, is_inside, int(trusted.sum()), outliers.message))
 
 
-def _doubt(sigma: float, spread: float, is_inside: bool, count: int, said: str) -> str:
+def _doubt(sigma: float, spread: float, unit: str, is_inside: bool, count: int, said: str) -> str:
     if sigma > LARGE * spread:
-        finding = f"sigma of {sigma:.3g} pixels is implausible: {sigma / spread:.0%} of the landmarks' spread"
+        finding = f"sigma of {sigma:.3g} {unit} is implausible: {sigma / spread:.0%} of the landmarks' spread"
         return f"{finding}; {said or 'look for landmarks out of place'}"
     if not is_inside:
         return "the landmarks show no errors that could be told from a deformation"

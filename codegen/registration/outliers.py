@@ -93,5 +93,5 @@ def _predicted(matching: Matching, trusted: NDArray[np.bool_]) -> tuple[NDArray[
     ratios = errors[trusted] / spread[trusted]
     wide = np.quantile(ratios, TAIL) / typical_distance(pairs.dimension, TAIL)
     typical = float(np.median(ratios)) / typical_distance(pairs.dimension)
-    scale = max(typical, float(wide), LEAST_ERROR / float(np.median(spread)))
+    scale = max(typical, float(wide), LEAST_ERROR * matching.pixel / float(np.median(spread)))
     return errors, scale * spread

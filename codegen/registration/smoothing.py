@@ -115,7 +115,8 @@ class _Search:
         while self.solves < MOST_SOLVES:
             scale = scale_of(self.loss, found.residuals, found.dimension)
             here, excess = float(np.log(found.matching.strength)), float(np.log(scale / self.matching.sigma))
-            self.say(f"solve {self.solves}: residuals of {scale:.3g} pixels for a sigma of {self.matching.sigma:g}")
+            sigma, unit = self.matching.sigma, self.matching.unit
+            self.say(f"solve {self.solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
             if self._is_enough(found, excess):
                 break
             low, high = (here, high) if excess < 0.0 else (low, here)
@@ -168,10 +169,10 @@ class _Search:
         """The same with as many steps as were asked for, or as its error demands."""
         scale = scale_of(self.loss, found.residuals, found.dimension)
         if scale > 1.25 * self.matching.sigma:
-            finding = f"residuals are {scale:.3g} pixels where sigma is {self.matching.sigma:g}"
+            finding = f"residuals are {scale:.3g} {self.matching.unit} where sigma is {self.matching.sigma:g}"
             remedy = "give a larger sigma, or look for landmarks out of place"
             raise RegistrationError(f"{finding}, and no map was found that comes nearer", remedy)
-        if self.steps is None and not (found.error <= self.tolerance):
+        if self.steps is None and not (found.error <= self.tolerance * self.matching.pixel):
             found = refined(found.matching, self.tolerance, found.velocities, found.steps)
         return replace(found, solves=self.solves)
 
