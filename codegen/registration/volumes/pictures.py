@@ -100,7 +100,7 @@ def of(result: VolumeResult) -> list[Picture]:
     )
     if result.warped is None:
         return found
-    after = [plane.shown(result.warped.samples) for plane in planes]
+    after = [_after(plane, result, result.warped.samples) for plane in planes]
     found.append(_grey("Warped", f"The {source} volume in the frame of the {frame} one.", planes, after, marks))
     if kept is not None:
         for title, values in (("Difference before", before), ("Difference after", after)):
@@ -129,6 +129,14 @@ def _before(plane: Plane, result: VolumeResult) -> NDArray[np.float64]:
     indices = source.grid.to_indices(places)[:, ::-1].T
     values = map_coordinates(source.samples, indices, order=1, output=np.float64, mode="nearest")
     return np.where(source.grid.contains(places), values, np.nan).reshape(shape)
+
+
+def _after(plane: Plane, result: VolumeResult, samples: NDArray[Any]) -> NDArray[np.float64]:
+    """The result in a slice; NaN where it comes from outside the source."""
+    assert result.registration is not None
+    places, shape = plane.places(LONGEST)
+    carry = result.registration.map_points if result.inverse else result.registration.map_points_inverse
+    return np.where(result.source.grid.contains(carry(places)).reshape(shape), plane.shown(samples), np.nan)
 
 
 def _range(images: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
