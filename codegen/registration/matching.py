@@ -15,7 +15,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.coincident import groups_of
 from codegen.registration.flow import Flow, FlowModule
-from codegen.registration.frame import MARGIN, Frame, corners
+from codegen.registration.frame import MARGINS, Frame, corners
 from codegen.registration.grid import Extent, Grid, grid_of
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
@@ -69,7 +69,7 @@ class Matching:
         align: Kind = "similarity",
         sigma: float = 0.0,
         scheme: str = DEFAULT_SCHEME,
-        margin: float = MARGIN,
+        margin: float | None = None,
         strength: float = 1.0,
         weights: NDArray[np.float64] | None = None,
     ) -> Matching:
@@ -86,6 +86,7 @@ class Matching:
             raise LandmarkError(f"sigma is {sigma!r}", f"give a distance in {fixed_grid.unit} that is not negative")
         if weights is None:
             weights = np.ones(len(pairs))
+        margin = MARGINS[pairs.dimension] if margin is None else margin
         alignment = _aligned(pairs.chosen(weights >= TRUSTED) if (weights >= TRUSTED).any() else pairs, align)
         moved = [alignment.apply(corners(grid)), alignment.apply(pairs.moving)]
         frame = Frame.around(np.vstack([corners(fixed_grid), pairs.fixed, *moved]), margin)

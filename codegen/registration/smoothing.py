@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from codegen.errors import RegistrationError
 from codegen.registration.alignment import Kind
 from codegen.registration.choice import chosen_alignment
-from codegen.registration.frame import MARGIN
 from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.losses import Loss, scale_of, weights_of
@@ -51,7 +50,7 @@ def registered(
     scheme: str = DEFAULT_SCHEME,
     steps: int | None = None,
     tolerance: float = TOLERANCE,
-    margin: float = MARGIN,
+    margin: float | None = None,
     start: Registration | None = None,
     quick: bool = False,
     progress: Said | None = None,
