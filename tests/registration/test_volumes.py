@@ -342,7 +342,14 @@ def test_volumes_and_pictures_do_not_go_together(files):
 
     write_image(files / "flat.png", np.zeros((20, 20), np.uint8))
     assert "unknown kind of volume" in refused(*asked(files, fixed="flat.png"))
-    assert "no PNG, JPEG or TIFF" in refused(*asked(files, moving="flat.png", fixed="moving.nii.gz", out="o.png"))
+    assert "is a volume" in refused(*asked(files, moving="flat.png", fixed="moving.nii.gz", out="o.png"))
+
+
+def test_the_page_is_for_pictures_and_says_so(files):
+    done = CliRunner().invoke(main, ["app", str(files / "moving.nii.gz"), "--no-browser"])
+    assert done.exit_code == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert line.endswith("moving.nii.gz is a volume, and this is for pictures; give codegen warp two volumes")
 
 
 def test_units_must_be_the_same(files):

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from codegen.errors import CodegenError, ExtraError, ImageError
 from codegen.files import replacing
 from codegen.registration.grid import Grid
+from codegen.registration.images.header import VOLUMES
 from codegen.registration.volumes import stacks
 
-READ = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
+READ = VOLUMES
 WRITTEN = (".nii", ".nii.gz", ".mha", ".nrrd")
 """Kinds that are one file."""
 MOST_VOXELS = 1 << 30
