@@ -13,7 +13,7 @@ from codegen.registration.frame import pixel_grid
 from codegen.registration.grid import Extent, Grid, grid_of, mesh, slabs
 from codegen.registration.maps import ROUND_TRIP, Registration, in_steps
 from codegen.registration.pairs import PointArray
-from codegen.registration.step_bounds import bound_of_steps
+from codegen.registration.step_bounds import bound_of_steps, is_explicit
 
 SPACING = 8
 """Pixels between those at which det J is evaluated where it is proved to be positive."""
@@ -98,7 +98,7 @@ def certificate_of(
 def in_provable_steps(registration: Registration) -> Registration:
     """The same map in so many more steps that each is proved not to fold; as it is where that takes too many."""
     found = registration
-    while bound_of_steps(found.flow, NODES) is None:
+    while is_explicit(found.flow) and bound_of_steps(found.flow, NODES) is None:
         if 2 * found.steps > MOST_STEPS or found.status != "solved":
             return registration
         try:

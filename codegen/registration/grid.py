@@ -142,3 +142,8 @@ def slabs(length: int, thickness: int) -> Iterator[slice]:
 def short(unit: str) -> str:
     """A unit as tables have it."""
     return "px" if unit == "pixels" else unit
+
+
+def place_text(place: NDArray[np.float64], digits: int = 1) -> str:
+    """A point in words, rounded."""
+    return f"({', '.join(f'{x:.{digits}f}' for x in place)})"

@@ -12,8 +12,8 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
 from codegen.registration.flow import Flow
 from codegen.registration.frame import Frame, coarse_grid
-from codegen.registration.grid import Grid, short
-from codegen.registration.matching import Matching, place_text
+from codegen.registration.grid import Grid, place_text, short
+from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 
 TOLERANCE = 0.01

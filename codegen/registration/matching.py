@@ -16,7 +16,7 @@ from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.coincident import groups_of
 from codegen.registration.flow import Flow, FlowModule
 from codegen.registration.frame import MARGINS, Frame, corners
-from codegen.registration.grid import Extent, Grid, grid_of
+from codegen.registration.grid import Extent, Grid, grid_of, place_text
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
@@ -297,8 +297,3 @@ def _require_dimension(pairs: LandmarkPairs, *grids: Grid) -> None:
     if any(grid.dimension != pairs.dimension for grid in grids):
         axes, said = ("x and y", "the images are volumes") if pairs.dimension == 2 else ("x, y, z", "an image is flat")
         raise LandmarkError(f"landmarks have {axes}, and {said}", "give landmarks and images of one dimension")
-
-
-def place_text(place: NDArray[np.float64], digits: int = 1) -> str:
-    """A point in words, rounded."""
-    return f"({', '.join(f'{x:.{digits}f}' for x in place)})"

@@ -48,8 +48,7 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> NDArray[np.float64] | None:
 
     None as well for a scheme that is not explicit.
     """
-    module: Any = flow.module
-    if not hasattr(module, "ROWS") or not hasattr(module, "tracer_gradient"):
+    if not is_explicit(flow):
         return None
     momenta = np.linalg.norm(flow.points[:, 1], axis=2).sum(axis=1)
     dimension, nodes = flow.points.shape[-1], FIRST
@@ -64,6 +63,11 @@ def bound_of_steps(flow: Flow, most_nodes: int) -> NDArray[np.float64] | None:
                 return None
         nodes *= 2
     return None
+
+
+def is_explicit(flow: Flow) -> bool:
+    """Whether the scheme of a flow has bounds."""
+    return hasattr(flow.module, "ROWS") and hasattr(flow.module, "tracer_gradient")
 
 
 def _change(length: float) -> float:

@@ -15,7 +15,7 @@ from codegen.registration.volumes.files import Volume
 from codegen.registration.volumes.nodes import Nodes
 from codegen.registration.warp import ORDERS, sample_band, spline_of
 
-PORTION = 1 << 20
+PORTION = 1 << 19
 """Voxels whose places are in memory at once."""
 
 

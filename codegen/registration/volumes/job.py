@@ -13,10 +13,9 @@ import numpy as np
 
 from codegen.errors import ArgumentError, PointsError
 from codegen.registration.formats import Frames, read_landmarks
-from codegen.registration.grid import Grid
+from codegen.registration.grid import Grid, place_text
 from codegen.registration.job import heading, require_places, solve, timed
 from codegen.registration.jobs import Job, Options, Outcome
-from codegen.registration.matching import place_text
 from codegen.registration.pair_report import RESIDUALS, write_page
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import registration_module

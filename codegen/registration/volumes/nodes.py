@@ -31,8 +31,8 @@ FEWEST = 6
 """Intervals along an axis, at least: every second node must determine a cubic spline."""
 CHEAP = 12
 """Half the distance makes eight times as many nodes, each of which has to be worth more than a voxel."""
-CHECKED = 512
-"""Cells at whose centres the spline is compared with exact places."""
+CHECKED, PORTION = 256, 32
+"""Cells at whose centres the spline is compared with exact places, and how many of them at once."""
 
 Map: TypeAlias = Callable[[PointArray], PointArray]
 
@@ -105,7 +105,8 @@ class Nodes:
         if not len(centres):
             return self
         places = self.grid.to_places(centres)
-        errors = np.linalg.norm(self._at(centres) - (self.function(places) - places), axis=1)
+        found = np.concatenate([self._at(centres[k : k + PORTION]) for k in range(0, len(centres), PORTION)])
+        errors = np.linalg.norm(found - (self.function(places) - places), axis=1)
         doubtful = self.doubtful.copy()
         doubtful[tuple(chosen[inside][~(errors <= bound)].T)] = True
         doubtful = np.asarray(binary_dilation(doubtful, np.ones((3, 3, 3)))) if (errors > bound).any() else doubtful
