@@ -7,7 +7,7 @@ written last. A map that folds, or that misses its round trip, writes no volume.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,38 +15,19 @@ from codegen.errors import ArgumentError, PointsError
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.grid import Grid, place_text
 from codegen.registration.job import heading, require_places, solve, timed
-from codegen.registration.jobs import Job, Options, Outcome
+from codegen.registration.jobs import Job, Options
 from codegen.registration.pair_report import RESIDUALS, write_page
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import registration_module
 from codegen.registration.volumes import fields, files, pictures
-from codegen.registration.volumes.blocks import Warped, warped
+from codegen.registration.volumes.blocks import warped
 from codegen.registration.volumes.files import Volume
 from codegen.registration.volumes.nodes import Nodes
+from codegen.registration.volumes.results import VolumeResult
 
 NOTE = (
     f"Places and errors are in the coordinates of the files, LPS as a rule, x to the left of the patient. {RESIDUALS}"
 )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class VolumeResult(Outcome):
-    """What a job found of volumes, with all that a report shows."""
-
-    moving: Volume
-    fixed: Volume | None
-    inverse: bool = False
-    warped: Warped | None = None
-
-    @property
-    def source(self) -> Volume:
-        """The volume that is warped."""
-        return self.fixed if self.inverse and self.fixed is not None else self.moving
-
-    @property
-    def target(self) -> Volume | None:
-        """The volume in whose frame the result is, if there is one."""
-        return self.moving if self.inverse else self.fixed
 
 
 def run(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> VolumeResult:

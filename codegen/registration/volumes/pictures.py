@@ -6,7 +6,7 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -20,9 +20,7 @@ from codegen.plots.style import AMBER, BLUE, RED
 from codegen.registration.grid import Grid, mesh
 from codegen.registration.pair_pictures import Picture
 from codegen.registration.pairs import PointArray
-
-if TYPE_CHECKING:
-    from codegen.registration.volumes.job import VolumeResult
+from codegen.registration.volumes.results import VolumeResult
 
 LONGEST = 240
 """Voxels of the longer side of a slice that are shown."""
