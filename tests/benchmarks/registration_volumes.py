@@ -1,12 +1,12 @@
 """Registration of volumes, measured: known maps, real volumes, labels, folds; beside SimpleITK and thin plates.
 
-    python tests/benchmarks/registration_volumes.py [maps folds labels field size hard] [--repeat R]
+    python tests/benchmarks/registration_volumes.py [maps folds labels field noise size hard] [--repeat R]
 
 `maps` registers volumes by landmarks of a known map: a synthetic one, and what nibabel ships of brains (data of its
 tests: anisotropic, and oblique). `folds` draws random pairs, whose displacements are no smooth map, and counts those
 where the determinant of differences is not positive somewhere. `labels` compares labels. `field` reads displacement
-fields with SimpleITK. `size` runs the command on 256 x 256 x 256 voxels with 40 landmarks in a process of its own.
-`hard` are permutations, turns and near duplicates.
+fields with SimpleITK. `noise` adds known errors to landmarks. `size` runs the command on 256 x 256 x 256 voxels with
+40 landmarks in a process of its own. `hard` are permutations, turns and near duplicates.
 
 The thin plate is scipy's with the kernel r and an affine part, which is what ITK's ThinPlateSplineKernelTransform is in
 space; SimpleITK itself has no thin plate, but fits a B-spline to landmarks (LandmarkBasedTransformInitializer, which
@@ -223,6 +223,34 @@ def field(repeat: int) -> None:
             print(f"{name:24s} {kind:8s} | {' '.join(f'{error:.1e}' for error in errors)}")
 
 
+def noise(repeat: int) -> None:
+    print(
+        "landmarks, noise in voxels | residual/sigma | auto/noise | rms error: sigma, auto, exact, thin plate | seconds"
+    )
+    grid = Grid((128, 128, 128), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), UPRIGHT, "mm")
+    for count in (20, 80, 200):
+        for deviation in (1.0, 3.0):
+            rows = []
+            for seed in range(repeat):
+                truth, fixed = known_map(grid, 0.03, seed), inner_points(grid, count, seed)
+                errors = deviation * np.random.default_rng(seed).normal(size=fixed.shape)
+                pairs = LandmarkPairs(truth(fixed) + errors, fixed)
+                probe = inner_points(grid, 500, 100 + seed)
+                begin = perf_counter()
+                given = register(pairs, grid, sigma=deviation)
+                seconds = perf_counter() - begin
+                found = register(pairs, grid, sigma="auto"), register(pairs, grid)
+                maps = [given.map_points_inverse, *(f.map_points_inverse for f in found), thin_plate(pairs)]
+                errors_of_maps = [float(np.sqrt(((m(probe) - truth(probe)) ** 2).sum(axis=1).mean())) for m in maps]
+                residual = float(np.sqrt((given.residuals**2).mean() / 3.0)) / deviation
+                rows.append([residual, found[0].sigma / deviation, *errors_of_maps, seconds])
+            table = np.array(rows)
+            middle = np.median(table, axis=0)
+            ranges = " | ".join(f"{table[:, k].min():.2f}-{table[:, k].max():.2f}" for k in (0, 1))
+            far = " ".join(f"{x:.2f}" for x in middle[2:6])
+            print(f"{count:4d} {deviation:3.0f} | {ranges} | {far} | {middle[6]:.2f}")
+
+
 def size(repeat: int) -> None:
     """256 x 256 x 256 voxels and 40 landmarks by the command, and its parts; the peak of its memory."""
     grid = Grid((256, 256, 256), (-100.0, -90.0, -80.0), (0.8, 0.8, 0.8), UPRIGHT, "mm")
@@ -292,7 +320,7 @@ def hard(repeat: int) -> None:
         print(f"{name:26s} | {found.steps} steps, {said}, {met} | {least:.3f}")
 
 
-PARTS = {"maps": maps, "folds": folds, "labels": labels, "field": field, "size": size, "hard": hard}
+PARTS = {"maps": maps, "folds": folds, "labels": labels, "field": field, "noise": noise, "size": size, "hard": hard}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
