@@ -183,6 +183,25 @@ def test_memory_is_used_in_slabs_and_the_result_does_not_depend_on_them(files, m
     np.testing.assert_allclose(itk.GetArrayFromImage(itk.ReadImage(str(files / "a.mha"))), field, atol=1e-6)
 
 
+def test_slices_are_named_by_the_axes_of_the_patient():
+    from codegen.registration.volumes.pictures import Plane
+
+    lying = Grid(
+        (9, 8, 7), (0.0, 0.0, 0.0), (1.0, 1.0, 2.0), ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)), "mm"
+    )
+    assert [Plane(lying, axis, 3).name for axis in range(3)] == [
+        "coronal, column 3",
+        "axial, row 3",
+        "sagittal, slice 3",
+    ]
+    ramp = np.arange(lying.count).reshape(lying.shape)
+    for axis in range(3):
+        plane = Plane(lying, axis, 3)
+        places, shape = plane.places(99)
+        column, row, number = np.rint(lying.to_indices(places)).astype(int).T
+        np.testing.assert_array_equal(plane.shown(ramp), ramp[number, row, column].reshape(shape))
+
+
 # ---- Places between nodes ----
 
 

@@ -87,6 +87,8 @@ def _require_inside(file: str, what: str, grid: Grid, points: PointArray, names:
     if not outside.size:
         return
     remedy = "give coordinates in LPS, as the volume's header has them"
+    if grid.unit != "mm":
+        remedy = "give column, row and slice times the spacing"
     if grid.contains(points * [-1.0, -1.0, 1.0], slack=0.5).all():
         remedy = "turn the signs of x and y: they are RAS, and LPS is expected"
     elif grid.contains(grid.to_places(points), slack=0.5).all():

@@ -47,6 +47,12 @@ class Plane:
         return across, up
 
     @property
+    def name(self) -> str:
+        """What a slice is called: by the axis of the patient that it is nearly across, and by its number."""
+        across = np.abs(np.array(self.grid.direction)[:, self.axis])
+        return f"{NAMES[int(across.argmax())]}, {('column', 'row', 'slice')[self.axis]} {self.index}"
+
+    @property
     def extent(self) -> tuple[float, float, float, float]:
         """The edges of the picture in units of length from the first voxel's edge: left, right, bottom, top."""
         across, up = self.axes
@@ -204,7 +210,7 @@ def _three(title: str, caption: str, planes: list[Plane], images: list[Any], pai
         axes.set_xlim(plane.extent[:2])
         axes.set_ylim(plane.extent[2:])
         axes.set_aspect("equal")
-        axes.set_title(f"{NAMES[plane.axis]}, {('column', 'row', 'slice')[plane.axis]} {plane.index}", fontsize=8)
+        axes.set_title(plane.name, fontsize=8)
     if bar:
         made = figure.colorbar(shown, ax=list(rows), fraction=0.045, pad=0.02, format="%.3g")
         made.ax.minorticks_off()
