@@ -20,7 +20,7 @@ _REMEDIES = {
 }
 """What to do about errors that are the file system's own."""
 _MARK = ".codegen-"
-_TEMPORARY = re.compile(rf"\.(.*){re.escape(_MARK)}[a-z0-9_]{{8}}((?:\.[^.]*)?)", re.DOTALL)
+_TEMPORARY = re.compile(rf"\.(.*){re.escape(_MARK)}[a-z0-9_]{{8}}((?:\.nii)?(?:\.[^.]*)?)", re.DOTALL)
 """Names of temporary files: stem and suffix of the file that they are to become, and what tempfile puts between."""
 
 
@@ -44,7 +44,8 @@ def replacing(path: Path) -> Iterator[Path]:
     system refuses.
     """
     try:
-        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.stem}{_MARK}", suffix=path.suffix)
+        stem, suffix = _parts(path)
+        handle, name = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{stem}{_MARK}", suffix=suffix)
         os.close(handle)
         temporary = Path(name)
         try:
@@ -57,6 +58,12 @@ def replacing(path: Path) -> Iterator[Path]:
         raise refused(error, path) from error
 
 
+def _parts(path: Path) -> tuple[str, str]:
+    """Stem and suffix; that of compressed NIfTI is .nii.gz, by which libraries know it."""
+    whole = path.suffixes[-2:] == [".nii", ".gz"]
+    return (path.stem.removesuffix(".nii"), ".nii.gz") if whole else (path.stem, path.suffix)
+
+
 def remove_leftovers(paths: Iterable[Path]) -> None:
     """Remove what processes that were killed left beside files: temporary files of `replacing`.
 
@@ -64,7 +71,7 @@ def remove_leftovers(paths: Iterable[Path]) -> None:
     """
     names: dict[Path, set[tuple[str, str]]] = {}
     for path in paths:
-        names.setdefault(path.absolute().parent, set()).add((path.stem, path.suffix))
+        names.setdefault(path.absolute().parent, set()).add(_parts(path))
     for folder, known in names.items():
         with suppress(OSError):  # they are hidden and do no harm
             for entry in [*folder.iterdir()]:

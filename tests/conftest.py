@@ -128,6 +128,14 @@ def solver(cache_folder: Path) -> FlowModule:
 
 
 @pytest.fixture(scope="session")
+def space_solver(solver: FlowModule, cache_folder: Path) -> FlowModule:
+    """That of volumes."""
+    with (cache_folder / "registration.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return registration_module(dimension=3)
+
+
+@pytest.fixture(scope="session")
 def pairs() -> LandmarkPairs:
     """Every fifth landmark of the trilobites, in an image of 120 x 160 pixels."""
     points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)

@@ -45,6 +45,7 @@ _WITH_CHOICES = (
     ("pendulum", {"form": "lagrangian"}, Choices()),
     ("image_registration", {}, Choices()),
     ("image_registration", {}, Choices(scheme="explicit-euler")),
+    ("image_registration", {"passive": "True", "dimension": "3"}, Choices()),
     ("lennard_jones", {}, Choices(scheme="stormer-verlet")),
     ("outer_solar_system", {}, Choices(scheme="stormer-verlet")),
 )

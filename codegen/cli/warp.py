@@ -15,7 +15,7 @@ from codegen.terminal import console, progress, working
 
 if TYPE_CHECKING:
     from codegen.registration.batches.outcome import Batch
-    from codegen.registration.jobs import Options
+    from codegen.registration.jobs import Options, Outcome
 
 # Nothing of codegen.registration may be imported before the command runs: it brings numba.
 
@@ -48,7 +48,9 @@ class Interpolation(StrEnum):
 
 Moving = Annotated[
     Path,
-    typer.Argument(metavar="MOVING", help="The image to be warped, a folder of images, or a table of pairs (.csv)."),
+    typer.Argument(
+        metavar="MOVING", help="The image or volume to be warped, a folder of images, or a table of pairs (.csv)."
+    ),
 ]
 Landmarks = Annotated[
     list[Path],
@@ -63,7 +65,7 @@ Inverse = Annotated[
 ]
 Sigma = Annotated[
     str,
-    typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels, or auto: by cross-validation."),
+    typer.Option(metavar="S", help="Standard deviation of landmarks' errors in pixels (volumes: mm), or auto."),
 ]
 Scheme = Annotated[str, typer.Option(help="The scheme that integrates the flow.")]
 Steps = Annotated[
@@ -71,7 +73,7 @@ Steps = Annotated[
 ]
 Field = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Save displacements: .npz, .nii.gz or .mha; for many pairs a folder."),
+    typer.Option(metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha or .nrrd; for many pairs a folder."),
 ]
 Report = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
@@ -125,7 +127,7 @@ def warp(
     cluster: Cluster = None,
     resume: Resume = False,
 ) -> None:
-    """Warp an image, or many, by landmarks, moving to fixed, with a certificate that nothing folds."""
+    """Warp an image or a volume, or many, by landmarks, moving to fixed, with a certificate that nothing folds."""
     if len(landmarks) > 2:
         raise ArgumentError(
             f"--landmarks was given {len(landmarks)} times", "give one file, or a moving and a fixed one"
@@ -165,14 +167,21 @@ def _one(
 ) -> None:  # fmt: skip
     from codegen.registration import job, warp_text
     from codegen.registration.jobs import Job
+    from codegen.registration.volumes import job as volume_job
+    from codegen.registration.volumes.files import is_volume
     from codegen.solutions import output
 
     if out is None or not landmarks:
         missing = "--out" if out is None else "--landmarks"
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
+    wanted = Job(moving, landmarks, out, fixed, field, report)
     with working("Registering") as status:
         progress = None if status is None else status.update
-        result = job.run(Job(moving, landmarks, out, fixed, field, report), options, progress=progress)
+        result: Outcome
+        if is_volume(moving):
+            result = volume_job.run(wanted, options, progress)
+        else:
+            result = job.run(wanted, options, progress=progress)
     if json:
         typer.echo(output.as_json(result.record))
     else:

@@ -36,7 +36,7 @@ def tracer_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[Bl
         _loop(writer, tracers, "tracer_velocity", f"Fill {shapes}.", ("rates",), velocity),
         _loop(
             writer, tracers, "tracer_gradient",
-            f"Fill {shapes}, and `gradients`, shape ({size * size}*BLOCK,), with their derivatives by position.",
+            f"Fill `rates` as `tracer_velocity`, and `gradients`, shape ({size**2}*BLOCK,), with their derivatives.",
             ("rates", "gradients"), [*velocity, *gradient],
         ),
     )  # fmt: skip

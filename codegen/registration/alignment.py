@@ -3,6 +3,7 @@
 The flow keeps the rim of its disc, so a rotation or a change of size would be charged to it as a deformation. A fitted
 map takes them out first, and its inverse is exact. Similarities follow Umeyama (1991), IEEE Trans. Pattern Anal. Mach.
 Intell. 13(4), without reflections; affine maps are fitted by least squares.
+In space, turns are matrices from a singular value decomposition; in the plane they are complex numbers.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from codegen.errors import ArgumentError, LandmarkError
 from codegen.registration.pairs import LandmarkPairs, PointArray
@@ -23,13 +25,19 @@ KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
 MIRRORED = 0.2
 """Landmarks are mirrored where a mirrored similarity leaves less than this share of what the best one leaves."""
 
+_NEEDED = {
+    2: ("two landmarks", "three landmarks that are not on one line"),
+    3: ("three landmarks that are not on one line", "four landmarks that are not in one plane"),
+}
+"""What determines a similarity, and an affine map."""
+
 THIN = 1e-6
 """Landmarks whose width across the line that fits them best is less than this share of their length are collinear."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """The map x -> matrix x + shift from the moving to the fixed image, in pixels.
+    """The map x -> matrix x + shift from the moving to the fixed image, in pixels, in d dimensions.
 
     `kind` is what was fitted, "none", "translation", "similarity" or "affine", and `message` says why, where it is not
     what was asked for.
@@ -43,30 +51,36 @@ class Alignment:
     @property
     def is_identity(self) -> bool:
         """Whether the map leaves every point where it is, to the last bit."""
-        return bool((self.matrix == np.eye(2)).all() and not self.shift.any())
+        return bool((self.matrix == np.eye(len(self.shift))).all() and not self.shift.any())
 
     @property
     def parameters(self) -> int:
         """How many numbers were fitted."""
-        return {"none": 0, "translation": 2, "similarity": 4, "affine": 6}[self.kind]
+        d = len(self.shift)
+        turns = d * (d - 1) // 2
+        return {"none": 0, "translation": d, "similarity": d + turns + 1, "affine": d * (d + 1)}[self.kind]
 
     @property
     def determinant(self) -> float:
-        """The factor by which areas grow."""
+        """The factor by which areas, or volumes, grow."""
+        if len(self.shift) == 3:
+            return float(np.linalg.det(self.matrix))
         (a, b), (c, d) = self.matrix
         return float(a * d - b * c)
 
     def apply(self, points: PointArray) -> PointArray:
-        """Moving to fixed, points of shape (n, 2)."""
+        """Moving to fixed, points of shape (n, d)."""
         return points if self.is_identity else points @ self.matrix.T + self.shift
 
     def apply_inverse(self, points: PointArray) -> PointArray:
-        """Fixed to moving, points of shape (n, 2)."""
+        """Fixed to moving, points of shape (n, d)."""
         return points if self.is_identity else (points - self.shift) @ self.inverse_matrix.T
 
     @property
     def inverse_matrix(self) -> NDArray[np.float64]:
         """The inverse of the matrix."""
+        if len(self.shift) == 3:
+            return np.asarray(np.linalg.inv(self.matrix))
         (a, b), (c, d) = self.matrix
         return np.array([[d, -b], [-c, a]]) / self.determinant
 
@@ -75,18 +89,25 @@ class Alignment:
         if self.is_identity or fraction == 1.0:
             return self
         left, stretches, right = np.linalg.svd(self.matrix)
-        turn = left @ right
-        angle = np.arctan2(turn[1, 0], turn[0, 0]) * fraction
-        turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turned = _turned(left @ right, fraction)
         matrix = turned @ (right.T * stretches**fraction) @ right
         moved = centre + fraction * (self.matrix @ centre + self.shift - centre)
         return Alignment(self.kind, matrix, moved - matrix @ centre)
 
 
+def _turned(turn: NDArray[np.float64], fraction: float) -> NDArray[np.float64]:
+    """A fraction of a rotation about its axis."""
+    if len(turn) == 3:
+        return np.asarray(Rotation.from_rotvec(fraction * Rotation.from_matrix(turn).as_rotvec()).as_matrix())
+    angle = np.arctan2(turn[1, 0], turn[0, 0]) * fraction
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
 def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
     """Fit a map of the given kind to landmarks, or the next simpler one where they do not determine it.
 
-    An affine map needs three landmarks that are not on one line, a similarity two; one landmark gives a translation.
+    An affine map needs three landmarks that are not on one line, a similarity two; one landmark gives a translation. In
+    space an affine map needs four that are not in one plane, and a similarity three that are not on one line.
     Raises ArgumentError for an unknown kind, and LandmarkError where the landmarks mirror the image, or where the best
     affine map turns it over.
     """
@@ -94,17 +115,24 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
         raise ArgumentError(f"alignment is {kind!r}", f"use {', '.join(KINDS)}")
     require_unmirrored(pairs)
     if kind == "none" or (pairs.moving == pairs.fixed).all():
-        return Alignment("none" if kind == "none" else kind, np.eye(2), np.zeros(2))
+        return Alignment("none" if kind == "none" else kind, np.eye(pairs.dimension), np.zeros(pairs.dimension))
     if kind == "affine":
-        if len(pairs) >= 3 and not (_is_thin(pairs.moving) or _is_thin(pairs.fixed)):
+        if len(pairs) > pairs.dimension and not (_is_thin(pairs.moving) or _is_thin(pairs.fixed)):
             return _affine(pairs)
-        reason = "needs three landmarks that are not on one line"
-        found = _similarity(pairs) if len(pairs) > 1 else _translation(pairs)
+        found = _similarity(pairs) if _turns(pairs) else _translation(pairs)
+        reason = f"needs {_NEEDED[pairs.dimension][1]}"
         return Alignment(found.kind, found.matrix, found.shift, f"an affine map {reason}; {found.kind} instead")
-    if len(pairs) > 1:
+    if _turns(pairs):
         return _similarity(pairs)
-    found = _translation(pairs)
-    return Alignment(found.kind, found.matrix, found.shift, "a similarity needs two landmarks; translation instead")
+    found, needed = _translation(pairs), _NEEDED[pairs.dimension][0]
+    return Alignment(found.kind, found.matrix, found.shift, f"a similarity needs {needed}; translation instead")
+
+
+def _turns(pairs: LandmarkPairs) -> bool:
+    """Whether landmarks determine a similarity."""
+    if pairs.dimension == 2:
+        return len(pairs) > 1
+    return len(pairs) > 2 and not (_is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1))
 
 
 def require_unmirrored(pairs: LandmarkPairs) -> None:
@@ -112,24 +140,41 @@ def require_unmirrored(pairs: LandmarkPairs) -> None:
 
     Squared residuals are those of Umeyama's equation (33), which in the plane are two sums of complex numbers.
     """
-    if len(pairs) < 3 or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
+    if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return
+    turned, mirrored = _left_in_plane(pairs) if pairs.dimension == 2 else _left_in_space(pairs)
+    if mirrored < MIRRORED * turned:
+        remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
+        if pairs.dimension == 3:
+            remedy = "look for landmarks whose left and right are exchanged (LPS or RAS), or mirror the moving volume"
+        raise LandmarkError("the landmarks mirror the image, and no map without a fold does that", remedy)
+
+
+def _left_in_plane(pairs: LandmarkPairs) -> tuple[float, float]:
+    """What the best similarity leaves, and the best mirrored one."""
     x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
     before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
     whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
     turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
-    if mirrored < MIRRORED * turned:
-        remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
-        raise LandmarkError("the landmarks mirror the image, and no map without a fold does that", remedy)
+    return turned, mirrored
 
 
-def _is_thin(points: PointArray) -> bool:
-    length, width = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
-    return bool(width <= THIN * length)
+def _left_in_space(pairs: LandmarkPairs) -> tuple[float, float]:
+    x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
+    left, (a, b, c), right = np.linalg.svd(y.T @ x)
+    whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
+    turned, mirrored = (whole - (a + b + s * c) ** 2 / spread for s in (sign, -sign))
+    return float(turned), float(mirrored)
+
+
+def _is_thin(points: PointArray, axis: int = -1) -> bool:
+    """Whether points are on a line, or in space in a plane; by `axis` 1, in space, whether they are on a line."""
+    widths = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(widths[axis] <= THIN * widths[0])
 
 
 def _translation(pairs: LandmarkPairs) -> Alignment:
-    return Alignment("translation", np.eye(2), (pairs.fixed - pairs.moving).mean(axis=0))
+    return Alignment("translation", np.eye(pairs.dimension), (pairs.fixed - pairs.moving).mean(axis=0))
 
 
 def _similarity(pairs: LandmarkPairs) -> Alignment:
@@ -137,6 +182,11 @@ def _similarity(pairs: LandmarkPairs) -> Alignment:
     before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
     x, y = pairs.moving - before, pairs.fixed - after
     spread = float((x**2).sum())
+    if pairs.dimension == 3:
+        left, values, right = np.linalg.svd(y.T @ x)
+        signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+        matrix = (left * signs) @ right * ((signs * values).sum() / spread)
+        return Alignment("similarity", matrix, after - matrix @ before)
     cosine, sine = (x * y).sum() / spread, (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / spread
     if np.hypot(cosine, sine) * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
         # No turn is better than another, as where landmarks are mirrored.

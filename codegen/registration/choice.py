@@ -7,7 +7,6 @@ which the prediction of one by all others needs no solve.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError
 from codegen.registration.alignment import Kind, align, require_unmirrored
+from codegen.registration.grid import Extent, grid_of
 from codegen.registration.linear import Linear
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs
@@ -34,15 +34,20 @@ class AlignmentChoice:
 
     kind: Kind
     errors: dict[str, float]
+    unit: str = "pixels"
 
     @property
     def text(self) -> str:
         """What was compared, in words."""
         compared = ", ".join(f"{kind} {error:.3g}" for kind, error in self.errors.items())
-        return f"{self.kind} by leave-one-out (pixels: {compared})" if compared else f"{self.kind}: too few to compare"
+        return (
+            f"{self.kind} by leave-one-out ({self.unit}: {compared})"
+            if compared
+            else f"{self.kind}: too few to compare"
+        )
 
 
-def chosen_alignment(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -> AlignmentChoice:
+def chosen_alignment(pairs: LandmarkPairs, shape: Extent, **options: Any) -> AlignmentChoice:
     """Compare alignments; arguments are those of `Matching.of`. LandmarkError where the landmarks mirror the image."""
     require_unmirrored(pairs)
     if len(pairs) < FEWEST:
@@ -59,7 +64,7 @@ def chosen_alignment(pairs: LandmarkPairs, shape: Sequence[int], **options: Any)
     if not errors:  # which says why as soon as it is used
         return AlignmentChoice(CANDIDATES[0], {})
     best = min(errors, key=lambda kind: errors[kind] if kind == CANDIDATES[0] else errors[kind] / CLEARLY)
-    return AlignmentChoice(next(kind for kind in CANDIDATES if kind == best), errors)
+    return AlignmentChoice(next(kind for kind in CANDIDATES if kind == best), errors, grid_of(shape).unit)
 
 
 def left_out_errors(matching: Matching, kind: Kind) -> NDArray[np.float64]:

@@ -176,8 +176,8 @@ def _checked(function: Map, grid: _Grid, remaining: NDArray[np.float64]) -> floa
     x, y = (columns + 0.5) * grid.spacing, (rows + 0.5) * grid.spacing
     centres = np.stack([x, y], axis=1)
     exact = function(centres) - centres
-    along_rows = _basis(grid.y, y) @ _coefficients(grid.y, grid.x, grid.shifts).reshape(grid.y.size, -1)
-    weights = _basis(grid.x, x).toarray()
+    along_rows = basis(grid.y, y) @ _coefficients(grid.y, grid.x, grid.shifts).reshape(grid.y.size, -1)
+    weights = basis(grid.x, x).toarray()
     found = np.einsum("nmc,nm->nc", along_rows.reshape(len(x), grid.x.size, 2), weights)
     return float(np.linalg.norm(found - exact, axis=1).max())
 
@@ -190,7 +190,7 @@ def spline(
     Its ends are such that the first two cells in each direction share a cubic ("not a knot").
     """
     coefficients = _coefficients(y, x, values)
-    along, across = _basis(y, to_y), _basis(x, to_x)
+    along, across = basis(y, to_y), basis(x, to_x)
     rows, columns = len(to_y), len(to_x)
     out = np.empty((rows, columns, 2))
     for component in range(2):
@@ -203,7 +203,7 @@ def _coefficients(y: NDArray[np.float64], x: NDArray[np.float64], values: NDArra
     return np.moveaxis(make_interp_spline(x, np.moveaxis(by_rows, 1, 0), k=3, axis=0).c, 0, 1)
 
 
-def _basis(nodes: NDArray[np.float64], at: Any) -> Any:
+def basis(nodes: NDArray[np.float64], at: Any) -> Any:
     """The values of the cubic B-splines of nodes at some places, a sparse matrix."""
     knots = np.concatenate([[nodes[0]] * 4, nodes[2:-2], [nodes[-1]] * 4])
     return BSpline.design_matrix(np.asarray(at, dtype=float), knots, 3).tocsr()

@@ -16,10 +16,13 @@ ONE = 1e-4
 """Distance in pixels, in the moving and in the fixed image, up to which two pairs are carried as one."""
 
 
-def groups_of(moving: NDArray[np.float64], fixed: NDArray[np.float64]) -> NDArray[np.intp]:
-    """The number of the group of each pair, from zero in the order of their first members, shape (n,)."""
-    close = KDTree(fixed).query_pairs(ONE, output_type="ndarray")
-    close = close[np.linalg.norm(moving[close[:, 0]] - moving[close[:, 1]], axis=1) <= ONE]
+def groups_of(moving: NDArray[np.float64], fixed: NDArray[np.float64], pixel: float = 1.0) -> NDArray[np.intp]:
+    """The number of the group of each pair, from zero in the order of their first members, shape (n,).
+
+    `pixel` is the size of a pixel in the units of the points.
+    """
+    close = KDTree(fixed).query_pairs(ONE * pixel, output_type="ndarray")
+    close = close[np.linalg.norm(moving[close[:, 0]] - moving[close[:, 1]], axis=1) <= ONE * pixel]
     count = len(fixed)
     if not close.size:
         return np.arange(count)

@@ -66,9 +66,9 @@ def threads_at_most(number: int) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """The solved motion of landmarks in the disc, from t = 0 to 1 in equal steps.
+    """The solved motion of landmarks in the disc, or in the ball, from t = 0 to 1 in equal steps.
 
-    `path`, shape (N + 1, 2, n, 2), are the landmarks' places and momenta at the nodes; `points` the states at which the
+    `path`, shape (N + 1, 2, n, d), are the landmarks' places and momenta at the nodes; `points` the states at which the
     scheme evaluates the field. `threads` is the most of them that work at once.
     """
 
@@ -85,14 +85,14 @@ class Flow:
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """The landmarks' velocities at the start, H_pp p, shape (n, 2)."""
+        """The landmarks' velocities at the start, H_pp p, shape (n, d)."""
         places, momenta = self.path[0]
         matrix = np.empty((len(places), len(places)))
         self.module.momentum_matrix(self.path[0], self.case.own, self.case.parameters, matrix)
         return np.asarray(matrix @ momenta)
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
-        """Where points of the disc, shape (n, 2), that are there at time `start` are at time `stop`.
+        """Where points of the disc, shape (n, d), that are there at time `start` are at time `stop`.
 
         Points on the rim and outside stay where they are. A point becomes NaN when a step, too long for it, has no
         solution there. Raises NumericsError when points or times are unusable.
@@ -102,7 +102,7 @@ class Flow:
     def carry_with_jacobian(
         self, points: PointArray, start: float = 0.0, stop: float = 1.0
     ) -> tuple[PointArray, NDArray[np.float64]]:
-        """The same, and the derivative of each place by where it came from, shape (n, 2, 2)."""
+        """The same, and the derivative of each place by where it came from, shape (n, d, d)."""
         return self._carried(points, start, stop, True)
 
     def _carried(self, points: PointArray, start: float, stop: float, derive: bool) -> tuple[PointArray, Any]:

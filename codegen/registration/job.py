@@ -10,23 +10,25 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import fields
-from codegen.registration.certificate import Certificate, certificate_of
+from codegen.registration.certificate import Certificate, certificate_of, in_provable_steps
 from codegen.registration.choice import chosen_alignment
+from codegen.registration.coarse import Positions
 from codegen.registration.formats import Frames, read_landmarks
+from codegen.registration.grid import Extent
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
-from codegen.registration.jobs import MOST_LEFT_OUT, Job, Options, Result
+from codegen.registration.jobs import MOST_LEFT_OUT, Job, Options, Result, out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import Registration
 from codegen.registration.matching import Matching
 from codegen.registration.noise import estimate_sigma
-from codegen.registration.outliers import outliers_of
+from codegen.registration.outliers import Outliers, outliers_of
 from codegen.registration.pair_report import write_report
 from codegen.registration.pairs import LandmarkPairs, flipped
 from codegen.registration.register import register
@@ -44,16 +46,16 @@ def run(
     """
     seconds: dict[str, float] = {}
     require_writable(job, options)
-    with _timed(seconds, "read"):
+    with timed(seconds, "read"):
         moving, fixed, pairs = _read(job, options, limits)
-    with _timed(seconds, "build"):
+    with timed(seconds, "build"):
         registration_module(options.scheme)
     result = _solved(job, options, moving, fixed, pairs, seconds, progress)
     if job.report is not None:
-        with _timed(seconds, "report"):
+        with timed(seconds, "report"):
             write_report(job.report, result)
     if result.passed:
-        with _timed(seconds, "write"):
+        with timed(seconds, "write"):
             _write(job, options, result)
     return result
 
@@ -61,12 +63,15 @@ def run(
 def require_writable(job: Job, options: Options) -> None:
     """Refuse outputs of unknown kinds, in folders that are not there, or in place of an input."""
     require_kind(job.out)
+    if job.field is not None and not job.field.name.lower().endswith(fields.KINDS):
+        raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(fields.KINDS)}")
+    require_places(job, options)
+
+
+def require_places(job: Job, options: Options) -> None:
+    """Refuse outputs in folders that are not there, or in place of an input, whatever they hold."""
     output.require_folder(job.out.absolute().parent, "--out")
     if job.field is not None:
-        if not job.field.name.lower().endswith(fields.KINDS):
-            raise ArgumentError(
-                f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(fields.KINDS)}"
-            )
         output.require_folder(job.field.absolute().parent, "--field")
     if job.report is not None:
         output.require_writable(job.report, (".html",), "--report")
@@ -102,43 +107,14 @@ def _solved(
     progress: Callable[[str], None] | None = None,
 ) -> Result:  # fmt: skip
     """Register, certify and warp; a result without an image where that fails."""
-    record = _heading(job, options, len(pairs))
-    record["seconds"] = seconds
-    result = Result(record, pairs, moving, fixed)
-    shape = moving.shape[:2]
-    method: dict[str, Any] = {
-        "fixed_shape": (fixed or moving).shape[:2], "align": options.align, "scheme": options.scheme,
-    }  # fmt: skip
-    summary = record["summary"]
-    try:
-        with _timed(seconds, "solve"):
-            if options.align == "auto":
-                choice = chosen_alignment(pairs, shape, fixed_shape=method["fixed_shape"], scheme=options.scheme)
-                method["align"], summary["alignment_choice"] = choice.kind, choice.text
-            sigma = options.sigma
-            if sigma == "auto":
-                estimate = estimate_sigma(pairs, shape, **method)
-                sigma, summary["sigma_message"] = estimate.sigma, estimate.message
-            method |= {"steps": options.steps, "loss": options.loss}
-            outliers = outliers_of(Matching.of(pairs, shape, fixed_shape=method["fixed_shape"], align=method["align"]))
-            found = register(pairs, shape, **method, sigma=sigma, progress=progress)
-        with _timed(seconds, "certify"):
-            certificate, positions = certificate_of(found, inverse=options.inverse)
-        with _timed(seconds, "leave one out"):
-            left_out = _left_out(found, method)
-    except RegistrationError as error:
-        record |= {"status": "not converged", "message": str(error)}
+    record = heading(job, options, len(pairs), seconds)
+    result = Result(record=record, pairs=pairs, moving=moving, fixed=fixed)
+    solved = solve(job, options, pairs, moving.shape[:2], (fixed or moving).shape[:2], record, progress)
+    if solved is None:
         return result
-    except LandmarkError as error:
-        raise PointsError(f"{job.landmarks[0]}: {error.finding}", error.remedy) from error
-    warped = None
-    result = Result(record, pairs, moving, fixed, found, certificate, left_out, None, outliers, positions)
-    findings = _findings(found, certificate, left_out)
-    summary |= findings.pop("summary") | {"sigma_chosen": options.sigma == "auto"}
-    summary["outliers"] = [pairs.names[k] for k in result.out_of_place]
-    record |= findings
-    if certificate.passed:
-        with _timed(seconds, "warp"):
+    found, positions, summary, warped = solved.registration, solved.positions, record["summary"], None
+    if solved.certificate.passed:
+        with timed(seconds, "warp"):
             if options.coarse or positions is None:
                 frame = found.shape if options.inverse else found.fixed_shape
                 positions = sources(found, frame, options.inverse, "auto" if options.coarse else None)
@@ -148,29 +124,83 @@ def _solved(
                 positions=positions,
             )  # fmt: skip
         summary |= {"spacing": how.spacing, "spacing_bound": how.bound, "outside": how.outside}
-    return replace(result, warped=warped, positions=positions)
+    return replace(
+        result, registration=found, certificate=solved.certificate, left_out=solved.left_out, warped=warped,
+        outliers=solved.outliers, positions=positions,
+    )  # fmt: skip
 
 
-def _left_out(found: Registration, method: dict[str, Any]) -> LeaveOneOut | None:
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A map that was found, and what is known of it; where pixels come from if all had to be evaluated."""
+
+    registration: Registration
+    certificate: Certificate
+    positions: Positions | None
+    left_out: LeaveOneOut | None
+    outliers: Outliers
+
+
+def solve(
+    job: Job, options: Options, pairs: LandmarkPairs, shape: Extent, fixed_shape: Extent, record: dict[str, Any],
+    progress: Callable[[str], None] | None = None,
+) -> Solved | None:  # fmt: skip
+    """Register pictures or volumes and certify the map, and say so in the record; None where no map is found."""
+    seconds, summary = record["seconds"], record["summary"]
+    method: dict[str, Any] = {"fixed_shape": fixed_shape, "align": options.align, "scheme": options.scheme}
+    try:
+        with timed(seconds, "solve"):
+            if options.align == "auto":
+                choice = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=options.scheme)
+                method["align"], summary["alignment_choice"] = choice.kind, choice.text
+            sigma = options.sigma
+            if sigma == "auto":
+                estimate = estimate_sigma(pairs, shape, **method)
+                sigma, summary["sigma_message"] = estimate.sigma, estimate.message
+            method |= {"steps": options.steps, "loss": options.loss}
+            outliers = outliers_of(Matching.of(pairs, shape, fixed_shape=fixed_shape, align=method["align"]))
+            found = register(pairs, shape, **method, sigma=sigma, progress=progress)
+        with timed(seconds, "certify"):
+            if pairs.dimension == 3 and options.steps is None:
+                found = in_provable_steps(found)
+            certificate, positions = certificate_of(found, inverse=options.inverse)
+        with timed(seconds, "leave one out"):
+            left_out = _left_out(found, shape, method)
+    except RegistrationError as error:
+        record |= {"status": "not converged", "message": str(error)}
+        return None
+    except LandmarkError as error:
+        raise PointsError(f"{job.landmarks[0]}: {error.finding}", error.remedy) from error
+    solved = Solved(found, certificate, positions, left_out, outliers)
+    findings = _findings(found, certificate, left_out)
+    summary |= findings.pop("summary") | {"sigma_chosen": options.sigma == "auto"}
+    named = out_of_place(outliers, left_out)
+    summary["outliers"] = [pairs.names[k] for k in named]
+    record |= findings
+    return solved
+
+
+def _left_out(found: Registration, shape: Extent, method: dict[str, Any]) -> LeaveOneOut | None:
     """Errors of landmarks that are left out in turn; None where there are too few or too many."""
     if not 2 <= len(found.pairs) <= MOST_LEFT_OUT:
         return None
-    return leave_one_out(found.pairs, found.shape, start=found, sigma=found.sigma, **method)
+    return leave_one_out(found.pairs, shape, start=found, sigma=found.sigma, **method)
 
 
-def _heading(job: Job, options: Options, count: int) -> dict[str, Any]:
+def heading(job: Job, options: Options, count: int, seconds: dict[str, float]) -> dict[str, Any]:
+    """A record before anything is solved."""
     direction = "fixed to moving" if options.inverse else "moving to fixed"
     return {
         "problem": "image_registration", "task": "warp", "direction": direction, "moving": str(job.moving),
         "fixed": str(job.fixed) if job.fixed is not None else None, "landmarks": [str(path) for path in job.landmarks],
         "out": str(job.out), "align": options.align, "scheme": options.scheme, "interpolation": options.interpolation,
         "sigma": None if options.sigma == "auto" else options.sigma, "steps": options.steps, "status": "",
-        "message": "", "residual": None, "seconds": {}, "summary": {"landmarks": count},
+        "message": "", "residual": None, "seconds": seconds, "summary": {"landmarks": count},
     }  # fmt: skip
 
 
 def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneOut | None) -> dict[str, Any]:
-    """What the record says of a map; distances in pixels."""
+    """What the record says of a map; distances in pixels, or in the unit of volumes."""
     status = "solved" if certificate.passed else "folded" if certificate.folded else "inaccurate"
     summary: dict[str, Any] = {
         "landmarks": len(found.pairs), "names": list(found.pairs.names), "residuals": found.residuals.tolist(),
@@ -178,8 +208,8 @@ def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneO
         "folded": certificate.folded, "first_fold": certificate.first_fold, "round_trip": certificate.round_trip,
         "proved": certificate.proved,
         "scheme_error": found.error, "alignment": found.alignment.kind, "rung": found.rung,
-        "deviation": float(np.sqrt((found.residuals**2).mean() / 2.0)), "strength": found.matching.strength,
-        "solves": found.solves,
+        "deviation": float(np.sqrt((found.residuals**2).mean() / found.dimension)), "strength": found.matching.strength,
+        "solves": found.solves, "unit": found.matching.unit,
     }  # fmt: skip
     if left_out is not None:
         summary["leave_one_out"] = left_out.errors.tolist()
@@ -209,7 +239,8 @@ def _write(job: Job, options: Options, result: Result) -> None:
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Note how long the block takes."""
     begin = time.perf_counter()
     try:
         yield

@@ -73,29 +73,40 @@ class Job:
         return tuple(path for path in (self.field, self.report, self.out) if path is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a job found: the record for people and programs, and what a report shows."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome:
+    """What a job found, of pictures or of volumes: the record for people and programs, the landmarks, the map."""
 
     record: dict[str, Any]
     pairs: LandmarkPairs
-    moving: Image
-    fixed: Image | None
     registration: Registration | None = None
     certificate: Certificate | None = None
     left_out: LeaveOneOut | None = None
-    warped: Any = None
     outliers: Outliers | None = None
-    positions: Positions | None = None  # where the pixels of the warped image come from
 
     @property
     def out_of_place(self) -> tuple[int, ...]:
         """The numbers of the landmarks that are named as outliers; of few landmarks, by leaving each out."""
-        if self.outliers is not None and not np.isnan(self.outliers.errors).all():
-            return self.outliers.numbers
-        return self.left_out.outliers if self.left_out is not None else ()
+        return out_of_place(self.outliers, self.left_out)
 
     @property
     def passed(self) -> bool:
         """Whether the image was warped by a map that does not fold."""
         return bool(self.record["status"] == "solved")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result(Outcome):
+    """What a job found of pictures, with all that a report shows."""
+
+    moving: Image
+    fixed: Image | None
+    warped: Any = None
+    positions: Positions | None = None  # where the pixels of the warped image come from
+
+
+def out_of_place(outliers: Outliers | None, left_out: LeaveOneOut | None) -> tuple[int, ...]:
+    """The numbers of the landmarks that are named as outliers; of few landmarks, by leaving each out."""
+    if outliers is not None and not np.isnan(outliers.errors).all():
+        return outliers.numbers
+    return left_out.outliers if left_out is not None else ()

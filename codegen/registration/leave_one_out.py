@@ -6,7 +6,6 @@ used is not. A landmark whose error stands out from the others' was probably pla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
+from codegen.registration.grid import Extent
 from codegen.registration.maps import Registration, in_steps
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.smoothing import registered
@@ -45,7 +45,7 @@ class LeaveOneOut:
 
 def leave_one_out(
     pairs: LandmarkPairs,
-    shape: Sequence[int],
+    shape: Extent,
     *,
     steps: int | None = None,
     tolerance: float = ENOUGH,

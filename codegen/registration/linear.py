@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The covariance of n displacements, shape (n, n), and the displacements in pixels, shape (n, 2).
+    """The covariance of n displacements, shape (n, n), and the displacements in pixels, shape (n, d).
 
     `fitted` is the number of parameters of the alignment, which takes part of the errors for itself.
     """
@@ -85,7 +85,8 @@ class Linear:
         """
         ridges = RIDGES * self.largest
         left = self._left(ridges)
-        squares, free = (left**2 * self._parts[2]).sum(axis=1), 2.0 * left.sum(axis=1) - self.fitted
+        squares = (left**2 * self._parts[2]).sum(axis=1)
+        free = float(self.displacements.shape[1]) * left.sum(axis=1) - self.fitted
         known = free > LEAST_FREE * self.displacements.size
         scores = np.where(known, squares / np.where(known, free, 1.0) ** 2, np.inf)
         best = int(np.argmin(scores))
@@ -98,6 +99,6 @@ class Linear:
         return np.asarray((vectors / (values + max(ridge, EXACT * self.largest))) @ vectors.T)
 
     def continued(self, velocities: Array, before: float, after: float) -> Array:
-        """Velocities at the start for another ridge, from those of a nearly linear solution, shape (n, 2)."""
+        """Velocities at the start for another ridge, from those of a nearly linear solution, shape (n, d)."""
         values, vectors, _ = self._parts
         return np.asarray(vectors @ (((values + before) / (values + after))[:, None] * (vectors.T @ velocities)))

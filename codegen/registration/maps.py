@@ -12,6 +12,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
 from codegen.registration.flow import Flow
 from codegen.registration.frame import Frame, coarse_grid
+from codegen.registration.grid import Grid, place_text, short
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 
@@ -21,6 +22,8 @@ ROUND_TRIP = 1e-8
 """Largest distance in pixels at which a point may come back from the way forwards and backwards."""
 MISSED = 1e-4
 """Distance in pixels by which landmarks are missed that should be met."""
+PROBED = {2: 17, 3: 9}
+"""Points along each axis of the grid at which maps are compared."""
 FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 
@@ -50,7 +53,10 @@ class Registration:
 
     def __repr__(self) -> str:
         found = f"{self.status} in {self.steps} steps of {self.scheme}"
-        errors = f"residuals at most {self.residuals.max(initial=0.0):.2g} px, round trip {self.round_trip:.2g} px"
+        unit = short(self.matching.unit)
+        errors = (
+            f"residuals at most {self.residuals.max(initial=0.0):.2g} {unit}, round trip {self.round_trip:.2g} {unit}"
+        )
         return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {found}, {errors}>"
 
     @property
@@ -59,14 +65,29 @@ class Registration:
         return self.matching.pairs
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width of the moving image."""
+    def shape(self) -> tuple[int, ...]:
+        """Height and width of the moving image, or slices, rows and columns."""
         return self.matching.shape
 
     @property
-    def fixed_shape(self) -> tuple[int, int]:
-        """Height and width of the fixed image."""
+    def fixed_shape(self) -> tuple[int, ...]:
+        """Those of the fixed image."""
         return self.matching.fixed_shape
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the moving image, in whose coordinates landmarks are: pixels for a picture."""
+        return self.matching.grid
+
+    @property
+    def fixed_grid(self) -> Grid:
+        """The grid of the fixed image."""
+        return self.matching.fixed_grid
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self.pairs.dimension
 
     @property
     def alignment(self) -> Alignment:
@@ -85,7 +106,7 @@ class Registration:
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """What the landmarks' velocities are at the start of the flow, in units of the disc, shape (n, 2)."""
+        """What the landmarks' velocities are at the start of the flow, in units of the disc, shape (n, d)."""
         return self.flow.velocities[self.matching.groups]
 
     @property
@@ -105,19 +126,19 @@ class Registration:
         return float(np.sqrt(max(0.0, pulls) * self.flow.case.duration))
 
     def map_points(self, xy: Any) -> PointArray:
-        """Moving to fixed, points in pixels of shape (n, 2)."""
+        """Moving to fixed, points in pixels of shape (n, d)."""
         return self.positions(1.0, xy)
 
     def map_points_inverse(self, xy: Any) -> PointArray:
-        """Fixed to moving, points in pixels of shape (n, 2)."""
+        """Fixed to moving, points in pixels of shape (n, d)."""
         return self.positions(1.0, xy, inverse=True)
 
     def positions(self, time: float, xy: Any, inverse: bool = False) -> PointArray:
         """Where points of the moving image are at a time from 0, where they were, to 1, where `map_points` has them.
 
-        With `inverse`, where points are from that are at given places at that time. Shape (n, 2), pixels.
+        With `inverse`, where points are from that are at given places at that time. Shape (n, d), pixels.
         """
-        points, part = as_points(xy), self._part(time)
+        points, part = as_points(xy, self.dimension), self._part(time)
         if inverse:
             aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
             return self.alignment.apply_inverse(self._carried(aligned, 1.0 - time, 1.0))
@@ -125,8 +146,8 @@ class Registration:
         return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
 
     def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
-        """The derivative of the map, or of its inverse, at points in pixels: shape (n, 2, 2), rows are x and y."""
-        points = as_points(xy)
+        """The derivative of the map, or of its inverse, at points in pixels: shape (n, d, d), rows are x, y, ...."""
+        points = as_points(xy, self.dimension)
         if inverse:
             jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points))[1]
             return np.asarray(self.alignment.inverse_matrix @ jacobians)
@@ -143,7 +164,7 @@ class Registration:
         The factor, shape (n,), is that of the inverse map turned over, which costs less than `determinant` where points
         come from.
         """
-        points = as_points(xy)
+        points = as_points(xy, self.dimension)
         before = self.frame.to_disc(points)
         after, jacobians = self.flow.carry_with_jacobian(before)
         jacobians = self.alignment.inverse_matrix @ jacobians
@@ -153,7 +174,7 @@ class Registration:
 
     def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
         """Where points of the moving image, in pixels, are carried, and by which factor areas grow, shape (n,)."""
-        points = as_points(xy)
+        points = as_points(xy, self.dimension)
         aligned = self.alignment.apply(points)
         before = self.frame.to_disc(aligned)
         after, jacobians = self.flow.carry_with_jacobian(before, 1.0, 0.0)
@@ -179,7 +200,10 @@ class Registration:
 
 
 def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of 2 by 2 matrices, shape (n, 2, 2)."""
+    """Of 2 by 2 or 3 by 3 matrices, shape (n, d, d)."""
+    if matrices.shape[1] == 3:
+        first, second, third = (matrices[:, k] for k in range(3))
+        return np.asarray((first * np.cross(second, third)).sum(axis=1))
     return np.asarray(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
 
 
@@ -213,16 +237,16 @@ def in_steps(
 def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> str:
     """What is said of a map whose inverse meets the landmarks, as the solver found, but which itself misses them."""
     worst = int(np.argmax(residuals))
-    if matching.sigma > 0.0 or residuals[worst] <= MISSED:
+    if matching.sigma > 0.0 or residuals[worst] <= MISSED * matching.pixel:
         return ""
-    x, y = matching.pairs.moving[worst]
-    where = f"landmark {matching.pairs.names[worst]}, at ({x:.1f}, {y:.1f}), by {residuals[worst]:.2g} pixels"
+    place = place_text(matching.pairs.moving[worst])
+    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residuals[worst]:.2g} {matching.unit}"
     return f"the map folds in {steps} steps and misses {where}; take more steps"
 
 
 def _probe(matching: Matching) -> PointArray:
     """The points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
-    return np.vstack([matching.pairs.moving, coarse_grid(matching.shape)])
+    return np.vstack([matching.pairs.moving, coarse_grid(matching.grid, PROBED[matching.pairs.dimension])])
 
 
 def refined(
@@ -232,6 +256,7 @@ def refined(
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
     coarse, steps, probe = None, first, _probe(matching)
+    least, back = tolerance * matching.pixel, ROUND_TRIP * matching.pixel
     while True:
         try:
             fine = in_steps(matching, steps, velocities if coarse is None else coarse.velocities, quick=True)
@@ -244,7 +269,7 @@ def refined(
         if coarse is not None:
             coarse, fine = _with_errors(coarse, fine, probe)
             for found in (coarse, fine):
-                if found.error <= tolerance and found.round_trip <= ROUND_TRIP:
+                if found.error <= least and found.round_trip <= back:
                     return found
         if 2 * steps > MOST_STEPS:
             return fine

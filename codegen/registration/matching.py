@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,8 +14,9 @@ from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.coincident import groups_of
-from codegen.registration.flow import Flow
-from codegen.registration.frame import MARGIN, Frame, corners
+from codegen.registration.flow import Flow, FlowModule
+from codegen.registration.frame import MARGINS, Frame, corners
+from codegen.registration.grid import Extent, Grid, grid_of, place_text
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
@@ -34,7 +35,8 @@ class Matching:
     Images are warped by looking up where each pixel comes from, and that is the way in which the flow runs: it carries
     the fixed landmarks to where the alignment has the moving ones, so that explicit schemes need no iterations there.
 
-    `shape` and `fixed_shape` are (height, width) of the moving and the fixed image. `sigma` is the standard deviation
+    `grid` and `fixed_grid` are those of the moving and the fixed image; in their coordinates, which are pixels for
+    pictures, are all distances that are called pixels. `sigma` is the standard deviation
     of a landmark's error in pixels; where it is not zero, the motion has the least
 
         strength * roughness / 2 + sum_k weights_k |miss_k|^2 / (2 sigma^2),
@@ -45,8 +47,8 @@ class Matching:
     """
 
     pairs: LandmarkPairs
-    shape: tuple[int, int]
-    fixed_shape: tuple[int, int]
+    grid: Grid
+    fixed_grid: Grid
     alignment: Alignment
     frame: Frame
     sigma: float
@@ -61,34 +63,63 @@ class Matching:
     def of(
         cls,
         pairs: LandmarkPairs,
-        shape: Sequence[int],
+        shape: Extent,
         *,
-        fixed_shape: Sequence[int] | None = None,
+        fixed_shape: Extent | None = None,
         align: Kind = "similarity",
         sigma: float = 0.0,
         scheme: str = DEFAULT_SCHEME,
-        margin: float = MARGIN,
+        margin: float | None = None,
         strength: float = 1.0,
         weights: NDArray[np.float64] | None = None,
     ) -> Matching:
         """Align the landmarks and lay the frame around both images; LandmarkError when something is unusable.
 
+        `shape` and `fixed_shape`, by default the same, are shapes of pictures or grids.
+
         Only landmarks of a weight of `TRUSTED` and more are aligned.
         """
-        moving_shape = _extent(shape)
-        other_shape = moving_shape if fixed_shape is None else _extent(fixed_shape)
+        grid = grid_of(shape)
+        fixed_grid = grid if fixed_shape is None else grid_of(fixed_shape)
+        _require_dimension(pairs, grid, fixed_grid)
         if not 0.0 <= sigma < np.inf:
-            raise LandmarkError(f"sigma is {sigma!r}", "give a distance in pixels that is not negative")
+            raise LandmarkError(f"sigma is {sigma!r}", f"give a distance in {fixed_grid.unit} that is not negative")
         if weights is None:
             weights = np.ones(len(pairs))
+        margin = MARGINS[pairs.dimension] if margin is None else margin
         alignment = _aligned(pairs.chosen(weights >= TRUSTED) if (weights >= TRUSTED).any() else pairs, align)
-        moved = [alignment.apply(corners(moving_shape)), alignment.apply(pairs.moving)]
-        frame = Frame.around(np.vstack([corners(other_shape), pairs.fixed, *moved]), margin)
-        groups = groups_of(pairs.moving, pairs.fixed)
+        moved = [alignment.apply(corners(grid)), alignment.apply(pairs.moving)]
+        frame = Frame.around(np.vstack([corners(fixed_grid), pairs.fixed, *moved]), margin)
+        groups = groups_of(pairs.moving, pairs.fixed, fixed_grid.pixel)
         return cls(
-            pairs, moving_shape, other_shape, alignment, frame, float(sigma), scheme, float(strength), weights, groups,
+            pairs, grid, fixed_grid, alignment, frame, float(sigma), scheme, float(strength), weights, groups,
             align, margin,
         )  # fmt: skip
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the moving image: (height, width), or (slices, rows, columns)."""
+        return self.grid.shape
+
+    @property
+    def fixed_shape(self) -> tuple[int, ...]:
+        """That of the fixed image."""
+        return self.fixed_grid.shape
+
+    @property
+    def pixel(self) -> float:
+        """The finest spacing of the fixed image, in units of which errors are judged: 1 for pictures."""
+        return self.fixed_grid.pixel
+
+    @property
+    def unit(self) -> str:
+        """What distances are counted in: pixels for pictures."""
+        return self.fixed_grid.unit
+
+    @property
+    def module(self) -> FlowModule:
+        """The generated module whose flow carries the landmarks."""
+        return registration_module(self.scheme, self.pairs.dimension)
 
     @property
     def ends(self) -> tuple[PointArray, PointArray]:
@@ -110,7 +141,7 @@ class Matching:
         """The same of what is carried, shape (m, m)."""
         matrix = np.empty((len(case.start), len(case.start)))
         state = np.stack([case.start, np.zeros_like(case.start)])
-        registration_module(self.scheme).momentum_matrix(state, case.own, case.parameters, matrix)
+        self.module.momentum_matrix(state, case.own, case.parameters, matrix)
         return matrix
 
     @property
@@ -132,12 +163,12 @@ class Matching:
 
     def _of(self, pairs: LandmarkPairs, weights: NDArray[np.float64]) -> Matching:
         return Matching.of(
-            pairs, self.shape, fixed_shape=self.fixed_shape, align=self.align, sigma=self.sigma, scheme=self.scheme,
+            pairs, self.grid, fixed_shape=self.fixed_grid, align=self.align, sigma=self.sigma, scheme=self.scheme,
             margin=self.margin, strength=self.strength, weights=weights,
         )  # fmt: skip
 
     def _grouped(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The weighted means of values of pairs, shape (n, 2), in their groups, shape (m, 2)."""
+        """The weighted means of values of pairs, shape (n, d), in their groups, shape (m, 2)."""
         if len(self.pairs) == self.groups.max() + 1:
             return values
         sums = [np.bincount(self.groups, self.weights * column) for column in values.T]
@@ -152,13 +183,12 @@ class Matching:
     ) -> tuple[Flow, Any, str]:
         """The motion that carries the landmarks in so many steps, the generated solver's account, and what led to it.
 
-        The solver starts from guessed `velocities` of the pairs at the start, shape (n, 2), if there are any, from
+        The solver starts from guessed `velocities` of the pairs at the start, shape (n, d), if there are any, from
         those of the straight way, and from a path of least action; unless it is to be `quick`, it then climbs its
         ladder of further attempts. Raises RegistrationError, naming the landmarks that are hardest, when no attempt
         succeeds.
         """
-        module = registration_module(self.scheme)
-        case = self._case(steps)
+        module, case = self.module, self._case(steps)
         with quiet_single_thread():
             found = self._cheapest(case, None if velocities is None else self._grouped(velocities))
             if found is not None:
@@ -177,7 +207,7 @@ class Matching:
         change places and end together half way. One that misses by more than the linear theory expects is compared with
         what other momenta lead to.
         """
-        module, least = registration_module(self.scheme), np.inf
+        module, least = self.module, np.inf
         best: tuple[Any, str] | None = None
         for name, momenta in self._first_momenta(case, velocities):
             solution = module.solve_case(case._replace(max_iterations=PATIENCE), momenta)
@@ -205,7 +235,7 @@ class Matching:
         start, target = self.ends
         sigma = np.sqrt(self.ridge / self._group_weights)
         try:
-            return registration_module(self.scheme).make_case(start, target, steps, sigma=sigma)
+            return self.module.make_case(start, target, steps, sigma=sigma)
         except ValueError as error:
             raise LandmarkError(str(error), "correct the landmarks, or the arguments") from error
 
@@ -213,7 +243,7 @@ class Matching:
         self, case: Any, velocities: NDArray[np.float64] | None
     ) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Momenta from which shooting is likely to arrive, the cheapest first, and what they are called."""
-        module = registration_module(self.scheme)
+        module = self.module
         if velocities is not None:
             yield "a known registration", module.momenta_of(case.start, velocities, case.own, case.parameters)
         yield "the straight way", self._straight_momenta(case)
@@ -222,7 +252,7 @@ class Matching:
 
     def _straight_momenta(self, case: Any) -> NDArray[np.float64]:
         """Those of the linear theory: the straight way, as far as landmarks are to go it."""
-        module = registration_module(self.scheme)
+        module = self.module
         if self.ridge == 0.0:
             straight = (case.target - case.start) / case.duration
             return module.momenta_of(case.start, straight, case.own, case.parameters)
@@ -235,10 +265,10 @@ class Matching:
 
         NaN where there is no such path, or where there are too many landmarks to look for one.
         """
-        return registration_module(self.scheme).momenta_of_least_action(self._case(1))
+        return self.module.momenta_of_least_action(self._case(1))
 
     def _flow(self, case: Any, solution: Any) -> Flow:
-        module = registration_module(self.scheme)
+        module = self.module
         path = np.stack([solution.q, solution.p], axis=1)
         return Flow(module, case, path, module.stages_of(case, path))
 
@@ -256,15 +286,14 @@ class Matching:
         changes = np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart
         worst = int(np.argmax(np.where(self.groups[i] == self.groups[j], 0.0, changes)))
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
-        x, y = self.pairs.moving[i[worst]]
-        return f"{said}; hardest are landmarks {one} and {other}, near ({x:.1f}, {y:.1f})"
+        return f"{said}; hardest are landmarks {one} and {other}, near {place_text(self.pairs.moving[i[worst]])}"
 
 
 _aligned = align  # a parameter of `Matching.of` has that name
 
 
-def _extent(shape: Sequence[int]) -> tuple[int, int]:
-    height, width = (int(length) for length in tuple(shape)[:2])
-    if height < 1 or width < 1:
-        raise LandmarkError(f"the image's shape is {tuple(shape)}", "give its height and width in pixels")
-    return height, width
+def _require_dimension(pairs: LandmarkPairs, *grids: Grid) -> None:
+    """Refuse landmarks in the plane for volumes, and the other way about."""
+    if any(grid.dimension != pairs.dimension for grid in grids):
+        axes, said = ("x and y", "the images are volumes") if pairs.dimension == 2 else ("x, y, z", "an image is flat")
+        raise LandmarkError(f"landmarks have {axes}, and {said}", "give landmarks and images of one dimension")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import LandmarkError
+from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.matching import Matching
 from codegen.registration.outliers import outliers_of
@@ -30,7 +30,7 @@ class SigmaEstimate:
     message: str = ""
 
 
-def estimate_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -> SigmaEstimate:
+def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> SigmaEstimate:
     """Estimate how far landmarks are from where they should be, from how far neighbours disagree.
 
     Displacements after the alignment are smoothed by the linear theory, as strongly as makes the generalised
@@ -43,7 +43,9 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -
         options = {**options, "align": "similarity"}
     matching = Matching.of(pairs, shape, **options)
     if len(pairs) < FEWEST:
-        raise LandmarkError(f"{len(pairs)} landmarks do not tell how large their errors are", "give a sigma in pixels")
+        raise LandmarkError(
+            f"{len(pairs)} landmarks do not tell how large their errors are", f"give a sigma in {matching.unit}"
+        )
     outliers = outliers_of(matching)
     trusted = np.ones(len(pairs), dtype=bool)
     trusted[list(outliers.numbers)] = False
@@ -51,18 +53,18 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -
     linear = Linear(matching.covariance, alignment.apply(pairs.moving) - pairs.fixed, alignment.parameters)
     _, sigma, is_inside = linear.chosen(trusted).by_cross_validation()
     spread = float(np.sqrt(((pairs.fixed - pairs.fixed.mean(axis=0)) ** 2).mean()))
-    return SigmaEstimate(sigma, _doubt(sigma, spread, is_inside, int(trusted.sum()), outliers.message))
+    return SigmaEstimate(sigma, _doubt(sigma, spread, matching.unit, is_inside, int(trusted.sum()), outliers.message))
 
 
-def _doubt(sigma: float, spread: float, is_inside: bool, count: int, said: str) -> str:
+def _doubt(sigma: float, spread: float, unit: str, is_inside: bool, count: int, said: str) -> str:
     if sigma > LARGE * spread:
-        finding = f"sigma of {sigma:.3g} pixels is implausible: {sigma / spread:.0%} of the landmarks' spread"
+        finding = f"sigma of {sigma:.3g} {unit} is implausible: {sigma / spread:.0%} of the landmarks' spread"
         return f"{finding}; {said or 'look for landmarks out of place'}"
     if not is_inside:
         return "the landmarks show no errors that could be told from a deformation"
     return f"of {count} landmarks alone, sigma is uncertain" if count < FEW else ""
 
 
-def choose_sigma(pairs: LandmarkPairs, shape: Sequence[int], **options: Any) -> float:
+def choose_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> float:
     """The estimate of `estimate_sigma`, in pixels; see there for arguments and errors."""
     return estimate_sigma(pairs, shape, **options).sigma

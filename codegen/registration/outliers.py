@@ -7,15 +7,15 @@ nothing changes. It needs no solve of a flow, and masks are rare because nothing
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.registration.alignment import Kind
+from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
-from codegen.registration.losses import RAYLEIGH_MEDIAN
+from codegen.registration.losses import typical_distance
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs
 
@@ -48,7 +48,7 @@ class Outliers:
 
 
 def find_outliers(
-    pairs: LandmarkPairs, shape: Sequence[int], *, fixed_shape: Sequence[int] | None = None, align: Kind = "similarity"
+    pairs: LandmarkPairs, shape: Extent, *, fixed_shape: Extent | None = None, align: Kind = "similarity"
 ) -> Outliers:
     """Look for landmarks out of place; arguments are those of `register`, and so is what is raised."""
     return outliers_of(Matching.of(pairs, shape, fixed_shape=fixed_shape, align=align))
@@ -91,6 +91,7 @@ def _predicted(matching: Matching, trusted: NDArray[np.bool_]) -> tuple[NDArray[
     explained = np.einsum("ij,jk,ik->i", across, precision, across)
     spread[~trusted] = np.sqrt(np.maximum(np.diag(whole)[~trusted] + ridge - explained, ridge))
     ratios = errors[trusted] / spread[trusted]
-    wide = np.quantile(ratios, TAIL) / np.sqrt(-2.0 * np.log(1.0 - TAIL))
-    scale = max(float(np.median(ratios)) / RAYLEIGH_MEDIAN, float(wide), LEAST_ERROR / float(np.median(spread)))
+    wide = np.quantile(ratios, TAIL) / typical_distance(pairs.dimension, TAIL)
+    typical = float(np.median(ratios)) / typical_distance(pairs.dimension)
+    scale = max(typical, float(wide), LEAST_ERROR * matching.pixel / float(np.median(spread)))
     return errors, scale * spread

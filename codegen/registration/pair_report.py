@@ -14,17 +14,22 @@ import numpy as np
 from codegen import __version__
 from codegen.files import replacing
 from codegen.registration import pair_pictures as pictures
-from codegen.registration.jobs import Result
+from codegen.registration.jobs import Outcome, Result
+from codegen.registration.pair_pictures import Picture
 from codegen.registration.record_text import number, rows
 
-COLUMNS = ("landmark", "moving x", "moving y", "fixed x", "fixed y", "residual", "left out", "")
+RESIDUALS = (
+    "Residual: how far a moving landmark arrives from the fixed one. Left out: how far it would arrive if the other "
+    "landmarks alone made the map."
+)
+NOTE = f"Places and errors are in pixels, x to the right and y down from the centre of the top-left pixel. {RESIDUALS}"
 MOST_ROWS = 2_000
 """Landmarks beyond are left out of the table, which says so."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """The cells of a landmark under COLUMNS, and whether it stands out."""
+    """The cells of a landmark, and whether it stands out."""
 
     cells: tuple[str, ...]
     outlier: bool
@@ -32,12 +37,17 @@ class Row:
 
 def write_report(path: Path, result: Result) -> None:
     """Write the page; FileError where the file system refuses."""
-    text = render(result)
+    write_page(path, result, pictures.of(result), NOTE)
+
+
+def write_page(path: Path, result: Outcome, shown: list[Picture], note: str) -> None:
+    """Write a page with pictures, and a note about its numbers; FileError where the file system refuses."""
+    text = render(result, shown, note)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def render(result: Result) -> str:
+def render(result: Outcome, shown: list[Picture], note: str) -> str:
     """The text of the page, of a registration that succeeded or failed."""
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     template = jinja2.Environment(
@@ -47,8 +57,15 @@ def render(result: Result) -> str:
     return template.render(
         title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=_subtitle(record),
         passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
-        pictures=pictures.of(result), columns=COLUMNS, rows=_rows(result), environment=_environment(record),
+        pictures=shown, columns=columns(result.pairs.dimension), rows=_rows(result), note=note,
+        environment=_environment(record),
     )  # fmt: skip
+
+
+def columns(dimension: int) -> tuple[str, ...]:
+    """The headings of the table of landmarks."""
+    places = [f"{image} {axis}" for image in ("moving", "fixed") for axis in "xyz"[:dimension]]
+    return ("landmark", *places, "residual", "left out", "")
 
 
 def _sentence(text: str) -> str:
@@ -65,7 +82,7 @@ def _subtitle(record: dict[str, Any]) -> str:
     return ", ".join(names)
 
 
-def _rows(result: Result) -> list[Row]:
+def _rows(result: Outcome) -> list[Row]:
     pairs = result.pairs
     residuals = result.registration.residuals if result.registration is not None else np.full(len(pairs), np.nan)
     left_out = result.left_out.errors if result.left_out is not None else np.full(len(pairs), np.nan)
@@ -77,7 +94,7 @@ def _rows(result: Result) -> list[Row]:
         cells = (pairs.names[k], *places, *errors, "outlier" if k in outliers else "")
         made.append(Row(cells, k in outliers))
     if len(pairs) > MOST_ROWS:
-        made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(COLUMNS) - 1)), False))
+        made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(columns(pairs.dimension)) - 1)), False))
     return made
 
 

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from codegen.errors import LandmarkError
 
 PointArray: TypeAlias = NDArray[np.float64]
-"""Points (x, y) in pixels, shape (n, 2)."""
+"""Points (x, y) in pixels, shape (n, 2); or (x, y, z) in units of the size of a voxel, shape (n, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkPairs:
     """Landmarks of the moving and the fixed image in pixels, arrays of shape (n, 2), and their names.
+
+    Those of volumes have shape (n, 3), in the coordinates of the volumes' grids.
 
     Names are "1", "2", ... where none are given. Raises LandmarkError, naming the landmark, when a coordinate is not
     finite, when the numbers of landmarks differ or are zero, and when two landmarks of one image are at one place,
@@ -29,8 +31,9 @@ class LandmarkPairs:
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "moving", _points("moving", self.moving))
-        object.__setattr__(self, "fixed", _points("fixed", self.fixed))
+        dimension = 3 if _is_in_space(self.moving) else 2
+        object.__setattr__(self, "moving", as_points(self.moving, dimension, "moving"))
+        object.__setattr__(self, "fixed", as_points(self.fixed, dimension, "fixed"))
         count = len(self.moving)
         if len(self.fixed) != count:
             finding = f"there are {count} moving landmarks but {len(self.fixed)} fixed ones"
@@ -47,6 +50,11 @@ class LandmarkPairs:
 
     def __len__(self) -> int:
         return len(self.moving)
+
+    @property
+    def dimension(self) -> int:
+        """2 for landmarks of pictures, 3 for those of volumes."""
+        return int(self.moving.shape[1])
 
     def without(self, k: int) -> LandmarkPairs:
         """All pairs but number k, counted from zero; LandmarkError when none would be left."""
@@ -67,21 +75,29 @@ def flipped(pairs: LandmarkPairs, width: int) -> LandmarkPairs:
     return LandmarkPairs(pairs.moving * [-1.0, 1.0] + [width - 1.0, 0.0], pairs.fixed, pairs.names)
 
 
-def as_points(values: Any) -> PointArray:
-    """An array of points, shape (n, 2), from whatever numpy makes one of; LandmarkError when it makes none."""
-    return _points("", values)
+def _is_in_space(values: Any) -> bool:
+    """Whether points have three coordinates, as far as numpy can tell."""
+    try:
+        return bool(np.shape(values)[-1:] == (3,) and np.ndim(values) == 2)
+    except ValueError:
+        return False
 
 
-def _points(what: str, values: Any) -> PointArray:
+def as_points(values: Any, dimension: int = 2, what: str = "") -> PointArray:
+    """An array of points, shape (n, dimension), from whatever numpy makes one of; LandmarkError when it makes none."""
+    axes = "x, y" if dimension == 2 else "x, y, z"
     try:
         points = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise LandmarkError(f"{what} points are no numbers ({error})".strip(), "give pairs x, y") from error
+        raise LandmarkError(
+            f"{what} points are no numbers ({error})".strip(),
+            f"give pairs {axes}" if dimension == 2 else f"give triples {axes}",
+        ) from error
     if points.size == 0:
-        points = points.reshape(0, 2)
-    if points.ndim != 2 or points.shape[1] != 2:
-        finding = f"{what} points have shape {points.shape}, expected (n, 2)".strip()
-        raise LandmarkError(finding, "give x and y of every point")
+        points = points.reshape(0, dimension)
+    if points.ndim != 2 or points.shape[1] != dimension:
+        finding = f"{what} points have shape {points.shape}, expected (n, {dimension})".strip()
+        raise LandmarkError(finding, f"give {' and '.join(axes.rsplit(', ', 1))} of every point")
     return np.ascontiguousarray(points)
 
 

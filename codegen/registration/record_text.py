@@ -7,6 +7,7 @@ import statistics
 from collections.abc import Mapping
 from typing import Any
 
+from codegen.registration.grid import short
 from codegen.registration.jobs import MOST_LEFT_OUT
 
 
@@ -16,30 +17,43 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = [("landmarks", str(seen["landmarks"]))]
     if "det_min" not in seen:
         return found
-    sigma = f", sigma {record['sigma']:.3g} px" if record["sigma"] or seen["sigma_chosen"] else ""
+    unit = short(seen.get("unit", "pixels"))
+    sigma = f", sigma {record['sigma']:.3g} {unit}" if record["sigma"] or seen["sigma_chosen"] else ""
     sigma += " by cross-validation" if seen["sigma_chosen"] else ""
     found += [
         (name, seen[key]) for name, key in (("alignment", "alignment_choice"), ("sigma", "sigma_message"))
         if seen.get(key)
     ]  # fmt: skip
-    x, y = seen["det_min_at"]
+    place = ", ".join(f"{x:g}" for x in seen["det_min_at"])
     found += [
         ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
-        ("residual", f"{number(record['residual'])} px at most, standard deviation {number(seen['deviation'])} px"),
-        ("det J", f"{number(seen['det_min'])} at ({x:g}, {y:g}) to {number(seen['det_max'])}"),
-        ("folded", "nowhere, which is proved" if seen["proved"] else f"{seen['folded']} pixels"),
-        ("round trip", f"{number(seen['round_trip'])} px"),
+        (
+            "residual",
+            f"{number(record['residual'])} {unit} at most, standard deviation {number(seen['deviation'])} {unit}",
+        ),
+        ("det J", f"{number(seen['det_min'])} at ({place}) to {number(seen['det_max'])}"),
+        (
+            "folded",
+            "nowhere, which is proved"
+            if seen["proved"]
+            else f"{seen['folded']} {'pixels' if len(seen['det_min_at']) == 2 else 'voxels'}",
+        ),
+        ("round trip", f"{number(seen['round_trip'])} {unit}"),
     ]
     if seen["scheme_error"] is not None:
-        found.append(("error of the scheme", f"{number(seen['scheme_error'])} px"))
+        found.append(("error of the scheme", f"{number(seen['scheme_error'])} {unit}"))
     if seen.get("leave_one_out"):
         finite = [error for error in seen["leave_one_out"] if error is not None]
-        found.append(("leave one out", f"{number(statistics.median(finite)) if finite else '–'} px (median)"))
+        found.append(("leave one out", f"{number(statistics.median(finite)) if finite else '–'} {unit} (median)"))
     elif seen["landmarks"] > MOST_LEFT_OUT:
         found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
     found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
     if seen.get("spacing", 1) != 1:
-        text = f"every {seen['spacing']} pixels, error below {number(seen['spacing_bound'])} px"
+        text = f"every {seen['spacing']} pixels, error below {number(seen['spacing_bound'])} {unit}"
+        if not isinstance(seen["spacing"], int):
+            steps = " x ".join(map(str, seen["spacing"]))
+            exact = f"{seen['exact']:.0%} of the voxels exactly"
+            text = f"every {steps} voxels, error below {number(seen['spacing_bound'])} {unit}; {exact}"
         found.append(("grid", text))
     return found
 

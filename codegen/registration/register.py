@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Literal
 
 from codegen.registration.alignment import Kind
 from codegen.registration.choice import chosen_alignment
-from codegen.registration.frame import MARGIN
+from codegen.registration.grid import Extent
 from codegen.registration.losses import Loss
 from codegen.registration.maps import TOLERANCE, Registration
 from codegen.registration.noise import choose_sigma
@@ -18,16 +18,16 @@ from codegen.registration.solver import DEFAULT_SCHEME
 
 def register(
     pairs: LandmarkPairs,
-    shape: Sequence[int],
+    shape: Extent,
     *,
-    fixed_shape: Sequence[int] | None = None,
+    fixed_shape: Extent | None = None,
     align: Kind = "auto",
     sigma: float | Literal["auto"] = 0.0,
     loss: Loss = "linear",
     scheme: str = DEFAULT_SCHEME,
     steps: int | None = None,
     tolerance: float = TOLERANCE,
-    margin: float = MARGIN,
+    margin: float | None = None,
     start: Registration | None = None,
     quick: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -44,6 +44,8 @@ def register(
     Without `steps` as many are taken as leave an error of the map below `tolerance` pixels. The solver starts from an
     earlier registration, `start`, of as many landmarks, as when a landmark is dragged; it gives up soon where it is to
     be `quick`. With a sigma there are up to 20 solves, and `progress` is told a line after each.
+
+    The disc reaches beyond the images by a `margin`, by default that of `codegen.registration.frame.MARGINS`.
 
     Raises LandmarkError when the landmarks cannot be used, ArgumentError for an unknown alignment or loss, and
     RegistrationError when no solution is found, or none whose residuals are as small as sigma.

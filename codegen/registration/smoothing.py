@@ -7,7 +7,7 @@ solves suffice, each from the one before; the linear theory says where to begin.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from codegen.errors import RegistrationError
 from codegen.registration.alignment import Kind
 from codegen.registration.choice import chosen_alignment
-from codegen.registration.frame import MARGIN
+from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.losses import Loss, scale_of, weights_of
 from codegen.registration.maps import TOLERANCE, Registration, in_steps, refined, solved
@@ -41,16 +41,16 @@ Said = Callable[[str], None]
 
 def registered(
     pairs: LandmarkPairs,
-    shape: Sequence[int],
+    shape: Extent,
     *,
-    fixed_shape: Sequence[int] | None = None,
+    fixed_shape: Extent | None = None,
     align: Kind = "auto",
     sigma: float = 0.0,
     loss: Loss = "linear",
     scheme: str = DEFAULT_SCHEME,
     steps: int | None = None,
     tolerance: float = TOLERANCE,
-    margin: float = MARGIN,
+    margin: float | None = None,
     start: Registration | None = None,
     quick: bool = False,
     progress: Said | None = None,
@@ -67,7 +67,7 @@ def registered(
         return solved(matching, steps, tolerance, velocities, quick)
     if loss != "linear":
         misses = np.nan_to_num(outliers_of(matching).errors) / sigma
-        matching = matching.weighted(weights_of(loss, misses))
+        matching = matching.weighted(weights_of(loss, misses, pairs.dimension))
     if start is not None and velocities is not None and start.sigma == sigma and loss == "linear":
         matching = replace(matching, strength=start.matching.strength)
         if quick and steps is not None:
@@ -112,9 +112,10 @@ class _Search:
         low, high = -np.inf, np.inf  # logarithms of strengths whose residuals are too small, and too large
         known: list[tuple[float, float]] = []
         while self.solves < MOST_SOLVES:
-            scale = scale_of(self.loss, found.residuals)
+            scale = scale_of(self.loss, found.residuals, found.dimension)
             here, excess = float(np.log(found.matching.strength)), float(np.log(scale / self.matching.sigma))
-            self.say(f"solve {self.solves}: residuals of {scale:.3g} pixels for a sigma of {self.matching.sigma:g}")
+            sigma, unit = self.matching.sigma, self.matching.unit
+            self.say(f"solve {self.solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
             if self._is_enough(found, excess):
                 break
             low, high = (here, high) if excess < 0.0 else (low, here)
@@ -151,7 +152,7 @@ class _Search:
         wanted = _better(known, low, high)
         matching = found.matching
         if self.loss != "linear":
-            matching = matching.weighted(weights_of(self.loss, found.residuals / matching.sigma))
+            matching = matching.weighted(weights_of(self.loss, found.residuals / matching.sigma, found.dimension))
         largest = ALIGNED * Linear.of(matching).largest / replace(matching, strength=1.0).ridge
         here = known[-1][0]
         for _ in range(3):
@@ -165,12 +166,12 @@ class _Search:
 
     def _finished(self, found: Registration) -> Registration:
         """The same with as many steps as were asked for, or as its error demands."""
-        scale = scale_of(self.loss, found.residuals)
+        scale = scale_of(self.loss, found.residuals, found.dimension)
         if scale > 1.25 * self.matching.sigma:
-            finding = f"residuals are {scale:.3g} pixels where sigma is {self.matching.sigma:g}"
+            finding = f"residuals are {scale:.3g} {self.matching.unit} where sigma is {self.matching.sigma:g}"
             remedy = "give a larger sigma, or look for landmarks out of place"
             raise RegistrationError(f"{finding}, and no map was found that comes nearer", remedy)
-        if self.steps is None and not (found.error <= self.tolerance):
+        if self.steps is None and not (found.error <= self.tolerance * self.matching.pixel):
             found = refined(found.matching, self.tolerance, found.velocities, found.steps)
         return replace(found, solves=self.solves)
 

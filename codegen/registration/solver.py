@@ -18,9 +18,13 @@ from codegen.errors import ModuleError, SchemeError
 from codegen.loading import load
 from codegen.registration.flow import FlowModule, require_tracers
 
-ARGUMENTS = {"passive": "True"}
 PROBLEM = "image_registration.py"
 DEFAULT_SCHEME = "rk4"
+
+
+def arguments_of(dimension: int) -> dict[str, str]:
+    """The problem's arguments for pictures, in two dimensions, or volumes, in three."""
+    return {"passive": "True"} if dimension == 2 else {"passive": "True", "dimension": str(dimension)}
 
 
 def problem_file() -> Path:
@@ -32,13 +36,13 @@ def problem_file() -> Path:
     raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
 
 
-def is_compiled(scheme: str = DEFAULT_SCHEME) -> bool:
+def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
     """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
     from codegen.compiler import build, stored
 
-    if not stored(problem_file(), ARGUMENTS, scheme=scheme).is_file():
+    if not stored(problem_file(), arguments_of(dimension), scheme=scheme).is_file():
         return False
-    return _has_machine_code(build(problem_file(), ARGUMENTS, scheme=scheme).path)
+    return _has_machine_code(build(problem_file(), arguments_of(dimension), scheme=scheme).path)
 
 
 def _has_machine_code(path: Path) -> bool:
@@ -46,7 +50,7 @@ def _has_machine_code(path: Path) -> bool:
 
 
 @cache
-def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
+def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> FlowModule:
     """The generated module of a scheme, derived and compiled when it is needed for the first time on a machine.
 
     That takes about half a minute and is announced on stderr. Raises SchemeError for a scheme without fixed steps.
@@ -54,7 +58,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME) -> FlowModule:
     from codegen.compiler import build
     from codegen.machine_code.processes import compilers
 
-    made = build(problem_file(), ARGUMENTS, scheme=scheme)
+    made = build(problem_file(), arguments_of(dimension), scheme=scheme)
     module = require_tracers(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")

@@ -115,11 +115,11 @@ def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: 
     A pixel reaches half a pixel about its centre; what lies beyond the outermost centres, but within their pixels, has
     the value at the edge.
     """
-    layers = [_spline(image[(..., *channel)], order) for channel in np.ndindex(image.shape[2:])]
+    layers = [spline_of(image[(..., *channel)], order) for channel in np.ndindex(image.shape[2:])]
     warped = np.empty((*sources.shape[:2], *image.shape[2:]), image.dtype)
 
     def band(rows: slice) -> int:
-        return _sample_band(layers, sources[rows], image.shape, order, fill, warped[rows])
+        return sample_band(layers, sources[rows], image.shape, order, fill, warped[rows])
 
     # Interpolation holds no lock, and a band's places stay in the processor's cache.
     bands = [slice(k, k + BAND_ROWS) for k in range(0, len(warped), BAND_ROWS)]
@@ -127,7 +127,7 @@ def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: 
         return warped, sum(pool.map(band, bands))
 
 
-def _spline(layer: NDArray[Any], order: int) -> NDArray[Any]:
+def spline_of(layer: NDArray[Any], order: int) -> NDArray[Any]:
     """What is interpolated: the values, or the coefficients of the cubic spline through them, beyond the edges, too."""
     if order < 2:
         return layer
@@ -135,18 +135,19 @@ def _spline(layer: NDArray[Any], order: int) -> NDArray[Any]:
     return np.asarray(scipy.ndimage.spline_filter(wide, order, mode="nearest"))
 
 
-def _sample_band(
+def sample_band(
     layers: Sequence[NDArray[Any]], sources: NDArray[np.float64], shape: Sequence[int], order: int, fill: float,
     warped: NDArray[Any],
 ) -> int:  # fmt: skip
-    """Fill some rows of the result; the number of pixels that come from outside."""
+    """Fill some rows of the result, or of a slice, from places (x, y, ...); how many pixels come from outside."""
+    axes = sources.shape[-1]
     places = np.moveaxis(sources[..., ::-1], -1, 0).copy()
-    outside = np.zeros(sources.shape[:2], np.bool_)
-    for place, length in zip(places, shape[:2], strict=True):
+    outside = np.zeros(sources.shape[:-1], np.bool_)
+    for place, length in zip(places, shape[:axes], strict=True):
         outside |= ~((place >= -0.5) & (place <= length - 0.5))
         np.clip(place, 0.0, length - 1.0, out=place)
     places += SPLINE_PADDING if order > 1 else 0
-    for channel, layer in zip(np.ndindex(tuple(shape[2:])), layers, strict=True):
+    for channel, layer in zip(np.ndindex(tuple(shape[axes:])), layers, strict=True):
         values = scipy.ndimage.map_coordinates(
             layer, places, order=order, mode="nearest", prefilter=False,
             output=warped.dtype if order == 0 else np.float64,

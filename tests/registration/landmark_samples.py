@@ -98,6 +98,19 @@ SAMPLES = (
          ("fixed.mrk.json", _markup("LPS", "51.09375, 195.28125, 0.0;120.0, 49.375, 0.0;125.84375, 160.78125, 0"))),
         names=("F-1", "F-2", "F-3"),
     ),
+    Sample(
+        "Slicer fiducials, RAS as Slicer 4 wrote them, and LPS", "fcsv",
+        (("moving.fcsv", "# Markups fiducial file version = 4.10\n# CoordinateSystem = 0\n"
+          "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+          "vtkMRMLMarkupsFiducialNode_0,-47.5,-103,0,0,0,0,1,1,1,0,F-1,,\n"
+          "vtkMRMLMarkupsFiducialNode_1,-162.25,-42.90625,0,0,0,0,1,1,1,0,F-2,,\n"
+          "vtkMRMLMarkupsFiducialNode_2,-234.375,-119.09375,0,0,0,0,1,1,1,0,F-3,,\n"),
+         ("fixed.fcsv", "# Markups fiducial file version = 5.6\n# CoordinateSystem = LPS\n"
+          "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+          "2,120,49.375,1,0,0,0,1,1,1,0,F-2,,,2,0\n1,51.09375,195.28125,1,0,0,0,1,1,1,0,F-1,,,2,0\n"
+          "3,125.84375,160.78125,1,0,0,0,1,1,1,0,F-3,,,2,0\n")),
+        names=("F-1", "F-2", "F-3"),
+    ),
 )  # fmt: skip
 
 
@@ -130,6 +143,8 @@ REFUSED = (
     ((("a.mrk.json", "{}"), ("b.mrk.json", "{}")), "a.mrk.json holds no point lists"),
     ((("a.json", '{"markups": [{"controlPoints": [{"position": [1, 2]}]}]}'), ("b.json", "{}")), "point 1 is at"),
     ((("a.json", '{"markups": [{"coordinateSystem": "XYZ", "controlPoints": []}]}'), ("b.json", "{}")), "'XYZ'"),
+    ((("a.fcsv", "# CoordinateSystem = XYZ\n1,2,3,4\n"), ("b.fcsv", "")), "the coordinate system is 'XYZ'"),
+    ((("a.fcsv", "1,2,3\n"), ("b.fcsv", "1,2,3,4\n")), "a.fcsv:1: '1,2,3' is no point of Slicer"),
     ((("a.doc", "1"),), "a.doc: unknown kind of landmark file"),
     ((("a.csv", "moving_x,\0"), ("b.csv", "")), "a.csv is complete, and 2 were given"),
     ((), "there is no landmark file"),

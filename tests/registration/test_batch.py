@@ -48,7 +48,7 @@ def stand_in(job, options, record=None):
     files = {"moving": str(job.moving), "fixed": None, "landmarks": [str(path) for path in job.landmarks]}
     found = {"status": status, "message": "as told", "summary": {"landmarks": 1}, "seconds": {}}
     record = {**files, "out": str(job.out), **found}
-    return Result(record, None, None, None)
+    return Result(record=record, pairs=None, moving=None, fixed=None)
 
 
 def done(jobs, options, summary, run_one=stand_in, **request):

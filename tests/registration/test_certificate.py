@@ -10,13 +10,14 @@ from codegen.errors import LandmarkError
 from codegen.registration import LandmarkPairs, certify, choose_sigma, leave_one_out, register
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.frame import pixel_grid
+from codegen.registration.grid import Grid
 from codegen.registration.step_bounds import bound_of_steps
 
 
 def known_map(determinant, back=lambda p: p):
     """Something that has what `certify` asks for."""
     return SimpleNamespace(
-        status="solved", message="", fixed_shape=(9, 11), residuals=np.array([0.25, 0.5]),
+        status="solved", message="", fixed_grid=Grid.plain((9, 11)), dimension=2, residuals=np.array([0.25, 0.5]),
         pairs=LandmarkPairs([[1, 1]], [[2, 2]]), arriving=lambda p: (p, determinant(p)), map_points=lambda p: p,
         map_points_inverse=back, alignment=SimpleNamespace(determinant=1.0),
         flow=SimpleNamespace(module=None),  # which carries no bounds

@@ -15,7 +15,7 @@ from codegen.registration.pairs import LandmarkPairs
 
 FRAMES = Frames(SHAPE, SHAPE, "left.jpg", "right.jpg")
 ENDINGS = {"csv": (".csv",), "bigwarp": (".csv",), "elastix": (".a.pts", ".b.pts"), "tps": (".tps",),
-           "slicer": (".a.mrk.json", ".b.mrk.json")}  # fmt: skip
+           "slicer": (".a.mrk.json", ".b.mrk.json"), "fcsv": (".a.fcsv", ".b.fcsv")}  # fmt: skip
 
 
 def contents(files):
@@ -48,7 +48,7 @@ def test_every_format_has_a_sample_and_returns_what_it_was_given(form, tmp_path)
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-12 * max(1.0, np.abs(before).max()))
         if form != "tps":  # whose y is counted from the lower edge
             assert (after == before).all()
-    assert again.names == (pairs.names if form in ("csv", "bigwarp", "slicer") else again.names)
+    assert again.names == (pairs.names if form in ("csv", "bigwarp", "slicer", "fcsv") else again.names)
     texts = [path.read_bytes() for path in paths]
     write(*paths, pairs=again, frames=FRAMES, name=form)
     if form != "tps":

@@ -22,7 +22,8 @@ PLACES = st.floats(-1e4, 1e4).map(lambda x: round(x, 3))
         ([[0, 0], [1, 0]], [[0, 0], [np.inf, 1]], "fixed landmark 2"),
         ([[3, 4], [1, 0], [3, 4]], [[0, 0], [1, 1], [2, 2]], "moving landmarks 1 and 3 are at the same place (3, 4)"),
         ([[3, 4], [1, 0]], [[5, 5], [5, 5]], "fixed landmarks 1 and 2"),
-        ([[1, 2, 3]], [[1, 2, 3]], "shape (1, 3)"),
+        ([[1, 2, 3, 4]], [[1, 2, 3, 4]], "shape (1, 4)"),
+        ([[1, 2, 3]], [[1, 2]], "fixed points have shape (1, 2)"),
         ([["a", "b"]], [[1, 2]], "no numbers"),
     ],
 )

@@ -14,7 +14,7 @@ from codegen import derive, emit, lower, naming, transcribe
 from codegen.author.sources import Source
 from codegen.checks.base import Finding
 from codegen.checks.module import provenance
-from codegen.checks.particles import tracers
+from codegen.checks.particles import kernel, tracers
 from codegen.loading import load
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
@@ -45,6 +45,7 @@ def findings(source: Source, arguments: Mapping[str, str], choices: Choices, mod
         yield _hessian(model, module, states[0])
         yield _products(model, module, states[0], generator)
     yield from _symplectic(model, module, states[0], program.scheme)
+    yield from kernel.findings(model, module)
     yield from tracers.findings(model, module, states)
 
 

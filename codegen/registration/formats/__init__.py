@@ -1,7 +1,8 @@
 """Landmark files: read and written in the formats of this package and of the field's programs.
 
 A format is one file of this folder and one line of FORMATS. Whatever a file says, LandmarkPairs are in pixels, with the
-origin at the centre of the top-left pixel, x to the right and y down.
+origin at the centre of the top-left pixel, x to the right and y down; between volumes they are in the coordinates of
+their grids.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from pathlib import Path
 
 from codegen.errors import PointsError
 from codegen.files import replacing
-from codegen.registration.formats import bigwarp, elastix, plain, slicer, tps
+from codegen.registration.formats import bigwarp, elastix, fcsv, plain, slicer, tps
 from codegen.registration.formats.base import MOST_BYTES, Format, Frames, Source
 from codegen.registration.pairs import LandmarkPairs
 
 FORMATS: dict[str, Format] = {
-    form.name: form for form in (plain.FORMAT, bigwarp.FORMAT, elastix.FORMAT, tps.FORMAT, slicer.FORMAT)
+    form.name: form for form in (plain.FORMAT, bigwarp.FORMAT, elastix.FORMAT, tps.FORMAT, slicer.FORMAT, fcsv.FORMAT)
 }
 
 __all__ = [
@@ -58,7 +59,7 @@ def parse_landmarks(
     for file, data in contents:
         if len(data) > MOST_BYTES:
             raise PointsError(f"{file} is larger than {MOST_BYTES >> 20} MB", "give a file of landmarks alone")
-    form = _format(name) if name is not None else _guessed(*contents[0])
+    form = _format(name) if name is not None else _guessed(*contents[0], (frames or Frames()).axes)
     sources = [Source(file, _decoded(file, data, form)) for file, data in contents]
     if len(sources) != form.files:
         given = f"{sources[0].name} is one of a pair of files" if form.files == 2 else f"{sources[0].name} is complete"
@@ -101,7 +102,7 @@ def _of_suffix(file: str) -> list[Format]:
     return found
 
 
-def _guessed(file: str, data: bytes) -> Format:
+def _guessed(file: str, data: bytes, axes: str = "xy") -> Format:
     """The format that the suffix allows and the beginning of the text shows, or the only one that is allowed."""
     candidates = _of_suffix(file)
     if not data.strip():
@@ -110,7 +111,7 @@ def _guessed(file: str, data: bytes) -> Format:
     found = [form for form in candidates if form.recognises(begin)]
     if not found and len(candidates) > 1:
         titles = " nor ".join(form.title for form in candidates)
-        remedy = f"name the columns {','.join(plain.COLUMNS)} in the first line"
+        remedy = f"name the columns {','.join(plain.columns(axes))} in the first line"
         raise PointsError(f"{file}:1: it begins neither like {titles}", remedy)
     return (found or candidates)[0]
 

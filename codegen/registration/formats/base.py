@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, PointsError
+from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
 
 MOST_BYTES = 8 << 20
@@ -35,12 +36,22 @@ class Source:
 
 @dataclass(frozen=True)
 class Frames:
-    """The images between which landmarks lie, as far as they are known: shapes (height, width, ...) and file names."""
+    """The images between which landmarks lie, as far as they are known: shapes (height, width, ...) and file names.
+
+    With the grids of a moving and a fixed volume, `grids`, landmarks have three coordinates, which are made those of
+    the grids: as a rule LPS in millimetres.
+    """
 
     moving_shape: tuple[int, ...] | None = None
     fixed_shape: tuple[int, ...] | None = None
     moving_name: str = ""
     fixed_name: str = ""
+    grids: tuple[Grid, Grid] | None = None
+
+    @property
+    def axes(self) -> str:
+        """The names of the coordinates that landmarks must have."""
+        return "xy" if self.grids is None else "xyz"
 
 
 @dataclass(frozen=True)
@@ -105,6 +116,16 @@ def in_plane(name: str, what: str, points: Sequence[Sequence[float]]) -> list[tu
         finding = f"{name}: {what} landmarks have z from {min(heights):g} to {max(heights):g}"
         raise PointsError(finding, "give landmarks of one slice; images in the plane are registered")
     return [(point[0], point[1]) for point in points]
+
+
+def placed(name: str, what: str, points: Sequence[Sequence[float]], frames: Frames) -> list[tuple[float, ...]]:
+    """Points as the images ask for them: with x and y, or with x, y and z; PointsError where they have others."""
+    if frames.grids is None:
+        return list(in_plane(name, what, points))
+    if any(len(point) != 3 for point in points):
+        finding = f"{name}: {what} landmarks have x and y alone, and the images are volumes"
+        raise PointsError(finding, "give three coordinates of every landmark")
+    return [tuple(point) for point in points]
 
 
 def require_order(sources: Sequence[Source]) -> None:

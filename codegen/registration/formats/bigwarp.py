@@ -2,8 +2,9 @@
 
 Rows have 6 fields in the plane and 8 in space, all in quotation marks. A point that was not set is Infinity, and its
 row is not active. Coordinates are in the units of the images, which are pixels where they were not calibrated, with
-the origin at the centre of the top-left pixel and y down, as here. Source: what `LandmarkTableModel` of BigWarp 9.4
-(github.com/saalfeldlab/bigwarp) reads and writes.
+the origin at the centre of the top-left pixel and y down, as here. Those of volumes are column, row and slice times the
+spacing: BigWarp leaves origin and orientation of a file aside, and here they are put back. Source: what
+`LandmarkTableModel` of BigWarp 9.4 (github.com/saalfeldlab/bigwarp) reads and writes.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import csv
 import io
 from collections.abc import Sequence
 
+import numpy as np
+
 from codegen.author.points import finite_numbers
 from codegen.errors import PointsError
-from codegen.registration.formats.base import Format, Frames, Source, in_plane, is_missing, made, rows, text_of
+from codegen.registration.formats.base import Format, Frames, Source, is_missing, made, placed, rows, text_of
 from codegen.registration.pairs import LandmarkPairs
 
 AXES = {6: "xy", 8: "xyz"}
@@ -48,15 +51,29 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
         names.append(fields[0])
     if not moving and inactive:
         raise PointsError(f"{source.name}: none of its {inactive} landmarks is active", "set both points of some")
-    before, after = in_plane(source.name, "moving", moving), in_plane(source.name, "fixed", fixed)
+    before, after = placed(source.name, "moving", moving, frames), placed(source.name, "fixed", fixed, frames)
+    if frames.grids is not None and names:
+        one, other = (
+            np.array(points) @ np.array(grid.direction).T + grid.origin
+            for points, grid in zip((before, after), frames.grids, strict=True)
+        )
+        return made(sources, one, other, names)
     return made(sources, before, after, names)
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """The table in the plane, every row active."""
+    """The table, every row active; PointsError where the grids of volumes are not known."""
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
-    for before, after, name in zip(pairs.moving, pairs.fixed, pairs.names):
+    moving, fixed = pairs.moving, pairs.fixed
+    if pairs.dimension == 3:
+        if frames.grids is None:
+            raise PointsError("BigWarp leaves origin and orientation aside, and they are not known", "give both grids")
+        moving, fixed = (
+            (points - grid.origin) @ np.array(grid.direction)
+            for points, grid in zip((moving, fixed), frames.grids, strict=True)
+        )
+    for before, after, name in zip(moving, fixed, pairs.names):
         writer.writerow([name, "true", *map(text_of, (*before, *after))])
     return (file.getvalue(),)
 

@@ -1,8 +1,9 @@
 """Point files of elastix, one for each image: `point` or `index`, the number of points, then one point in a line.
 
 `index` counts pixels. `point` is in the coordinates of the image file, which are pixels where the image has spacing 1
-and origin 0, as PNG, JPEG and plain TIFF files have in elastix. Without a keyword points are indices, as before elastix
-3.5. Sources: elastix manual, section 4.2 (option -def), and elastix's `TransformixInputPointFileReader`.
+and origin 0, as PNG, JPEG and plain TIFF files have in elastix, and LPS in millimetres for volumes. Without a keyword
+points are indices, as before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and elastix's
+`TransformixInputPointFileReader`.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from codegen.registration.formats.base import (
     Format,
     Frames,
     Source,
-    in_plane,
     made,
+    placed,
     require_count,
     require_order,
     text_of,
 )
 from codegen.registration.pairs import LandmarkPairs, PointArray
 
-REMEDY = "give point or index, the number of points, then two coordinates in each line"
+REMEDY = "give point or index, the number of points, then two coordinates in each line, or three for volumes"
 
 
 def recognises(text: str) -> bool:
@@ -37,14 +38,16 @@ def recognises(text: str) -> bool:
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     """Read the moving and the fixed file; PointsError names the file and the line."""
     require_order(sources)
-    moving, fixed = (_points(source, what) for source, what in zip(sources, ("moving", "fixed")))
+    moving, fixed = (_points(source, side, frames) for side, source in enumerate(sources))
     return made(sources, moving, fixed)
 
 
-def _points(source: Source, what: str) -> list[tuple[float, float]]:
+def _points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]]:
+    are_indices = True
     lines = [(number, line.split()) for number, line in enumerate(source.text.split("\n"), 1) if line.strip()]
     if lines and lines[0][1][0].lower() in ("point", "index"):
         number, words = lines.pop(0)
+        are_indices = words[0].lower() == "index"
         if len(words) > 1:
             lines.insert(0, (number, words[1:]))
     if not lines or len(lines[0][1]) != 1 or not lines[0][1][0].isdecimal() or len(lines[0][1][0]) > 9:
@@ -58,7 +61,10 @@ def _points(source: Source, what: str) -> list[tuple[float, float]]:
     if dimension not in (2, 3):
         raise PointsError(f"{source.name}:{lines[0][0]}: a point has {dimension} coordinates", REMEDY)
     points = [finite_numbers(source.name, line, words, "xyz"[:dimension]) for line, words in lines]
-    return in_plane(source.name, what, points)
+    found = placed(source.name, ("moving", "fixed")[side], points, frames)
+    if are_indices and found and frames.grids is not None:
+        return list(map(tuple, frames.grids[side].to_places(np.array(found)).tolist()))
+    return found
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The plain table of this package: `moving_x,moving_y,fixed_x,fixed_y` in pixels, and optionally `name`.
 
-The origin is the centre of the top-left pixel, x to the right, y down. Columns may come in any order.
+The origin is the centre of the top-left pixel, x to the right, y down. Those of volumes have `moving_z` and `fixed_z`
+as well, and all are in the coordinates of the files: LPS in millimetres. Columns may come in any order.
 """
 
 from __future__ import annotations
@@ -17,6 +18,11 @@ from codegen.registration.pairs import LandmarkPairs
 COLUMNS = ("moving_x", "moving_y", "fixed_x", "fixed_y")
 
 
+def columns(axes: str) -> tuple[str, ...]:
+    """The names of the columns for axes "xy" or "xyz"."""
+    return tuple(f"{image}_{axis}" for image in ("moving", "fixed") for axis in axes)
+
+
 def recognises(text: str) -> bool:
     """Whether the first line that is not empty names a column of this table."""
     first = text.lstrip().split("\n", 1)[0].lower()
@@ -28,18 +34,19 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     (source,) = sources
     table = rows(source)
     header = next((fields for _, fields in table), [])
-    if sorted(set(header) - {"name"}) != sorted(COLUMNS) or len(set(header)) < len(header):
+    wanted, dimension = columns(frames.axes), len(frames.axes)
+    if sorted(set(header) - {"name"}) != sorted(wanted) or len(set(header)) < len(header):
         finding = f"{source.name}: the columns are {','.join(header)[:100] or 'missing'}"
-        raise PointsError(finding, f"name the columns {','.join(COLUMNS)} in the first line")
-    place = [header.index(name) for name in COLUMNS]
+        raise PointsError(finding, f"name the columns {','.join(wanted)} in the first line")
+    place = [header.index(name) for name in wanted]
     points, names = [], []
     for line, fields in table:
         if len(fields) != len(header):
             finding = f"{source.name}:{line}: {len(fields)} values for {len(header)} columns"
             raise PointsError(finding, f"give {','.join(header)} in every row")
-        points.append(finite_numbers(source.name, line, [fields[k] for k in place], COLUMNS))
+        points.append(finite_numbers(source.name, line, [fields[k] for k in place], wanted))
         names += [fields[header.index("name")]] if "name" in header else []
-    return made(sources, [row[:2] for row in points], [row[2:] for row in points], names)
+    return made(sources, [row[:dimension] for row in points], [row[dimension:] for row in points], names)
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
@@ -47,7 +54,7 @@ def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
     named = pairs.names != tuple(str(k + 1) for k in range(len(pairs)))
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([*COLUMNS, *(["name"] if named else [])])
+    writer.writerow([*columns("xyz"[: pairs.dimension]), *(["name"] if named else [])])
     for before, after, name in zip(pairs.moving, pairs.fixed, pairs.names):
         writer.writerow([*map(text_of, (*before, *after)), *([name] if named else [])])
     return (file.getvalue(),)

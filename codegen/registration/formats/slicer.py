@@ -1,9 +1,10 @@
 """Point lists of 3D Slicer (.mrk.json), one for each image.
 
 Slicer places an image file without spacing such that its pixels are at x = column, y = row in the LPS system, 1 mm
-apart, so LPS positions are pixels and RAS positions have the opposite signs. Points that are not placed yet
-(`positionStatus` other than `defined`) are left out. Where both lists use the same labels, each once, points are
-matched by label, otherwise by order. Source: markups-schema-v1.0.3.json of Slicer and its developer guide, "Markups".
+apart, so LPS positions are pixels and RAS positions have the opposite signs. Volumes are placed by their spacing,
+origin and orientation, in LPS as well. Points that are not placed yet (`positionStatus` other than `defined`) are left
+out. Where both lists use the same labels, each once, points are matched by label, otherwise by order. Source:
+markups-schema-v1.0.3.json of Slicer and its developer guide, "Markups".
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import PointsError
-from codegen.registration.formats.base import Format, Frames, Source, in_plane, made, require_count, require_order
+from codegen.registration.formats.base import Format, Frames, Source, made, placed, require_count, require_order
 from codegen.registration.pairs import LandmarkPairs, PointArray
 
 SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#"
@@ -32,20 +33,27 @@ def recognises(text: str) -> bool:
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     """Read the moving and the fixed file; PointsError names the file and the control point."""
     require_order(sources)
-    (labels, moving), (others, fixed) = (_points(source, what) for source, what in zip(sources, ("moving", "fixed")))
+    return matched(sources, [_points(source) for source in sources], frames)
+
+
+def matched(
+    sources: Sequence[Source], lists: Sequence[tuple[list[str], list[tuple[float, ...] | None]]], frames: Frames
+) -> LandmarkPairs:
+    """Pairs of two lists of labels and positions, by label where both have the same; PointsError where they differ."""
+    (labels, moving), (others, fixed) = lists
     if len(moving) != len(fixed):
         finding = f"{sources[0].name} holds {len(moving)} points and {sources[1].name} {len(fixed)}"
         raise PointsError(finding, "give every point in both images")
     if set(labels) == set(others) and len(set(labels)) == len(labels):
         fixed = [fixed[others.index(label)] for label in labels] if labels != others else fixed
     both = [k for k in range(len(moving)) if moving[k] is not None and fixed[k] is not None]
-    before = in_plane(sources[0].name, "moving", [moving[k] for k in both])  # type: ignore[misc]
-    after = in_plane(sources[1].name, "fixed", [fixed[k] for k in both])  # type: ignore[misc]
+    before = placed(sources[0].name, "moving", [moving[k] for k in both], frames)  # type: ignore[misc]
+    after = placed(sources[1].name, "fixed", [fixed[k] for k in both], frames)  # type: ignore[misc]
     names = [labels[k] or str(k + 1) for k in both]
     return made(sources, before, after, names)
 
 
-def _points(source: Source, what: str) -> tuple[list[str], list[tuple[float, ...] | None]]:
+def _points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
     """Labels, and positions or None where a point is not placed."""
     markup = _point_list(source)
     system = markup.get("coordinateSystem", "LPS")
@@ -99,8 +107,13 @@ def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
 
 def _text(name: str, points: PointArray, labels: Sequence[str]) -> str:
     controls = [
-        {"id": str(k), "label": label, "position": [float(x), float(y), 0.0], "positionStatus": "defined"}
-        for k, (label, (x, y)) in enumerate(zip(labels, np.asarray(points)), 1)
+        {
+            "id": str(k),
+            "label": label,
+            "position": [*map(float, place), *[0.0] * (3 - len(place))],
+            "positionStatus": "defined",
+        }
+        for k, (label, place) in enumerate(zip(labels, np.asarray(points)), 1)
     ]
     markup = {
         "type": "Fiducial", "name": name, "coordinateSystem": "LPS", "coordinateUnits": "mm",

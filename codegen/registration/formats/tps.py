@@ -40,6 +40,9 @@ def recognises(text: str) -> bool:
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     """Read two specimens; PointsError names the file and the line, or the image whose height is not known."""
     (source,) = sources
+    if frames.grids is not None:
+        finding = f"{source.name}: TPS files hold landmarks in the plane, and the images are volumes"
+        raise PointsError(finding, "give landmarks in space, as plain CSV")
     specimens = list(specimens_of(source))
     moving, fixed = _chosen(source, specimens, frames)
     if len(moving.points) != len(fixed.points):

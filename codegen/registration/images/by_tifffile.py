@@ -53,7 +53,9 @@ def _require_one_page(name: str, file: Any) -> None:
         except IndexError:
             return
         if not page.is_reduced:
-            raise ImageError(f"{name} holds several images", "save the one to be registered as a file of its own")
+            raise ImageError(
+                f"{name} holds several images", "save one as a file of its own; codegen warp registers stacks"
+            )
 
 
 def decode(name: str, data: bytes, header: Header) -> tuple[NDArray[Any], bytes | None, int]:

@@ -9,6 +9,8 @@ from codegen.errors import ImageError
 from codegen.registration.images import by_tifffile
 from codegen.registration.images.kinds import Header
 
+VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
+"""What `codegen.registration.volumes` reads."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
@@ -26,6 +28,8 @@ def header_of(name: str, data: bytes) -> Header:
         return _jpeg(name, data)
     if data.startswith(_TIFF):
         return by_tifffile.header(name, data)
+    if name.lower().endswith(VOLUMES):
+        raise ImageError(f"{name} is a volume, and this is for pictures", "give codegen warp two volumes")
     what = "is empty" if not data else "is no PNG, JPEG or TIFF file"
     raise ImageError(f"{name} {what}", "convert it to PNG, JPEG or TIFF")
 
