@@ -53,8 +53,8 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
 
 def is_costless(program: ControlProgram) -> bool:
     """Whether any motion that obeys the conditions will do."""
-    parts = (*program.interval_elements, program.start, program.end)
-    return not program.sample and all(part.cost == 0 for part in parts)
+    costs = [*(part.cost for part in program.interval_elements), program.start.cost, program.end.cost]
+    return not program.sample and not any(costs)
 
 
 def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
