@@ -1263,13 +1263,10 @@ def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multipli
 
 
 def sizes_of_terms(grid, unknowns, enough=np.inf, as_many=np.inf):
-    """The same of a grid, in parts of sizes where it has them.
-
-    Without a cost all multipliers tend to zero, and terms of stationarity with them: one stands for their size.
-    """
+    """The same of a grid, in parts of sizes where it has them."""
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = grid
-    terms = term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
-    return terms
+    arguments = unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many
+    return term_sizes(*arguments)
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
@@ -2249,7 +2246,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_c7b37af8f98c3f59"
+_IDENTITY = "codegen_linear_pendulum_bd51c7fdae17555e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

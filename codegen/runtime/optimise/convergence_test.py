@@ -76,15 +76,14 @@ def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multipli
 
 
 def sizes_of_terms(grid, unknowns, enough=np.inf, as_many=np.inf):
-    """The same of a grid, in parts of sizes where it has them.
-
-    Without a cost all multipliers tend to zero, and terms of stationarity with them: one stands for their size.
-    """
+    """The same of a grid, in parts of sizes where it has them."""
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = grid
-    terms = term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many)
+    arguments = unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many
     if COSTLESS:
-        terms = terms[0], max(1.0, terms[1])
-    return terms
+        equations, stationarity = term_sizes(*arguments)  # the latter tends to zero with all multipliers
+        return equations, max(1.0, stationarity)
+    else:
+        return term_sizes(*arguments)
 
 
 def is_solved(grid, point, tolerance, roundings=1.0):
