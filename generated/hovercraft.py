@@ -3189,7 +3189,6 @@ FALL = 0.5  # part of the first cost by which the cost has fallen where an unkno
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
 VIOLATED = 1e-6  # residuals above it are no rounding
-STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 
 
@@ -3198,11 +3197,8 @@ def final_status(grid, guess, point, status):
 
     Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
     hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
-    and are more than the unknowns, no better guess would help it. Multipliers without limit make any slope one of
-    rounding, and no optimum.
+    and are more than the unknowns, no better guess would help it.
     """
-    if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
-        status = "stalled"
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
@@ -3218,12 +3214,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def steepest_cost(grid, point):
-    """The largest slope of the cost."""
-    bare = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
-    return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
 
 
 def unscaled_unknowns(grid, unknowns):
@@ -3902,6 +3892,7 @@ LARGE_CORRECTION = 1e-3  # part of the cost
 # In other sizes it may be solved, for which iterations beyond a number are kept.
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 LONG = 1000
+STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 
 
@@ -3938,12 +3929,20 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 def verdict(scaled, grid, guess, point, status):
     """The status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
 
-    The guess (n,) is in the problem's own units.
+    Multipliers without limit would make any slope one of rounding. The guess (n,) is in the problem's own units.
     """
+    if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
+        status = "stalled"
     status = final_status(grid, scaled_unknowns(grid, guess), point, status)
     if status == "solved" and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
         return "unbounded"
     return status
+
+
+def steepest_cost(grid, point):
+    """The largest slope of the cost."""
+    bare = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
+    return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):
@@ -4387,7 +4386,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_02885fb6d84a1c5a"
+_IDENTITY = "codegen_hovercraft_ff94dd8f06411cef"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

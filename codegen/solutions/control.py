@@ -28,8 +28,6 @@ from codegen.solutions.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
-STEEP = 1e-3
-"""Slopes of the Lagrangian above it, in parts of the cost's or of one, are no optimum's, whatever multipliers are."""
 
 
 @dataclass(frozen=True)
@@ -169,8 +167,9 @@ def _is_accurate(
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
     steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
     scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
-    if stationarity > STEEP * max(1.0, steepest):
-        return False  # multipliers without limit would forgive any slope
+    # Multipliers without limit would forgive any slope. Linear-quadratic problems, which know no sizes, have no limit.
+    if stationarity > getattr(module, "STEEP", math.inf) * max(1.0, steepest):
+        return False
     return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
         attempt.tolerance * scale, rounding
     )

@@ -39,6 +39,7 @@ LARGE_CORRECTION = 1e-3  # part of the cost
 # In other sizes it may be solved, for which iterations beyond a number are kept.
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 LONG = 1000
+STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 
 
@@ -75,12 +76,20 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 def verdict(scaled, grid, guess, point, status):
     """The status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
 
-    The guess (n,) is in the problem's own units.
+    Multipliers without limit would make any slope one of rounding. The guess (n,) is in the problem's own units.
     """
+    if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
+        status = "stalled"
     status = final_status(grid, scaled_unknowns(grid, guess), point, status)
     if status == "solved" and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
         return "unbounded"
     return status
+
+
+def steepest_cost(grid, point):
+    """The largest slope of the cost."""
+    bare = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
+    return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
 
 
 def refined(grid, start, point, tolerance, max_iterations, log):

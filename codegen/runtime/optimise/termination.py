@@ -16,7 +16,6 @@ FALL = 0.5  # part of the first cost by which the cost has fallen where an unkno
 HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
 HUGE = 1e6  # multipliers above it belong to equations that depend on each other
 VIOLATED = 1e-6  # residuals above it are no rounding
-STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
 
 
@@ -25,11 +24,8 @@ def final_status(grid, guess, point, status):
 
     Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
     hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
-    and are more than the unknowns, no better guess would help it. Multipliers without limit make any slope one of
-    rounding, and no optimum.
+    and are more than the unknowns, no better guess would help it.
     """
-    if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
-        status = "stalled"
     if status in ("unbounded", "saddle point") or (status == "solved" and not ROOT):
         return status
     if not point.error < np.inf or (
@@ -45,12 +41,6 @@ def final_status(grid, guess, point, status):
     if status == "stalled" and point.residual > VIOLATED and is_overdetermined(grid):
         return "infeasible"
     return status
-
-
-def steepest_cost(grid, point):
-    """The largest slope of the cost."""
-    bare = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
-    return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
 
 
 def unscaled_unknowns(grid, unknowns):
