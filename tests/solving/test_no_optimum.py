@@ -10,7 +10,7 @@ from codegen import Control, control, coordinates
 
 
 def spun_hoop() -> Control:
-    """A bead at rest at the bottom of a hoop that is turned about the vertical, which it leaves by coarse steps alone."""
+    """A bead at rest at the bottom of a hoop that is turned about the vertical: only coarse steps let it leave."""
     (alpha, phi), (dalpha, dphi) = coordinates("alpha phi")
     u = control("u")
     kinetic = 0.002 * (dalpha**2 + sin(alpha) ** 2 * dphi**2) + 0.005 * dphi**2
