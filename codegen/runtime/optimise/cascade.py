@@ -28,6 +28,8 @@ from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.time_grid import views
 
+WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
+
 if UNBOUNDED:
     GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
     NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
@@ -76,7 +78,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
             break
     if status != "solved":
         status, iterate = first
-    if status in ("stalled", "infeasible") and iterate.point.residual > VIOLATED and total < max_iterations:
+    if status in WITHOUT_WAY and iterate.point.residual > VIOLATED and total < max_iterations:
         left = max_iterations - total
         status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
         total += iterations
@@ -106,7 +108,7 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
             if tried == "solved":
                 return tried, last, total
             ended = "stalled" if status == "infeasible" else status, iterate  # something does obey them
-        elif found == "infeasible" and ended is None:
+        elif found == "infeasible" and ended is None and status != "rank-deficient":
             ended = found, least
     return *(ended or (status, iterate)), total
 
