@@ -3179,6 +3179,8 @@ def restored(search, iterate, reduction, filtered, log):
 
 # The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed.
 
+WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
+
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     """Find a local minimum; return (status, point, iterations).
@@ -3218,7 +3220,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
             break
     if status != "solved":
         status, iterate = first
-    if status in ("stalled", "infeasible") and iterate.point.residual > VIOLATED and total < max_iterations:
+    if status in WITHOUT_WAY and iterate.point.residual > VIOLATED and total < max_iterations:
         left = max_iterations - total
         status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
         total += iterations
@@ -3244,7 +3246,7 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
             if tried == "solved":
                 return tried, last, total
             ended = "stalled" if status == "infeasible" else status, iterate  # something does obey them
-        elif found == "infeasible" and ended is None:
+        elif found == "infeasible" and ended is None and status != "rank-deficient":
             ended = found, least
     return *(ended or (status, iterate)), total
 
@@ -4988,7 +4990,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_e90c8d0da24cdbaa"
+_IDENTITY = "codegen_bouncing_ball_596cb3f244104edc"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
