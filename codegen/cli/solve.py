@@ -140,7 +140,7 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
     told = [note for found in (result.estimates, result.sensitivity) if found is not None for note in found.notes]
-    for note in (*notes.notes(outcome.module.metadata), *told):
+    for note in (*notes.notes(outcome.module.metadata), *told, *result.notes):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))

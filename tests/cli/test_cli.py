@@ -16,6 +16,14 @@ from codegen.solutions import output
 from codegen.solutions.result import STATUSES
 from codegen.transcribe.connect import CONNECT_METHODS
 
+WALLED = '''"""Through a wall that is thinner than a step."""
+from codegen import Control, controls, states
+def problem() -> Control:
+    x, y = states("x y")
+    u, w = controls("u w")
+    return Control(dynamics={x: u, y: w}, cost=u**2 + w**2, duration=1, start={x: -1, y: 0}, end={x: 1, y: 0},
+                   path=[(100 * x) ** 2 + y**2 >= 1], steps=9)
+'''
 KEYS = "problem task method scheme driver steps status message cost residual iterations seconds summary".split()
 
 
@@ -41,6 +49,14 @@ class TestJson:
         assert list(record["seconds"]) == ["build", "load", "solve"]
         assert all(value > 0.0 for value in record["seconds"].values())
         assert set(record["summary"]) == {"duration", "final_state_miss", "largest_control", "stationarity"}
+
+    def test_what_a_motion_does_between_nodes_is_a_note_on_stderr_and_in_the_record(self, solved, folder):
+        (folder / "walled.py").write_text(WALLED)
+        result, record = solved("walled.py")
+        assert record["status"] == "solved"
+        (note,) = record["notes"]
+        assert note.startswith("between nodes the motion violates")
+        assert f"codegen: note: {note}" in result.stderr.splitlines()
 
     def test_simulation(self, solved):
         result, record = solved(PENDULUM, "--every", 50)
