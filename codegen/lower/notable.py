@@ -8,7 +8,7 @@ from sympy import Dummy, expand
 from codegen.discretise import at_nodes
 from codegen.lower import inner_times
 from codegen.model import Model
-from codegen.model.definitions import prescribed
+from codegen.model.definitions import expressions_of, prescribed
 from codegen.model.jumps import jumps
 from codegen.model.nonsmooth_costs import kinks
 from codegen.model.singular_guesses import singular_at_guess
@@ -85,13 +85,11 @@ def _kinks(program: ControlProgram) -> tuple[str, ...]:
 
 
 def _jumps(program: ControlProgram) -> tuple[str, ...]:
-    """Borders at which the cost, the dynamics, forces or path conditions of any phase jump."""
+    """Borders at which the cost, the dynamics, forces or conditions of any phase jump."""
     found: dict[str, None] = {}
     for model in program.model.phases or (program.model,):
         moving = (*model.coordinates, *model.rates, *model.controls)
-        conditions = (condition.expression for condition in model.path)
-        for part in (model.cost, model.function, *model.force, *model.dynamics, *conditions):
-            found |= dict.fromkeys(jumps(part, moving) if part is not None else ())
+        found |= dict.fromkeys(border for part in expressions_of(model) for border in jumps(part, moving))
     return tuple(found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import sympy
@@ -239,3 +240,10 @@ def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
         return {}
     pairs = zip([*model.coordinates, *model.rates], [*boundary.positions, *boundary.rates], strict=True)
     return {symbol: value for symbol, value in pairs if value is not None}
+
+
+def expressions_of(model: Model) -> Iterator[sympy.Expr]:
+    """What holds all along a motion: cost, Lagrangian or Hamiltonian, forces, dynamics, path conditions, integrals."""
+    yield from (e for e in (model.cost, model.function, *model.force, *model.dynamics) if e is not None)
+    yield from (condition.expression for condition in model.path)
+    yield from (integral.expression for integral in model.integrals)

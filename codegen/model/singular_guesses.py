@@ -8,7 +8,7 @@ import sympy
 from sympy import Dummy, Expr, Symbol
 
 from codegen.expressions.checks import rounded_at
-from codegen.model.definitions import Model
+from codegen.model.definitions import Model, expressions_of
 from codegen.model.lines import guessed, known_values
 from codegen.model.values import values_at_guess
 
@@ -27,7 +27,7 @@ def singular_at_guess(model: Model) -> tuple[Singular, ...]:
     points = [point_of_guess(model, share) for share in _INSIDE]
     moving = {*model.coordinates, *model.rates, *model.controls}
     found = list[Singular]()
-    for part in dict.fromkeys(part for expression in _expressions(model) for part in _parts(expression)):
+    for part in dict.fromkeys(part for expression in expressions_of(model) for part in _parts(expression)):
         wrong = [_wrong(part, point) for point in points] if part.free_symbols & moving else []
         if wrong and all(wrong):
             at = ", ".join(f"{s} = {points[0][s]:g}" for s in sorted(part.free_symbols & moving, key=str))
@@ -67,12 +67,6 @@ def _inside(number: float, lower: float | None, upper: float | None) -> float:
         push = min(push, _PUSH * abs(upper - lower))
     number = number if lower is None else max(number, lower + push)
     return number if upper is None else min(number, upper - push)
-
-
-def _expressions(model: Model) -> Iterator[Expr]:
-    yield from (e for e in (model.cost, model.function, *model.force, *model.dynamics) if e is not None)
-    yield from (condition.expression for condition in model.path)
-    yield from (integral.expression for integral in model.integrals)
 
 
 def _parts(expression: Expr) -> Iterator[Expr]:

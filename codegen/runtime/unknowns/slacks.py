@@ -27,6 +27,6 @@ def with_violations(grid, point):
     gradient = point.gradient.copy()
     (_, rows), (_, unknowns) = views(grid, gradient), views(grid, point.unknowns)
     violations = rows[:, :, SLACK_MULTIPLIERS - NODE] - unknowns[:, :, SLACKS - NODE]
-    rows[:, :, SLACK_MULTIPLIERS - NODE] = np.where(violations > 0.0, violations, 0.0 * violations)
-    is_violated = not np.abs(gradient[grid.is_multiplier]).max() <= HOLDS
-    return point._replace(gradient=gradient) if is_violated else point
+    rows[:, :, SLACK_MULTIPLIERS - NODE] = np.maximum(violations, 0.0)
+    holds = np.abs(gradient[grid.is_multiplier]).max() <= HOLDS
+    return point if holds else point._replace(gradient=gradient)
