@@ -12,6 +12,7 @@ from codegen.discretise import STEP
 from codegen.expressions.table_functions import tables_of
 from codegen.lower import control_guesses, inner_times, phases, sensitivities
 from codegen.lower import control_layout as layout
+from codegen.lower.control_sizes import sizes
 from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import lower_couplings
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
@@ -92,7 +93,7 @@ def lower_control(
             *added.runtime,
         ),
         sizes=(
-            *layout.sizes(program, derivatives),
+            *sizes(program, derivatives),
             *added.sizes,
             ("RANGED", len(ranged)),
             ("SAMPLED", len(model.measurements)),

@@ -9,73 +9,16 @@ from typing import Any
 from sympy import Expr, Symbol, oo
 
 from codegen.derive import ControlDerivatives
-from codegen.expressions.table_functions import tables_of
+from codegen.lower.control_sizes import pinned, sizes
 from codegen.lower.kernels import Line
 from codegen.lower.printer import array_code, scalar_code
-from codegen.transcribe.program import ControlProgram, EndElement, Unknown
+from codegen.transcribe.program import ControlProgram, Unknown
 
 
 def parameters(program: ControlProgram) -> tuple[Symbol, ...]:
     """What stands in the vector of parameters: the author's, boundary values, inner times, shared unknowns."""
     given = (*program.model.parameters, *(value.symbol for value in program.boundary_values))
     return (*given, *program.inner.parameters, *program.shared_symbols)
-
-
-def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
-    """The number of bodies, whether it is more than one, the shared unknowns of each and in all, and their conditions.
-
-    Then whether there are phases, inequalities, slacks on intervals, no cost, and a right-hand side that takes part in
-    the elimination, and how many numbers tables have.
-    """
-    own, shared, couplings = program.own, len(program.shared), len(program.couplings)
-    return (
-        ("BODIES", program.bodies),
-        ("SEVERAL", int(program.bodies > 1)),
-        ("OWN", own),
-        ("SHARED", shared),
-        ("COUPLINGS", couplings),
-        ("ROOT", program.bodies * own + shared - own + couplings),
-        ("TIED", len(program.start.shared) + len(program.end.shared)),
-        ("SHARED_MULTIPLIERS", sum(u.multiplier for u in program.shared)),
-        ("PHASES", len(program.phases)),
-        ("INNER_TIMES", len(program.inner.times)),
-        ("FREE_TIMES", len(program.inner.lacking)),
-        ("INEQUALITIES", int(program.has_inequalities)),
-        ("UNBOUNDED", int(not program.has_inequalities)),
-        ("SLACKED", len(program.slacks)),
-        ("COSTLESS", int(is_costless(program))),
-        ("SCALED", int(not derivatives.linear_quadratic)),
-        ("BACKWARD", int(sweeps_backward(program))),
-        ("CARRIED", int(carries_right_hand_side(program, derivatives))),
-        ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
-    )
-
-
-def is_costless(program: ControlProgram) -> bool:
-    """Whether any motion that obeys the conditions will do."""
-    costs = [*(part.cost for part in program.interval_elements), program.start.cost, program.end.cost]
-    return not program.sample and not any(costs)
-
-
-def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
-    """Whether the rows of an element matrix, which are as long as a multiple of four, have room for one more column."""
-    node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
-    block = node + inside - derivatives.condensed
-    first = program.end if sweeps_backward(program) else program.start
-    border = node + block - len(_pinned(first)) + len(program.shared)  # the next node, block 0, shared unknowns
-    return (block + border) % 4 > 0 and border % 4 > 0
-
-
-def sweeps_backward(program: ControlProgram) -> bool:
-    """Whether elimination goes from the last interval to the first.
-
-    Where equations are those of intervals, each then goes with the state at its end, which it determines: the other
-    way the elimination would integrate backward in time, and dissipative dynamics would make rounding grow without end.
-    Equations of states at nodes, which controls before the last interval may decide, want the other way all the same:
-    they are eliminated with the interval after their node, not with the one before it, which may leave them no choice.
-    """
-    own = (u for i, u in enumerate(program.node) if i not in program.only_at_ends)
-    return program.method != "variational" and not any(u.multiplier for u in own)
 
 
 def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[Line]:
@@ -92,8 +35,8 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         *_size_lines(program, derivatives),
         Line("IS_MULTIPLIER", f"np.array({[u.multiplier for u in (*program.node, *inside)]})", "of node and interval"),
         *([Line("SHARED_IS_MULTIPLIER", f"np.array({shared})", "of shared unknowns")] if any(shared) else []),
-        Line("START_PINNED", integers(_pinned(program.start)), "unknowns of the first node that are given"),
-        Line("END_PINNED", integers(_pinned(program.end)), "unknowns of the last node that are given"),
+        Line("START_PINNED", integers(pinned(program.start)), "unknowns of the first node that are given"),
+        Line("END_PINNED", integers(pinned(program.end)), "unknowns of the last node that are given"),
         Line("ONLY_AT_ENDS", integers(program.only_at_ends), "unknowns that inner nodes do not have; zero there"),
         Line("HESSIAN_ROWS", integers([r for r, _, _ in derivatives.element.hessian])),
         Line("HESSIAN_COLUMNS", integers([c for _, c, _ in derivatives.element.hessian])),
@@ -329,11 +272,6 @@ def _size_lines(program: ControlProgram, derivatives: ControlDerivatives) -> lis
         Line("BACKWARD", str(number["BACKWARD"]), "whether elimination goes from the last interval to the first"),
         Line("CARRIED", str(number["CARRIED"]), "columns of right-hand sides that take part in the elimination"),
     ]
-
-
-def _pinned(end: EndElement) -> list[int]:
-    """Local index of every unknown that is given at an end, or equals a shared one."""
-    return sorted([*(i for i, _ in end.pins), *(i for i, _, _ in end.shared)])
 
 
 def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True) -> tuple[Line, ...]:

@@ -10,7 +10,8 @@ from sympy import Symbol, cos, sin
 
 from codegen import schemes
 from codegen.derive import ControlDerivatives
-from codegen.lower.control_layout import carries_right_hand_side, has_nonlinear_ends
+from codegen.lower.control_layout import has_nonlinear_ends
+from codegen.lower.control_sizes import carries_right_hand_side
 from codegen.lower.kernels import Kernel
 from codegen.model import Model
 from codegen.transcribe.program import ControlProgram
