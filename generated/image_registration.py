@@ -42,8 +42,9 @@ import math
 import os
 import pickletools
 import sys
+from functools import wraps
 from threading import Lock
-from contextlib import ContextDecorator, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -566,8 +567,18 @@ def hamiltonian_gradient(z, own, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-class packed_operations(ContextDecorator):
-    """Have operations packed in whatever numba compiles while the block runs."""
+class packed_operations:
+    """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
+
+    def __call__(self, function):
+        """The function with its own block at each call."""
+
+        @wraps(function)
+        def inside(*values, **named):
+            with self:
+                return function(*values, **named)
+
+        return inside
 
     def __enter__(self):
         with PACKING["lock"]:
@@ -2369,7 +2380,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_8bb3033f8882b688"
+_IDENTITY = "codegen_image_registration_69b19c948b0f603a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

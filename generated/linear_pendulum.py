@@ -56,10 +56,10 @@ import math
 import os
 import pickletools
 import sys
-from functools import lru_cache
+from functools import lru_cache, wraps
 from threading import Lock
 from time import perf_counter
-from contextlib import ContextDecorator, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -198,8 +198,18 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-class packed_operations(ContextDecorator):
-    """Have operations packed in whatever numba compiles while the block runs."""
+class packed_operations:
+    """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
+
+    def __call__(self, function):
+        """The function with its own block at each call."""
+
+        @wraps(function)
+        def inside(*values, **named):
+            with self:
+                return function(*values, **named)
+
+        return inside
 
     def __enter__(self):
         with PACKING["lock"]:
@@ -2101,8 +2111,8 @@ def duration_of(grid, unknowns):
 
 def initial_guess(grid):
     """Unknowns (n,) to start from: pinned values at the ends, a guess of the motion between them, no multipliers."""
-    start_q = grid.parameters[:, 0, None]
-    end_q = grid.parameters[:, 2, None]
+    start_q = grid.parameters[0, 0]
+    end_q = grid.parameters[0, 2]
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
     duration = duration_of(grid, unknowns)
@@ -2124,8 +2134,8 @@ def with_pinned_values(grid, unknowns):
 
 def pin_values(grid, unknowns, nodes):
     """Give `unknowns` (n,) that a boundary condition fixes their values; `nodes` are their view by `views`."""
-    start_q = grid.parameters[:, 0]
-    end_q = grid.parameters[:, 2]
+    start_q = grid.parameters[0, 0]
+    end_q = grid.parameters[0, 2]
     nodes[:, 0, 0] = start_q
     nodes[:, -1, 0] = end_q
 
@@ -2236,7 +2246,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_50d514e1394fbec2"
+_IDENTITY = "codegen_linear_pendulum_ddf108561c90926e"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

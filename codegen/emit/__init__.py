@@ -110,8 +110,11 @@ def numba_names(names: tuple[str, ...]) -> list[str]:
 def standard_imports(names: tuple[str, ...]) -> list[str]:
     """What runtime files import from the standard library, beside what every module does."""
     every = ("contextlib", "typing")
-    found = {ast.unparse(n) for n in _imports(names) if n.module in sys.stdlib_module_names and n.module not in every}
-    return sorted(found)
+    found: dict[str, set[str]] = {}
+    for node in _imports(names):
+        if node.module in sys.stdlib_module_names and node.module not in every:
+            found.setdefault(node.module, set()).update(ast.unparse(alias) for alias in node.names)
+    return [f"from {module} import {', '.join(sorted(found[module]))}" for module in sorted(found)]
 
 
 def _imports(names: tuple[str, ...]) -> Iterator[ast.ImportFrom]:

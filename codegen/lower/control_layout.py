@@ -275,12 +275,16 @@ def _size_lines(program: ControlProgram, derivatives: ControlDerivatives) -> lis
 
 
 def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True) -> tuple[Line, ...]:
-    """Lines that read what expressions depend on, an entry for every body, as columns beside arrays of time."""
+    """Lines that read what expressions depend on, an entry for every body, as columns beside arrays of time.
+
+    Of one body they are numbers: arrays of one number take several times as long.
+    """
     used = set().union(*(value.free_symbols for value in values)) if values else set()
     suffix = ", None" if column else ""
     count = len(parameters(program)) - len(program.shared_symbols)
     known = enumerate(parameters(program)[:count])
-    lines = [Line(s.name, f"grid.parameters[:, {i}{suffix}]") for i, s in known if s in used]
+    which = "[0, {}]" if program.bodies == 1 else f"[:, {{}}{suffix}]"
+    lines = [Line(s.name, f"grid.parameters{which.format(i)}") for i, s in known if s in used]
     if program.body in used:
         lines.append(Line(str(program.body), f"np.arange(BODIES)[:{suffix}]" if column else "np.arange(BODIES)"))
     return tuple(lines)

@@ -5,7 +5,7 @@ percent less time. Machine code that is on the disk already is as it was compile
 modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
 """
 
-from contextlib import ContextDecorator
+from functools import wraps
 from threading import Lock
 from numba import config
 
@@ -13,8 +13,18 @@ from numba import config
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
-class packed_operations(ContextDecorator):
-    """Have operations packed in whatever numba compiles while the block runs."""
+class packed_operations:
+    """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
+
+    def __call__(self, function):
+        """The function with its own block at each call."""
+
+        @wraps(function)
+        def inside(*values, **named):
+            with self:
+                return function(*values, **named)
+
+        return inside
 
     def __enter__(self):
         with PACKING["lock"]:

@@ -165,3 +165,14 @@ def test_sizes_are_not_measured_again_for_ever(interpreted):
     assert solution.status == "solved"
     assert solution.residual <= 1e-9
     assert float(solution.message.split()[-1]) <= 1e-8, "slopes that bounds hold are no errors"
+
+
+def test_a_coordinate_that_is_held_at_zero_has_no_size_of_its_own_rounding(interpreted):
+    """Of the joint's height, 1e-75 at the solution, a size was taken there; the search went on twice, for 14 steps."""
+    module = interpreted("cart_pendulum", arguments={"form": "holonomic"}, scheme="trapezoidal")
+    solution = module.solve(20)
+    assert solution.status == "solved", solution.message
+    assert np.abs(solution.q[:, 1]).max() < 1e-14
+    assert solution.scaled.sizes.size > 0
+    assert all(row[4] > 0.0 for row in solution.log[1:]), "a search began anew"
+    assert solution.cost == pytest.approx(148.0813, rel=1e-6)  # IPOPT 3.14, which relaxes bounds: 148.0813028

@@ -20,6 +20,7 @@ from codegen.runtime.unknowns.point import measured_gradient
 
 RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
 PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
+MOST_RELAXING = RELAXED / PER_WEIGHT  # weights above it relax bounds no more
 ROUNDING = 1e-15  # residuals up to it are taken for zero in steps: across a distance of 1e-12 they would turn duals
 
 

@@ -12,6 +12,7 @@ from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.kkt.system import factor_kkt, is_factored
 from codegen.runtime.optimise.barrier import (
     LEAST_RELAXED,
+    MOST_RELAXING,
     RELAXED,
     add_barrier,
     approach,
@@ -209,9 +210,11 @@ def decreased_mu(iterate, least):
     The power is 1.5 to the end, as in (7): a leap to the last weight costs up to twice the iterations where bounds are
     hardly active, as on singular arcs.
     """
+    mu, residual = iterate.mu, iterate.point.residual
+    if residual > 10.0 * mu:
+        return mu
     stationarity, _, lowest, highest, mean, mean_dual, _ = iterate.measured
-    error, dual_scale = max(stationarity / max(1.0, mean / 100.0), iterate.point.residual), max(1.0, mean_dual / 100.0)
-    mu = iterate.mu
+    error, dual_scale = max(stationarity / max(1.0, mean / 100.0), residual), max(1.0, mean_dual / 100.0)
     while mu > least and error <= 10.0 * mu and max(highest - mu, mu - lowest) / dual_scale <= 10.0 * mu:
         mu = max(least, min(0.2 * mu, mu**1.5))
     return mu
@@ -219,6 +222,8 @@ def decreased_mu(iterate, least):
 
 def falling_relaxation(search, iterate, mu):
     """By how much bounds are relaxed less once the iterate's weight is lowered to mu."""
+    if mu >= MOST_RELAXING:
+        return 0.0
     return relaxation(iterate.mu, search.least) - relaxation(mu, search.least)
 
 
@@ -231,11 +236,12 @@ def with_relaxed_bounds(search):
     return search._replace(least=RELAXED)
 
 
-def with_barrier_parameter(search, iterate, mu):
-    """The iterate with a lower weight and its bounds relaxed as belongs to it; what is then outside moves inside."""
-    bounds, by, point = search.bounds, falling_relaxation(search, iterate, mu), iterate.point
+def with_barrier_parameter(search, iterate, mu, by):
+    """The iterate with a lower weight and bounds relaxed less `by` a part; what is then outside moves inside."""
+    point, _, distance, logarithms, duals, measured = iterate
     if by == 0.0:
-        return iterate._replace(mu=mu)
+        return Iterate(point, mu, distance, logarithms, duals, measured)
+    bounds = search.bounds
     unknowns, distance, places = point.unknowns.copy(), np.empty(iterate.distance.size), (bounds.indices, bounds.side)
     least = 0.1 * relaxation(mu, search.least)
     logarithms, moves = approach(unknowns, *places, bounds.magnitude, by, least, iterate.distance, distance)
@@ -255,9 +261,11 @@ def barrier_curvature(search, iterate):
 
 def newton_system(search, iterate, gradient, delta_w, delta_c):
     """Right-hand side and diagonal (unknowns,) of Newton's equations (13), given the gradient of the Lagrangian."""
-    bounds, right, diagonal = search.bounds, np.empty(gradient.size), np.empty(gradient.size)
-    barrier = bounds.indices, bounds.side, iterate.distance, iterate.duals, iterate.mu
-    add_barrier(gradient, search.grid.is_multiplier, *barrier, delta_w, delta_c, right, diagonal)
+    indices, _, side, _ = search.bounds
+    _, mu, distance, _, duals, _ = iterate
+    right, diagonal = np.empty(gradient.size), np.empty(gradient.size)
+    is_multiplier = search.grid.is_multiplier
+    add_barrier(gradient, is_multiplier, indices, side, distance, duals, mu, delta_w, delta_c, right, diagonal)
     return right, diagonal
 
 

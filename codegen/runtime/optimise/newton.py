@@ -85,9 +85,10 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
             mu = decreased_mu(iterate, LEAST_PART * tolerance)
             if mu < iterate.mu:
                 course.forget()
-                if loose is None and falling_relaxation(search, iterate, mu) > 0.0:
+                by = falling_relaxation(search, iterate, mu)
+                if loose is None and by > 0.0:
                     loose = iterate
-                iterate = with_barrier_parameter(search, iterate, mu)
+                iterate = with_barrier_parameter(search, iterate, mu, by)
             late += mu <= LEAST_PART * tolerance
         step, trial = course.next_iterate(search, iterate)
         if trial is None:

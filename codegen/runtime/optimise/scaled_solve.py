@@ -41,6 +41,7 @@ FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", 
 LONG = 1000
 STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
+NOTHING = 1e-14  # what is below it, in parts of the size that it was given, is zero but for rounding
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
@@ -81,7 +82,8 @@ def verdict(scaled, grid, guess, point, status):
     if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
         status = "stalled"
     status = final_status(grid, scaled_unknowns(grid, guess), point, status)
-    if status == "solved" and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
+    holds = grid is scaled and point.residual <= ROUNDED
+    if status == "solved" and not holds and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
         return "unbounded"
     return status
 
@@ -101,7 +103,8 @@ def refined(grid, start, point, tolerance, max_iterations, log):
     total = 0
     for _ in range(REFINEMENTS if grid.sizes.size else 0):
         unknowns = unscaled_unknowns(grid, point.unknowns)
-        finer = scaled_grid(plain_grid(grid), unknowns)
+        # A coordinate that a constraint holds at zero has no size there, not that of its rounding.
+        finer = scaled_grid(plain_grid(grid), np.where(np.abs(point.unknowns) < NOTHING, 0.0, unknowns))
         if not has_larger_derivatives(finer, grid):
             break
         begin = scaled_unknowns(finer, unknowns)

@@ -24,7 +24,7 @@ if INEQUALITIES:
 
 def has_multipliers(grid, unknowns):
     """Whether any multiplier is not zero."""
-    return bool(unknowns[grid.is_multiplier].any())
+    return np.count_nonzero(unknowns[grid.is_multiplier]) > 0  # any() takes half as long again
 
 
 def begin_nearby(search, unknowns, tolerance):
