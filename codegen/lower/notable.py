@@ -33,7 +33,7 @@ def notable(program: ControlProgram) -> list[tuple[str, str]]:
     if bends := _kinks(program):
         entries.append(("kinks", repr(bends)))
     if steps := _jumps(program):
-        entries.append(("jumps", repr(steps)))
+        entries.append(("discontinuities", repr(steps)))
     singular = dict.fromkeys(one for own in model.phases or (model,) for one in singular_at_guess(own))
     if singular:
         entries.append(("singular_at_guess", repr(tuple(singular))))

@@ -38,8 +38,8 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
             f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
             "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
         )
-    if jumps := metadata.get("jumps", ()):
-        named = ", ".join(map(shortened, jumps))
+    if borders := metadata.get("discontinuities", ()):
+        named = ", ".join(map(shortened, borders))
         found.append(
             f"something jumps where {named} changes, which derivatives do not see: make it smooth, as by "
             "(1 + tanh(s/width))/2, or give each side a phase of its own"

@@ -31,5 +31,5 @@ def test_jumps(expression, expected):
 
 
 def test_note():
-    (note,) = notes({"jumps": ("x < 1",)})
+    (note,) = notes({"discontinuities": ("x < 1",)})
     assert "jumps where x < 1 changes" in note
