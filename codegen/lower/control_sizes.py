@@ -10,8 +10,8 @@ from codegen.transcribe.program import ControlProgram, EndElement
 def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, int], ...]:
     """The number of bodies, whether it is more than one, the shared unknowns of each and in all, and their conditions.
 
-    Then whether there are phases, inequalities, slacks on intervals, no cost, and a right-hand side that takes part in
-    the elimination, and how many numbers tables have.
+    Then whether there are phases, inequalities, slacks on intervals, no cost, a start from which a motion follows, and
+    a right-hand side that takes part in the elimination, and how many numbers tables have.
     """
     own, shared, couplings = program.own, len(program.shared), len(program.couplings)
     return (
@@ -30,6 +30,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("UNBOUNDED", int(not program.has_inequalities)),
         ("SLACKED", len(program.slacks)),
         ("COSTLESS", int(is_costless(program))),
+        ("FORWARD", int(bool(forward_motion(program)[0]))),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("BACKWARD", int(sweeps_backward(program))),
         ("CARRIED", int(carries_right_hand_side(program, derivatives))),
@@ -41,6 +42,35 @@ def is_costless(program: ControlProgram) -> bool:
     """Whether any motion that obeys the conditions will do."""
     costs = [*(part.cost for part in program.interval_elements), program.start.cost, program.end.cost]
     return not program.sample and not any(costs)
+
+
+def forward_motion(program: ControlProgram) -> tuple[list[int], list[int]]:
+    """Local indices of the equations of a step, and of what they determine: stages, and the state after it.
+
+    Both are empty where the start does not give all states, or the end anything, so that no motion follows from a guess
+    of controls.
+    """
+    ends = program.start, program.end
+    is_plain = program.method != "variational" and program.bodies == 1 and not program.phases and not program.sample
+    if not is_plain or program.inner.times or any(end.shared for end in ends):
+        return [], []
+    node, inside = len(program.node), program.interval[: len(program.interval) - program.path_multipliers]
+    others = {
+        *program.only_at_ends,
+        *(range(node - len(program.model.controls), node) if program.nodal_controls else ()),
+    }
+    states = [i for i in range(node) if i not in others]
+    given = {i for i, _ in program.start.pins}
+    if any(program.node[i].multiplier or i not in given for i in states):
+        return [], []
+    if program.end.pins or program.end.conditions or program.end.slacks or program.end.bounds:
+        return [], []
+    if program.path_multipliers > len(program.slack_multipliers):  # equalities, which controls have to obey
+        return [], []
+    equations = [node + i for i, unknown in enumerate(inside) if unknown.multiplier]
+    stride = node + len(program.interval) + len(program.controls) + len(program.slacks)
+    unknowns = [node + i for i, u in enumerate(inside) if not u.multiplier] + [stride + i for i in states]
+    return (equations, unknowns) if len(equations) == len(unknowns) else ([], [])
 
 
 def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:

@@ -12,6 +12,7 @@ from numba import njit
 from codegen.runtime.stand_ins.example import (
     BODIES,
     COUPLINGS,
+    FORWARD,
     INEQUALITIES,
     NODE,
     OWN,
@@ -28,6 +29,7 @@ from codegen.runtime.optimise.active_bounds import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.unknowns.tied import with_tied_values
 from codegen.runtime.optimise.convergence_test import is_solved
+from codegen.runtime.optimise.forward_motion import forward_motion
 from codegen.runtime.optimise.scaling_factors import IS_SLACK, fill_sizes
 from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
 
@@ -39,6 +41,9 @@ LARGE_CORRECTION = 1e-3  # part of the cost
 # In other sizes it may be solved, for which iterations beyond a number are kept.
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 LONG = 1000
+if FORWARD:
+    SLOW = 300  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
+    FROM_MOTION = 300  # for that one
 STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 NOTHING = 1e-14  # what is below it, in parts of the size that it was given, is zero but for rounding
@@ -57,7 +62,12 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     scaled, start, limit = grid, scaled_unknowns(grid, unknowns), max_iterations
     if grid.sizes.size:
         known, limit = None, min(max_iterations, LONG)
-    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
+    if FORWARD and not warm:
+        found = search_forward(grid, unknowns, tolerance, limit, scaling, log, known)
+        status, scaled, start, point, iterations = found
+        grid = scaled
+    else:
+        status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
     if grid.sizes.size and status == "solved":
         status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
         iterations += further
@@ -72,6 +82,33 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations, scaled
+
+
+if FORWARD:
+
+    def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known):
+        """(status, grid, start, point, iterations) of a search that begins anew at a motion if it takes long or fails.
+
+        That is the one under the controls of the guess `unknowns` (n,), with the sizes that things have there. Where no
+        optimum is found from it either, the first search goes on, from its beginning.
+        """
+        start, limit = scaled_unknowns(grid, unknowns), min(max_iterations, SLOW)
+        status, point, total = minimise(grid, start, tolerance, limit, False, log, known)
+        if status not in FAILED or total >= max_iterations:
+            return status, grid, start, point, total
+        plain = plain_grid(grid)
+        motion = forward_motion(plain, unknowns)
+        if motion is not None:
+            there = with_sizes(plain, evaluate(plain, motion)) if scaling == "auto" else plain
+            begin, limit = scaled_unknowns(there, motion), min(max_iterations - total, FROM_MOTION)
+            ended, found, iterations = minimise(there, begin, tolerance, limit, False, log)
+            total += iterations
+            if ended in ("solved", "time limit"):
+                return ended, there, begin, found, total
+        if status == "iteration limit" and total < max_iterations:
+            status, point, iterations = minimise(grid, start, tolerance, max_iterations - total, False, log, known)
+            total += iterations
+        return status, grid, start, point, total
 
 
 def verdict(scaled, grid, guess, point, status):
