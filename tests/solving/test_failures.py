@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from pathlib import Path
 
 import machine_coded
@@ -30,16 +29,6 @@ def module_of(folder: Path, text: str):
     path = folder / "failing.py"
     path.write_text(text)
     return as_machine_code(generate(path, {}, Choices()), "failing")
-
-
-@pytest.fixture
-def uncompiled(monkeypatch):
-    """Let the command line run generated modules by the interpreter, where NaN and infinity come without warnings."""
-    monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
-    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 @pytest.mark.parametrize("case", FAILING, ids=lambda case: case.id)
