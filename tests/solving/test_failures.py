@@ -208,7 +208,7 @@ def test_a_value_that_conditions_at_the_end_determine_is_known_no_better_than_th
 @pytest.mark.parametrize(("values", "place"), [({"start": {"x": 3.0}}, "start"), ({"end": {"x": -3.0}}, "end")])
 def test_values_beyond_their_bounds_are_named(interpreted, values, place):
     """A number that comes only when the module is called, by the module itself and without a driver."""
-    solution = interpreted("cart_pole").solve(10, **values)
+    solution = interpreted("cart_pole").solve(5, **values)
     value = values[place]["x"]
     assert solution.status == "infeasible"
     assert f"x is prescribed as {value:g} at the {place}, beyond its bounds -2 to 2" in solution.message
