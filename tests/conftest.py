@@ -5,6 +5,9 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import warnings
+from collections.abc import Iterator
+from functools import cache
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
 # CODEGEN_TEST_THREADS=2 tries them all the same: no result may depend on it.
@@ -21,8 +24,9 @@ import numpy as np
 import pytest
 from compiled_modules import compiled
 from hypothesis import HealthCheck, settings
-from interpreted import Interpreted
+from interpreted import Interpreted, as_machine_code
 from registered_images import SHAPE
+from typer import testing
 
 from codegen.author.points import read_points
 from codegen.compiler import build
@@ -34,6 +38,8 @@ from codegen.registration.solver import registration_module
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared")
+
+testing._get_command = cache(testing._get_command)  # reading all signatures takes longer than most commands do
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 
@@ -116,6 +122,16 @@ def explicit_pendulum(cache_folder: Path) -> GeneratedModule:
 def interpreted(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Interpreted:
     """Makes uncompiled modules: `interpreted("orbital_transfer", scheme="trapezoidal")`."""
     return Interpreted(tmp_path_factory.mktemp("problems"), PROBLEMS)
+
+
+@pytest.fixture
+def uncompiled(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let commands run generated modules by the interpreter, where NaN and infinity come without warnings."""
+    monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
+    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -81,6 +81,16 @@ def fresh(problems: Collection[str] | None = None) -> dict[str, str]:
     return texts
 
 
+def built(problems: Collection[str]) -> dict[str, str]:
+    """The same of some problems by the build cache, whose keys hold all of the generator's text, for tests to share."""
+    texts = {}
+    for problem, arguments, choices in GALLERY:
+        if problem in problems:
+            path = build(ROOT / "problems" / f"{problem}.py", arguments, **asdict(choices)).path
+            texts[path.name] = path.read_text(encoding="utf-8")
+    return texts
+
+
 @cache
 def text_of(name: str) -> str:
     """The text of a module of the gallery by its file name; where it is not committed, the build cache has it."""

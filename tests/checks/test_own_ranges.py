@@ -30,7 +30,7 @@ def probe(radius: float = 6378145.0) -> Control:
     )
 
 
-def test_every_row_is_measured_where_numbers_of_size_one_overflow():
+def test_every_row_is_measured_where_numbers_of_size_one_overflow(uncompiled, interpreting):
     found = codegen.compile(probe(), name="probe").check()
     assert found.passed, found.failed
     for check in ("layout", "derivatives", "sparsity", "assembly", "discrete equations"):
@@ -53,7 +53,7 @@ def test_ordinary_sizes_are_drawn_about_one_as_ever():
     assert own_ranges(normalise(small)) == {}
 
 
-def test_expressions_without_values_anywhere_are_not_measured_and_not_failed(monkeypatch):
+def test_expressions_without_values_anywhere_are_not_measured_and_not_failed(monkeypatch, uncompiled, interpreting):
     """A radius beyond what any of the ranges holds: no row is called wrong for want of a point."""
     monkeypatch.setattr(evaluation, "_ATTEMPTS", 0)
     found = codegen.compile(probe(), name="probe").check()

@@ -50,7 +50,7 @@ class TestJson:
         assert all(value > 0.0 for value in record["seconds"].values())
         assert set(record["summary"]) == {"duration", "final_state_miss", "largest_control", "stationarity"}
 
-    def test_what_a_motion_does_between_nodes_is_a_note_on_stderr_and_in_the_record(self, solved, folder):
+    def test_what_a_motion_does_between_nodes_is_a_note_on_stderr_and_in_the_record(self, solved, folder, uncompiled):
         (folder / "walled.py").write_text(WALLED)
         result, record = solved("walled.py")
         assert record["status"] == "solved"

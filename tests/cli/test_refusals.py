@@ -10,11 +10,30 @@ from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 from conftest import PROBLEMS
 from malformed import MALFORMED
 
+from codegen.machine_code import processes
+
 
 class TestMalformedProblems:
     @pytest.mark.parametrize("case", MALFORMED, ids=lambda case: case.id)
     @pytest.mark.parametrize("command", ["build", "solve"])
     def test_refused_in_one_line(self, folder, monkeypatch, command, case):
+        monkeypatch.setattr(processes, "shares", lambda: ())  # which are ended without having been told anything
+        self.assert_refused_without_a_trace(folder, monkeypatch, command, case)
+
+    def test_processes_that_would_compile_are_ended(self, folder, monkeypatch):
+        started = []
+
+        class Recorded(subprocess.Popen):
+            def __init__(self, *arguments, **options):
+                super().__init__(*arguments, **options)
+                started.append(self)
+
+        monkeypatch.setattr(subprocess, "Popen", Recorded)
+        self.assert_refused_without_a_trace(folder, monkeypatch, "build", MALFORMED[0])
+        assert started
+        assert all(process.returncode not in (None, 0) for process in started)
+
+    def assert_refused_without_a_trace(self, folder, monkeypatch, command, case):
         # A cache of its own, below the folder whose contents are compared.
         monkeypatch.setenv("CODEGEN_CACHE_DIR", str(folder / "cache"))
         case.write(folder)

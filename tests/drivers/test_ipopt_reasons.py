@@ -10,7 +10,10 @@ from sympy import log, sqrt
 import codegen
 from codegen import Control, control, controls, state, states
 
-pytestmark = pytest.mark.skipif(find_spec("cyipopt") is None, reason="cyipopt is an extra")
+pytestmark = [
+    pytest.mark.skipif(find_spec("cyipopt") is None, reason="cyipopt is an extra"),
+    pytest.mark.usefixtures("uncompiled"),
+]
 
 x, y = states("x y")
 a, b = controls("a b")

@@ -1,5 +1,6 @@
 """A server of the page in a process of its own, and a browser whose figures can be clicked in pixels of the image."""
 
+import base64
 import os
 import shutil
 import socket
@@ -58,10 +59,20 @@ def browser():
         launched.close()
 
 
-_PIXELS = """([root, layer]) => {
-  const canvas = document.querySelector(`${root} canvas.${layer}`)
-  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height)
-  return [canvas.width, canvas.height, Array.from(data)] }"""
+PIXELS = """(({ width, height, data }) => {
+  let text = ""
+  for (let k = 0; k < data.length; k += 8192) text += String.fromCharCode(...data.subarray(k, k + 8192))
+  return [width, height, btoa(text)] })"""
+"""A function of an ImageData, whose result `pixels_of` reads: lists of numbers take minutes on their way."""
+_OF_A_LAYER = f"""([root, layer]) => {{
+  const canvas = document.querySelector(`${{root}} canvas.${{layer}}`)
+  return {PIXELS}(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height)) }}"""
+
+
+def pixels_of(found):
+    """An image, RGBA, shape (h, w, 4)."""
+    width, height, text = found
+    return np.frombuffer(base64.b64decode(text), np.uint8).reshape(height, width, 4)
 
 
 class Visit:
@@ -108,8 +119,7 @@ class Visit:
 
     def pixels(self, pane, layer):
         """What a layer of a view shows, RGBA, shape (h, w, 4)."""
-        width, height, values = self.page.evaluate(_PIXELS, [f"#pane-{pane}", layer])
-        return np.array(values, np.uint8).reshape(height, width, 4)
+        return pixels_of(self.page.evaluate(_OF_A_LAYER, [f"#pane-{pane}", layer]))
 
     def until(self, what, seconds=60.0):
         """Wait until a function of this visit is true."""

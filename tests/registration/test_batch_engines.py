@@ -84,7 +84,8 @@ def deadly(job, options):
 
 
 @pytest.mark.parametrize("where", [None, "local"])
-def test_a_pair_that_kills_its_workers_takes_no_other_with_it(source, whole, tmp_path, where):
+def test_a_pair_that_kills_its_workers_takes_no_other_with_it(source, whole, tmp_path, monkeypatch, where):
+    monkeypatch.setattr("codegen.engines.dask.TRIES", 2)  # workers of dask begin slowly; sweeps lose three
     done = batch(source, tmp_path / "out", deadly, workers=2, cluster=where)
     assert [line["status"] for line in done.failed] == ["wrong input", LOST]
     assert done.failed[1]["moving"] == str(source / "007.png")

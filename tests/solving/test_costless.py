@@ -52,4 +52,5 @@ def test_a_motion_that_obeys_is_found_at_once():
 
 
 def test_a_motion_that_is_impossible_is_none():
-    assert of_problem(swing_up(0.05)).solve().status in ("infeasible", "stalled")
+    """On few intervals: with 60 the search takes seven times as long until it ends in the same way."""
+    assert of_problem(swing_up(0.05)).solve(12).status in ("infeasible", "stalled")

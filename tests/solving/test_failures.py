@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from pathlib import Path
 
 import machine_coded
@@ -30,16 +29,6 @@ def module_of(folder: Path, text: str):
     path = folder / "failing.py"
     path.write_text(text)
     return as_machine_code(generate(path, {}, Choices()), "failing")
-
-
-@pytest.fixture
-def uncompiled(monkeypatch):
-    """Let the command line run generated modules by the interpreter, where NaN and infinity come without warnings."""
-    monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
-    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 @pytest.mark.parametrize("case", FAILING, ids=lambda case: case.id)
@@ -219,7 +208,7 @@ def test_a_value_that_conditions_at_the_end_determine_is_known_no_better_than_th
 @pytest.mark.parametrize(("values", "place"), [({"start": {"x": 3.0}}, "start"), ({"end": {"x": -3.0}}, "end")])
 def test_values_beyond_their_bounds_are_named(interpreted, values, place):
     """A number that comes only when the module is called, by the module itself and without a driver."""
-    solution = interpreted("cart_pole").solve(10, **values)
+    solution = interpreted("cart_pole").solve(5, **values)
     value = values[place]["x"]
     assert solution.status == "infeasible"
     assert f"x is prescribed as {value:g} at the {place}, beyond its bounds -2 to 2" in solution.message

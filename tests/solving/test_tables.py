@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import subprocess
 import sys
@@ -298,7 +299,10 @@ def test_a_module_needs_no_file(tabled, folder, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere") / module.name
     elsewhere.write_bytes(module.read_bytes())
     code = f"import sys; sys.path.insert(0, {str(elsewhere.parent)!r}); import tabled; print(tabled.solve().cost)"
-    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}  # compiling a module that is solved once takes long
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
     assert float(done.stdout) == pytest.approx(cost, rel=1e-12)
 
 
