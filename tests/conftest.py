@@ -7,7 +7,6 @@ import gc
 import os
 import warnings
 from collections.abc import Iterator
-from functools import cache
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
 # CODEGEN_TEST_THREADS=2 tries them all the same: no result may depend on it.
@@ -26,7 +25,6 @@ from compiled_modules import compiled
 from hypothesis import HealthCheck, settings
 from interpreted import Interpreted, as_machine_code
 from registered_images import SHAPE
-from typer import testing
 
 from codegen.author.points import read_points
 from codegen.compiler import build
@@ -38,8 +36,6 @@ from codegen.registration.solver import registration_module
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("shared")
-
-testing._get_command = cache(testing._get_command)  # reading all signatures takes longer than most commands do
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
 
