@@ -70,7 +70,7 @@ def chosen_alignment(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Ali
 def left_out_errors(matching: Matching, kind: Kind) -> NDArray[np.float64]:
     """What the linear theory leaves of each landmark in pixels, predicted by the others and their alignment, (n,)."""
     pairs, linear = matching.pairs, Linear.of(matching)
-    precision = linear.precision(linear.by_cross_validation()[0])
+    precision = linear.precision(linear.by_cross_validation())
     errors = np.empty(len(pairs))
     for k in range(len(pairs)):
         displacements = align(pairs.without(k), kind).apply(pairs.moving) - pairs.fixed
