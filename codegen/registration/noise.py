@@ -16,6 +16,8 @@ from codegen.registration.pairs import LandmarkPairs
 
 FEWEST = 4
 """Of fewer landmarks, no error can be told from a deformation."""
+FEW = 15
+"""With fewer landmarks an estimate is uncertain by a factor, which is said."""
 UNSURE = 1.5
 """An estimate that is uncertain by a larger factor, by a standard error, is said to be so."""
 LARGE = 0.1
@@ -62,7 +64,7 @@ def _doubt(found: LikelySigma, spread: float, unit: str, count: int, said: str) 
     if found.may_be_zero:
         finding = "the landmarks show no errors that could be told from a deformation"
         return f"{finding}; sigma is hardly above {found.high:.2g} {unit}"
-    if found.high > UNSURE**2 * found.low:
+    if count < FEW or found.high > UNSURE**2 * found.low:
         return f"of {count} landmarks alone, sigma is uncertain: {found.low:.2g} to {found.high:.2g} {unit}"
     return ""
 
