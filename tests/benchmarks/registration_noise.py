@@ -58,7 +58,7 @@ def smoothed_plate(pairs: LandmarkPairs, deviation: float) -> Any:
 def noise(repeat: int) -> None:
     """Residuals, estimates, errors of maps, solves and seconds."""
     print("landmarks noise | residual/sigma | auto/noise: median, range, within 1.5 | error of map, px: sigma, thin "
-          "plate of the same residuals, auto, thin plate of those, exact thin plate | solves most | seconds")  # fmt: skip
+          "plate of the same residuals, auto, thin plate of those, exact one | solves most | seconds")  # fmt: skip
     for count in (20, 80, 200):
         for size in (1.0, 3.0, 10.0):
             table = np.array([_noise_of(count, size, seed) for seed in range(repeat)])
