@@ -4,11 +4,10 @@
 
 `folding` maps the landmarks of data/trilobite40.csv and P random pairs of the trilobite cephala of the package ktch,
 and counts the pixels at which each map folds. `speed` warps 1024 x 1024 pixels by 40 landmarks, `drag` moves one of 20
-landmarks on a preview of 512 x 512 pixels. `hard` takes up to 2000
-landmarks, turns, swaps and permutations, and looks for folds by differences on a grid of 1024 x 1024 places. `large`
-runs the command on 8000 x 6000 pixels, and scikit-image's spline on what fits into memory; `first` runs it with an
-empty cache. The extra `bench` has what this needs. Times are wall clock, of `speed` and `drag` the best of R warm runs
-with the time of all processors in brackets.
+landmarks on a preview of 512 x 512 pixels. `hard` takes up to 2000 landmarks, turns, swaps and permutations, and looks
+for folds by differences between places. `large` runs the command on 8000 x 6000 pixels, and scikit-image's spline on
+what fits into memory; `first` runs it with an empty cache. The extra `bench` has what this needs. Times are wall clock,
+of `speed` and `drag` the best of R warm runs, with the time of all processors in brackets.
 """
 
 import os
@@ -185,16 +184,28 @@ def drag(count: int, repeat: int) -> None:
     CONSOLE.print(shown)
 
 
-def fold_by_differences(found: Any, side: int, count: int = 1024) -> tuple[int, float]:
-    """Cells of a fine grid of an image that the map turns over, and the least factor by which it enlarges one.
+def fold_by_differences(found: Any, side: int, count: int = 257) -> tuple[int, float]:
+    """Cells of a grid of an image that the map turns over, and the least factor by which it enlarges one.
 
-    Each cell is two triangles, whose signed areas come from the places of their corners alone.
+    After the whole image, a twentieth of it about the least factor is looked at as finely again. Each cell is two
+    triangles, whose signed areas come from the places of their corners alone.
     """
-    places = found.map_points(coarse_grid((side, side), count)).reshape(count, count, 2)
+    step = side / (count - 1)
+    line = step * np.arange(count) - 0.5
+    folded, least, at = _cells(found, line, line)
+    lines = [middle + step * np.linspace(-count / 40, count / 40, count) for middle in at]
+    more, finer, _ = _cells(found, *lines)
+    return folded + more, min(least, finer)
+
+
+def _cells(found: Any, x: Any, y: Any) -> tuple[int, float, Any]:
+    """Cells between lines that are turned over, the least factor, and where it is."""
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    places = found.map_points(points.reshape(-1, 2)).reshape(points.shape)
     here, right, down, across = places[:-1, :-1], places[:-1, 1:], places[1:, :-1], places[1:, 1:]
-    areas = np.stack([_crossed(right - here, down - here), _crossed(down - across, right - across)])
-    cell = (side / (count - 1)) ** 2
-    return int((~(areas > 0.0)).any(axis=0).sum()), float(areas.min() / cell)
+    areas = np.minimum(_crossed(right - here, down - here), _crossed(down - across, right - across))
+    worst = np.unravel_index(np.argmin(areas), areas.shape)
+    return int((~(areas > 0.0)).sum()), float(areas.min() / ((x[1] - x[0]) * (y[1] - y[0]))), points[worst]
 
 
 def _crossed(a: Any, b: Any) -> Any:
