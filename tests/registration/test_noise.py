@@ -5,7 +5,15 @@ import pytest
 from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 
 from codegen.errors import ArgumentError, LandmarkError, RegistrationError
-from codegen.registration import LandmarkPairs, chosen_alignment, estimate_sigma, find_outliers, likelihood, register
+from codegen.registration import (
+    LandmarkPairs,
+    choice,
+    chosen_alignment,
+    estimate_sigma,
+    find_outliers,
+    likelihood,
+    register,
+)
 from codegen.registration.frame import coarse_grid
 from codegen.registration.likelihood import likely_sigma
 from codegen.registration.smoothing import MOST_SOLVES
@@ -136,6 +144,17 @@ def test_landmarks_that_are_nearly_one_and_contradict_each_other_are_named(expon
     for pairs in (LandmarkPairs(moving, fixed), LandmarkPairs(fixed, moving)):
         with pytest.raises(RegistrationError, match="hardest are landmarks 1 and 21,"):
             register(pairs, SHAPE)
+
+
+def test_some_of_many_landmarks_choose_their_alignment(monkeypatch):
+    pairs = noisy_pairs(120, 1.0, 1)
+    turned = LandmarkPairs(pairs.moving, pairs.fixed @ np.array([[0.6, -0.8], [0.8, 0.6]]).T)
+    whole = chosen_alignment(turned, SHAPE)
+    monkeypatch.setattr(choice, "MOST", 60)
+    some = chosen_alignment(turned, SHAPE)
+    assert some.kind == whole.kind
+    assert some.errors != whole.errors
+    assert chosen_alignment(turned, SHAPE).errors == some.errors
 
 
 def test_the_alignment_that_predicts_best_is_chosen():
