@@ -5,7 +5,7 @@
 `folding` maps the landmarks of data/trilobite40.csv and P random pairs of the trilobite cephala of the package ktch,
 and counts the pixels at which each map folds. `speed` warps 1024 x 1024 pixels by 40 landmarks, `drag` moves one of 20
 landmarks on a preview of 512 x 512 pixels. `hard` takes up to 2000 landmarks, turns, swaps and permutations, and looks
-for folds by differences between places. `large` runs the command on 8000 x 6000 pixels, and scikit-image's spline on
+for folds by differences of places. `large` runs the command on 8000 x 6000 pixels, and scikit-image's spline on
 what fits into memory; `first` runs it with an empty cache. The extra `bench` has what this needs. Times are wall clock,
 of `speed` and `drag` the best of R warm runs, with the time of all processors in brackets.
 """
@@ -61,10 +61,9 @@ def thin_plate(pairs: LandmarkPairs) -> Any:
     return ThinPlateSplineTransform.from_estimate(pairs.moving, pairs.fixed)
 
 
-def thin_plate_determinants(pairs: LandmarkPairs, side: int, step: float = 1e-3) -> Any:
-    """The determinant of the spline's derivative at every pixel, from central differences."""
-    spline, grid = thin_plate(pairs), pixel_grid((side, side))
-    columns = [(spline(grid + d) - spline(grid - d)) / (2.0 * step) for d in step * np.eye(2)]
+def determinants_by_differences(function: Callable[[Any], Any], points: Any, step: float = 1e-3) -> Any:
+    """The determinant of a map's derivative at points, from central differences."""
+    columns = [(function(points + d) - function(points - d)) / (2.0 * step) for d in step * np.eye(2)]
     return np.linalg.det(np.stack(columns, axis=-1))
 
 
@@ -85,7 +84,7 @@ def folding(count: int, repeat: int) -> None:
             unsolved.append(name)
             CONSOLE.print(f"{name}: {error}")
             continue
-        ours, theirs = certify(found), thin_plate_determinants(pairs, SIDE)
+        ours, theirs = certify(found), determinants_by_differences(thin_plate(pairs), pixel_grid((SIDE, SIDE)))
         folded = int((theirs <= 0.0).sum())
         rows.append((name, ours.det_min, ours.folded, theirs.min(), folded, found.steps, ours.round_trip, found.error))
         CONSOLE.print(f"{len(rows)}/{len(named)} {name}: det J {ours.det_min:.4f}, thin plate {theirs.min():.4f}, "
@@ -184,32 +183,18 @@ def drag(count: int, repeat: int) -> None:
     CONSOLE.print(shown)
 
 
-def fold_by_differences(found: Any, side: int, count: int = 257) -> tuple[int, float]:
-    """Cells of a grid of an image that the map turns over, and the least factor by which it enlarges one.
+def folded_by_differences(found: Any, side: int, count: int = 257) -> tuple[int, float]:
+    """Points of a grid at which the map turns an image over, and the least factor by which it enlarges areas.
 
-    After the whole image, a twentieth of it about the least factor is looked at as finely again. Each cell is two
-    triangles, whose signed areas come from the places of their corners alone.
+    The factor is that of differences of places 0.002 pixels apart, which know nothing of derivatives. After the whole
+    image, a twentieth of it about the least factor is looked at as finely again.
     """
     step = side / (count - 1)
-    line = step * np.arange(count) - 0.5
-    folded, least, at = _cells(found, line, line)
-    lines = [middle + step * np.linspace(-count / 40, count / 40, count) for middle in at]
-    more, finer, _ = _cells(found, *lines)
-    return folded + more, min(least, finer)
-
-
-def _cells(found: Any, x: Any, y: Any) -> tuple[int, float, Any]:
-    """Cells between lines that are turned over, the least factor, and where it is."""
-    points = np.stack(np.meshgrid(x, y), axis=-1)
-    places = found.map_points(points.reshape(-1, 2)).reshape(points.shape)
-    here, right, down, across = places[:-1, :-1], places[:-1, 1:], places[1:, :-1], places[1:, 1:]
-    areas = np.minimum(_crossed(right - here, down - here), _crossed(down - across, right - across))
-    worst = np.unravel_index(np.argmin(areas), areas.shape)
-    return int((~(areas > 0.0)).sum()), float(areas.min() / ((x[1] - x[0]) * (y[1] - y[0]))), points[worst]
-
-
-def _crossed(a: Any, b: Any) -> Any:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    grid = coarse_grid((side, side), count)
+    everywhere = determinants_by_differences(found.map_points, grid)
+    middle = grid[np.argmin(everywhere)]
+    near = determinants_by_differences(found.map_points, middle + step * count / 40 * (2.0 * grid / side - 1.0))
+    return int((~(everywhere > 0.0)).sum() + (~(near > 0.0)).sum()), float(min(everywhere.min(), near.min()))
 
 
 def turned(pairs: LandmarkPairs, degrees: float, side: int) -> LandmarkPairs:
@@ -256,13 +241,13 @@ def hard(count: int, repeat: int) -> None:
         seconds = [perf_counter() - begin]
         certificate = certify(found)
         seconds.append(perf_counter() - begin - seconds[0])
-        cells, least = fold_by_differences(found, NOISY_SIDE)
+        points, least = folded_by_differences(found, NOISY_SIDE)
         deviation = np.sqrt((found.residuals**2).mean() / 2.0)
         way = "proved" if certificate.proved else "pixels"
         CONSOLE.print(
             f"{name}: {seconds[0]:.1f} s, certificate {seconds[1]:.1f} s ({way}, {certificate.folded} folded), "
             f"{found.steps} steps, {found.alignment.kind}, residual {deviation:.2g} px; "
-            f"by differences {cells} cells folded, least {least:.4f}"
+            f"by differences {points} points folded, least {least:.4f}"
         )
 
 
