@@ -241,7 +241,7 @@ def hard(count: int, repeat: int) -> None:
         seconds = [perf_counter() - begin]
         certificate = certify(found)
         seconds.append(perf_counter() - begin - seconds[0])
-        points, least = folded_by_differences(found, NOISY_SIDE)
+        points, least = folded_by_differences(found, NOISY_SIDE, 257 if len(pairs) < 500 else 65)
         deviation = np.sqrt((found.residuals**2).mean() / 2.0)
         way = "proved" if certificate.proved else "pixels"
         CONSOLE.print(
