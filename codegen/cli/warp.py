@@ -79,7 +79,13 @@ Report = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
 ]
 Coarse = Annotated[
-    bool, typer.Option("--coarse", help="Map a coarse grid and interpolate, with a certified error below 0.01 pixel.")
+    bool | None,
+    typer.Option(
+        "--coarse/--exact",
+        help="Map a coarse grid and interpolate, with an estimated error below 0.01 pixel, or map each pixel. "
+        "[default: coarse for more than 4 million pixels]",
+        show_default=False,
+    ),
 ]
 
 Workers = Annotated[
@@ -122,7 +128,7 @@ def warp(
     field: Field = None,
     report: Report = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    coarse: Coarse = False,
+    coarse: Coarse = None,
     workers: Workers = None,
     cluster: Cluster = None,
     resume: Resume = False,

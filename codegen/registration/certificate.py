@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import RegistrationError
-from codegen.registration.coarse import Positions
+from codegen.registration.coarse import PORTION, Positions
 from codegen.registration.frame import pixel_grid
 from codegen.registration.grid import Extent, Grid, grid_of, mesh, slabs
 from codegen.registration.maps import ROUND_TRIP, Registration, in_steps
@@ -25,8 +25,6 @@ CHEAPER = 4
 """A node of a proof costs less than a pixel; so many times fewer are taken at most."""
 SENT = {2: 129, 3: 25}
 """The most pixels along each axis that are sent there and back."""
-PORTION = 1 << 20
-"""Pixels whose derivatives are in memory at once, a whole number of the blocks in which the flow carries points."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter
 
 from codegen.errors import ArgumentError
-from codegen.registration.frame import pixel_grid
 from codegen.registration.pairs import PointArray
 
 Spacing: TypeAlias = int | Literal["auto"] | None
@@ -37,6 +36,8 @@ HALVING = 4.0
 """The least factor by which half the spacing reduces the error of a cubic spline; see above."""
 SINGULAR = 4.0
 """How many times smaller an error must be about a landmark, where it varies within a cell."""
+PORTION = 1 << 20
+"""Pixels that are mapped at once, a whole number of the blocks in which a flow carries points."""
 CHECKED = 256
 """Cells at whose centres the spline is compared with exact positions."""
 
@@ -69,12 +70,21 @@ def map_grid(
     while largest > SMALLEST and 6 * largest > min(height, width):
         largest //= 2
     if spacing is None or 6 * largest > min(height, width):
-        return Positions(function(pixel_grid((height, width))).reshape(height, width, 2))
+        return Positions(_exact(function, height, width))
     if spacing == "auto":
         return _automatic(function, (height, width), singular, largest, bound)
     if spacing not in (2, 4, 8, 16, 32):
         raise ArgumentError(f"the spacing is {spacing!r}", "give 2, 4, 8, 16, 32 or auto")
     return _completed(function, _Grid.exact(function, (height, width), min(spacing, largest)), singular, bound)
+
+
+def _exact(function: Map, height: int, width: int) -> NDArray[np.float64]:
+    """Where every pixel is mapped to, shape (h, w, 2), of which few are on their way at once."""
+    places = np.empty((height * width, 2))
+    for begin in range(0, len(places), PORTION):
+        rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
+        places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
+    return places.reshape(height, width, 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from codegen.registration.coarse import Positions
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.grid import Extent
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
-from codegen.registration.jobs import MOST_LEFT_OUT, Job, Options, Result, out_of_place
+from codegen.registration.jobs import LARGE, MOST_LEFT_OUT, Job, Options, Result, out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import Registration
 from codegen.registration.matching import Matching
@@ -117,7 +117,8 @@ def _solved(
         with timed(seconds, "warp"):
             if options.coarse or positions is None:
                 frame = found.shape if options.inverse else found.fixed_shape
-                positions = sources(found, frame, options.inverse, "auto" if options.coarse else None)
+                coarse = math.prod(frame) > LARGE if options.coarse is None else options.coarse
+                positions = sources(found, frame, options.inverse, "auto" if coarse else None)
             source = fixed if options.inverse and fixed is not None else moving
             warped, how = warp_reported(
                 source.pixels, found, interpolation=options.interpolation, inverse=options.inverse,

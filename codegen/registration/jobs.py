@@ -23,12 +23,16 @@ from codegen.registration.warp import Interpolation
 MOST_LEFT_OUT = 100
 """Of more landmarks, none is left out in turn: it would take as many registrations."""
 
+LARGE = 1 << 22
+"""Pixels of an image from which on positions are interpolated, unless it is said otherwise."""
+
 
 @dataclass(frozen=True)
 class Options:
     """How pairs are registered and warped; `sigma` in pixels.
 
-    With `flip` the moving image is mirrored left to right before anything else.
+    Where pixels come from is interpolated from a `coarse` grid, or not; None: for more than `LARGE` pixels. With `flip`
+    the moving image is mirrored left to right before anything else.
     """
 
     inverse: bool = False
@@ -37,7 +41,7 @@ class Options:
     scheme: str = DEFAULT_SCHEME
     steps: int | None = None
     interpolation: Interpolation = "linear"
-    coarse: bool = False
+    coarse: bool | None = None
     loss: Loss = "linear"
     flip: bool = False
 

@@ -77,21 +77,15 @@ class Linear:
             low, high = (middle, high) if self.residual(middle) < residual else (low, middle)
         return high
 
-    def by_cross_validation(self) -> tuple[float, float, bool]:
-        """The ridge with the least generalised cross-validation score, the errors' standard deviation by it in pixels,
-        and whether the score has its minimum inside the range, so that it says something.
-
-        The variance is the sum of squared residuals over the degrees of freedom that smoothing leaves.
-        """
+    def by_cross_validation(self) -> float:
+        """The ridge with the least generalised cross-validation score: squared residuals by free data squared."""
         ridges = RIDGES * self.largest
         left = self._left(ridges)
         squares = (left**2 * self._parts[2]).sum(axis=1)
         free = float(self.displacements.shape[1]) * left.sum(axis=1) - self.fitted
         known = free > LEAST_FREE * self.displacements.size
         scores = np.where(known, squares / np.where(known, free, 1.0) ** 2, np.inf)
-        best = int(np.argmin(scores))
-        lowest = int(np.argmax(known))
-        return float(ridges[best]), float(np.sqrt(squares[best] / free[best])), bool(lowest < best)
+        return float(ridges[np.argmin(scores)])
 
     def precision(self, ridge: float) -> Array:
         """The inverse of covariance plus ridge, shape (n, n)."""

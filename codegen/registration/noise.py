@@ -1,4 +1,4 @@
-"""How large the errors of landmarks are, by generalised cross-validation, and whether that is plausible."""
+"""How large the errors of landmarks are, by their restricted likelihood, and whether that is plausible."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from codegen.errors import LandmarkError
 from codegen.registration.grid import Extent
-from codegen.registration.linear import Linear
+from codegen.registration.likelihood import LikelySigma, likely_sigma
 from codegen.registration.matching import Matching
 from codegen.registration.outliers import outliers_of
 from codegen.registration.pairs import LandmarkPairs
@@ -18,6 +18,8 @@ FEWEST = 4
 """Of fewer landmarks, no error can be told from a deformation."""
 FEW = 15
 """With fewer landmarks an estimate is uncertain by a factor, which is said."""
+UNSURE = 1.5
+"""An estimate that is uncertain by a larger factor, by a standard error, is said to be so."""
 LARGE = 0.1
 """An error that is so large a share of the landmarks' spread is said to be implausible."""
 
@@ -33,11 +35,9 @@ class SigmaEstimate:
 def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> SigmaEstimate:
     """Estimate how far landmarks are from where they should be, from how far neighbours disagree.
 
-    Displacements after the alignment are smoothed by the linear theory, as strongly as makes the generalised
-    cross-validation score least; the estimate is what that leaves, by its degrees of freedom. Landmarks that are out of
-    place do not take part. `options` are those of `Matching.of`; errors do not depend on the alignment, and something
-    is aligned in any case, since without it 20 landmarks were estimated at a fifth of their errors. Raises
-    LandmarkError for fewer than four landmarks.
+    Displacements after the alignment are a smooth field and errors, whose standard deviation follows from their
+    likelihood. Landmarks that are out of place do not take part. `options` are those of `Matching.of`; errors do not
+    depend on the alignment, and something is aligned in any case. Raises LandmarkError for fewer than four landmarks.
     """
     if options.get("align") != "affine":
         options = {**options, "align": "similarity"}
@@ -49,20 +49,24 @@ def estimate_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> Sigma
     outliers = outliers_of(matching)
     trusted = np.ones(len(pairs), dtype=bool)
     trusted[list(outliers.numbers)] = False
-    alignment = matching.realigned(trusted)
-    linear = Linear(matching.covariance, alignment.apply(pairs.moving) - pairs.fixed, alignment.parameters)
-    _, sigma, is_inside = linear.chosen(trusted).by_cross_validation()
+    places = matching.realigned(trusted).apply(pairs.moving)[trusted]
+    found = likely_sigma(places, places - pairs.fixed[trusted])
     spread = float(np.sqrt(((pairs.fixed - pairs.fixed.mean(axis=0)) ** 2).mean()))
-    return SigmaEstimate(sigma, _doubt(sigma, spread, matching.unit, is_inside, int(trusted.sum()), outliers.message))
+    return SigmaEstimate(found.sigma, _doubt(found, spread, matching.unit, len(places), outliers.message))
 
 
-def _doubt(sigma: float, spread: float, unit: str, is_inside: bool, count: int, said: str) -> str:
-    if sigma > LARGE * spread:
-        finding = f"sigma of {sigma:.3g} {unit} is implausible: {sigma / spread:.0%} of the landmarks' spread"
+def _doubt(found: LikelySigma, spread: float, unit: str, count: int, said: str) -> str:
+    if found.sigma > LARGE * spread:
+        finding = (
+            f"sigma of {found.sigma:.3g} {unit} is implausible: {found.sigma / spread:.0%} of the landmarks' spread"
+        )
         return f"{finding}; {said or 'look for landmarks out of place'}"
-    if not is_inside:
-        return "the landmarks show no errors that could be told from a deformation"
-    return f"of {count} landmarks alone, sigma is uncertain" if count < FEW else ""
+    if found.may_be_zero:
+        finding = "the landmarks show no errors that could be told from a deformation"
+        return f"{finding}; sigma is hardly above {found.high:.2g} {unit}"
+    if count < FEW or found.high > UNSURE**2 * found.low:
+        return f"of {count} landmarks alone, sigma is uncertain: {found.low:.2g} to {found.high:.2g} {unit}"
+    return ""
 
 
 def choose_sigma(pairs: LandmarkPairs, shape: Extent, **options: Any) -> float:

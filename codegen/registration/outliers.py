@@ -80,7 +80,7 @@ def _predicted(matching: Matching, trusted: NDArray[np.bool_]) -> tuple[NDArray[
     pairs, alignment, whole = matching.pairs, matching.realigned(trusted), matching.covariance
     displacements = alignment.apply(pairs.moving) - pairs.fixed
     linear = Linear(whole[np.ix_(trusted, trusted)], displacements[trusted], alignment.parameters)
-    ridge = linear.by_cross_validation()[0]
+    ridge = linear.by_cross_validation()
     precision = linear.precision(ridge)
     errors, spread = np.empty(len(pairs)), np.empty(len(pairs))
     pulls = precision @ displacements[trusted]

@@ -19,7 +19,7 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         return found
     unit = short(seen.get("unit", "pixels"))
     sigma = f", sigma {record['sigma']:.3g} {unit}" if record["sigma"] or seen["sigma_chosen"] else ""
-    sigma += " by cross-validation" if seen["sigma_chosen"] else ""
+    sigma += " by likelihood" if seen["sigma_chosen"] else ""
     found += [
         (name, seen[key]) for name, key in (("alignment", "alignment_choice"), ("sigma", "sigma_message"))
         if seen.get(key)

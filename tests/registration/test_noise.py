@@ -5,8 +5,17 @@ import pytest
 from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 
 from codegen.errors import ArgumentError, LandmarkError, RegistrationError
-from codegen.registration import LandmarkPairs, chosen_alignment, estimate_sigma, find_outliers, register
+from codegen.registration import (
+    LandmarkPairs,
+    choice,
+    chosen_alignment,
+    estimate_sigma,
+    find_outliers,
+    likelihood,
+    register,
+)
 from codegen.registration.frame import coarse_grid
+from codegen.registration.likelihood import likely_sigma
 from codegen.registration.smoothing import MOST_SOLVES
 
 pytestmark = pytest.mark.usefixtures("solver")
@@ -34,18 +43,49 @@ def test_residuals_are_of_the_size_of_sigma(count, noise):
     assert found.solves <= MOST_SOLVES
 
 
-@pytest.mark.parametrize(("count", "noise"), [(20, 3.0), (20, 10.0), (50, 3.0), (100, 1.0), (100, 10.0), (200, 3.0)])
-def test_sigma_is_estimated(count, noise):
-    estimates = [estimate_sigma(noisy_pairs(count, noise, seed), SHAPE, align="none").sigma for seed in range(6)]
-    assert min(estimates) > noise / 1.5
-    assert max(estimates) < noise * 1.5
+@pytest.mark.parametrize(
+    ("count", "noise", "seeds", "least"),
+    # The Cramer-Rao bound of 20 landmarks, for whoever knows the warps' covariance, is 0.34 of log(sigma) for 1 pixel,
+    # 0.23 for 3 and 0.17 for 10, so that 76, 92 and 98 percent of estimates are expected within a factor of 1.5.
+    [(20, 1.0, 20, 14), (20, 3.0, 20, 16), (20, 10.0, 20, 18), (50, 3.0, 6, 6), (100, 1.0, 6, 6), (100, 10.0, 6, 6),
+     (200, 3.0, 6, 6)],
+)  # fmt: skip
+def test_sigma_is_estimated(count, noise, seeds, least):
+    ratios = np.array([estimate_sigma(noisy_pairs(count, noise, k), SHAPE).sigma / noise for k in range(seeds)])
+    assert np.count_nonzero((ratios > 1.0 / 1.5) & (ratios < 1.5)) >= least
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.2)
+
+
+def test_few_landmarks_say_that_sigma_is_uncertain():
+    found = [estimate_sigma(noisy_pairs(10, 3.0, seed), SHAPE) for seed in range(6)]
+    assert sum("sigma is uncertain" in estimate.message for estimate in found) >= 4
+    assert "no errors that could be told" in estimate_sigma(noisy_pairs(30, 0.0, 1), SHAPE).message
+
+
+def test_halves_of_many_landmarks_give_the_sigma_of_all(monkeypatch):
+    pairs = noisy_pairs(300, 2.0, 1)
+    whole = likely_sigma(pairs.moving, pairs.moving - pairs.fixed)
+    monkeypatch.setattr(likelihood, "BLOCK", 100)
+    assert likely_sigma(pairs.moving, pairs.moving - pairs.fixed).sigma == pytest.approx(whole.sigma, rel=0.05)
+    assert whole.low < whole.sigma < whole.high
+
+
+def test_an_affine_map_has_no_errors():
+    moving = noisy_pairs(30, 0.0, 1).moving
+    assert likely_sigma(moving, moving @ [[0.1, 0.2], [0.0, 0.1]]).sigma == 0.0
+    found = register(LandmarkPairs(moving, moving @ [[1.1, 0.2], [0.0, 1.1]]), SHAPE, sigma="auto")
+    assert found.residuals.max() < 1e-6
 
 
 def test_a_smoothed_map_is_nearer_to_the_truth_than_an_exact_one():
-    pairs, said = noisy_pairs(60, 3.0, seed=2), list[str]()
-    smooth = register(pairs, SHAPE, sigma="auto", progress=said.append)
-    assert error(smooth, 2) < 0.85 * error(register(pairs, SHAPE), 2)
-    assert len(said) == smooth.solves
+    ratios, said = list[float](), list[str]()
+    for seed in range(5):
+        pairs = noisy_pairs(60, 3.0, seed)
+        said.clear()
+        smooth = register(pairs, SHAPE, sigma="auto", progress=said.append)
+        assert len(said) == smooth.solves
+        ratios.append(error(smooth, seed) / error(register(pairs, SHAPE), seed))
+    assert np.median(ratios) < 0.8
 
 
 def test_an_implausible_sigma_is_said():
@@ -104,6 +144,17 @@ def test_landmarks_that_are_nearly_one_and_contradict_each_other_are_named(expon
     for pairs in (LandmarkPairs(moving, fixed), LandmarkPairs(fixed, moving)):
         with pytest.raises(RegistrationError, match="hardest are landmarks 1 and 21,"):
             register(pairs, SHAPE)
+
+
+def test_some_of_many_landmarks_choose_their_alignment(monkeypatch):
+    pairs = noisy_pairs(120, 1.0, 1)
+    turned = LandmarkPairs(pairs.moving, pairs.fixed @ np.array([[0.6, -0.8], [0.8, 0.6]]).T)
+    whole = chosen_alignment(turned, SHAPE)
+    monkeypatch.setattr(choice, "MOST", 60)
+    some = chosen_alignment(turned, SHAPE)
+    assert some.kind == whole.kind
+    assert some.errors != whole.errors
+    assert chosen_alignment(turned, SHAPE).errors == some.errors
 
 
 def test_the_alignment_that_predicts_best_is_chosen():
