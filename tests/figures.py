@@ -34,7 +34,7 @@ from codegen.loading import load
 from codegen.machine import machine
 from codegen.naming import module_name
 from codegen.report import compare, records
-from codegen.report.settings import few_landmarks
+from codegen.report.settings import few_landmarks, smooth_pair
 from codegen.terminal import console
 
 FOLDER = ROOT / "tests" / "figures"
@@ -57,8 +57,9 @@ def measured(problems: Collection[str] = ()) -> list[Row]:
 
 def solved(path: Path) -> Row:
     """Figures of one module, solved with default options; a registration connects five landmarks."""
-    module = load(path)
-    points = few_landmarks(5) if module.metadata["task"] == "connect" else None
+    module, points = load(path), None
+    if module.metadata["task"] == "connect":
+        points = few_landmarks(5) if len(module.metadata["coordinates"]) == 2 else smooth_pair(5, 3)
     result = solving.solve(module, repeat=WARM_SOLVES, points=points)
     return {
         "status": result.status,
