@@ -2017,16 +2017,17 @@ class Globalisation:
 
 
 def settles_multipliers(search, iterate, step, trial):
-    """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
+    """Whether a step moves primal unknowns, or leaves of the equations, rounding alone, and is closer to an optimum.
 
-    With bounds these are also those of the barrier problem, in which duals may be all that is left to move. Cost and
+    With bounds the optimality conditions are also those of the barrier problem, in which duals may be all that is left
+    to move, or unknowns by as little as a cost does that vanishes at its optimum, as that of exact data. Cost and
     violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
     """
     is_closer = trial.point.error < CLOSER * iterate.point.error
     if not is_closer:
         return False
     rests = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
-    return bool((rests | search.grid.is_multiplier).all())
+    return bool((rests | search.grid.is_multiplier).all()) or is_at_rounding_level(search.grid, trial.point)
 
 
 def damped(damping, step, length, shortened):
@@ -3932,7 +3933,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_d1882865bdbb858b"
+_IDENTITY = "codegen_spherical_pendulum_2b156a2eea86e26b"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

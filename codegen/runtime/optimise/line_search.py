@@ -20,6 +20,7 @@ from codegen.runtime.optimise.newton_steps import (
     is_inaccurate,
     regularised_step,
 )
+from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.stand_ins.example import INEQUALITIES
 
 CORRECTIONS = 4  # second-order corrections that are tried at one iterate
@@ -162,9 +163,10 @@ class Globalisation:
 
 
 def settles_multipliers(search, iterate, step, trial):
-    """Whether a step moves primal unknowns by rounding alone, and brings the optimality conditions closer.
+    """Whether a step moves primal unknowns, or leaves of the equations, rounding alone, and is closer to an optimum.
 
-    With bounds these are also those of the barrier problem, in which duals may be all that is left to move. Cost and
+    With bounds the optimality conditions are also those of the barrier problem, in which duals may be all that is left
+    to move, or unknowns by as little as a cost does that vanishes at its optimum, as that of exact data. Cost and
     violation, which the filter compares, tell nothing of it. IPOPT takes tiny steps unseen: section 3.9.
     """
     is_closer = trial.point.error < CLOSER * iterate.point.error
@@ -173,7 +175,7 @@ def settles_multipliers(search, iterate, step, trial):
     if not is_closer:
         return False
     rests = np.abs(step.primal) <= TINY * np.maximum(1.0, np.abs(iterate.point.unknowns))
-    return bool((rests | search.grid.is_multiplier).all())
+    return bool((rests | search.grid.is_multiplier).all()) or is_at_rounding_level(search.grid, trial.point)
 
 
 def damped(damping, step, length, shortened):
