@@ -1,4 +1,4 @@
-"""Steps that a filter sees nothing of, at rounding level, and that bring an iterate closer to an optimum all the same."""
+"""Steps that a filter sees nothing of, at rounding level, and that lead closer to an optimum all the same."""
 
 from __future__ import annotations
 
