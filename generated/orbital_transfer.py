@@ -1974,7 +1974,7 @@ class Globalisation:
             trial = moved(search, iterate, step, length)
             if self.is_better(trial, iterate, step, length):
                 return trial
-            if length == step.longest and settles_multipliers(search, iterate, step, trial):
+            if length == step.longest and converges_unseen(search, iterate, step, trial):
                 return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
@@ -2035,7 +2035,7 @@ class Globalisation:
         return None
 
 
-def settles_multipliers(search, iterate, step, trial):
+def converges_unseen(search, iterate, step, trial):
     """Whether a step moves primal unknowns, or leaves of the equations, rounding alone, and is closer to an optimum.
 
     With bounds the optimality conditions are also those of the barrier problem, in which duals may be all that is left
@@ -3961,7 +3961,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_bd6c196cf402ab41"
+_IDENTITY = "codegen_orbital_transfer_1521a0069e8539de"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

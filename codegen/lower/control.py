@@ -12,7 +12,7 @@ from codegen.discretise import STEP
 from codegen.expressions.table_functions import tables_of
 from codegen.lower import control_guesses, inner_times, phases, sensitivities
 from codegen.lower import control_layout as layout
-from codegen.lower.control_sizes import forward_motion, sizes
+from codegen.lower.control_sizes import motion_indices, sizes
 from codegen.lower.control_text import left_out, metadata
 from codegen.lower.coupling import lower_couplings
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
@@ -258,7 +258,7 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
         solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "line_search", "restoration")
         solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "warm_start", "newton")
-        solver = (*solver, "cascade", *(("forward_motion",) if forward_motion(program)[0] else ()))
+        solver = (*solver, "cascade", *(("forward_motion",) if motion_indices(program)[0] else ()))
     return (
         "arrays", "times", *(("inner_number",) if program.inner.times else ()),
         *(("shared",) if program.shared else ()),

@@ -9,7 +9,7 @@ from typing import Any
 from sympy import Expr, Symbol, oo
 
 from codegen.derive import ControlDerivatives
-from codegen.lower.control_sizes import forward_motion, pinned, sizes
+from codegen.lower.control_sizes import motion_indices, pinned, sizes
 from codegen.lower.kernels import Line
 from codegen.lower.printer import array_code, scalar_code
 from codegen.transcribe.program import ControlProgram, Unknown
@@ -41,7 +41,7 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         Line("HESSIAN_ROWS", integers([r for r, _, _ in derivatives.element.hessian])),
         Line("HESSIAN_COLUMNS", integers([c for _, c, _ in derivatives.element.hessian])),
     ]
-    equations, determined = forward_motion(program)
+    equations, determined = motion_indices(program)
     if equations and not derivatives.linear_quadratic:
         lines.append(Line("MOTION_EQUATIONS", integers(equations), "multipliers of the equations of a step"))
         lines.append(Line("MOTION_UNKNOWNS", integers(determined), "what these determine: stages, the state after it"))

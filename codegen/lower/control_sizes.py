@@ -30,7 +30,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("UNBOUNDED", int(not program.has_inequalities)),
         ("SLACKED", len(program.slacks)),
         ("COSTLESS", int(is_costless(program))),
-        ("FORWARD", int(bool(forward_motion(program)[0]))),
+        ("FORWARD", int(bool(motion_indices(program)[0]))),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("BACKWARD", int(sweeps_backward(program))),
         ("CARRIED", int(carries_right_hand_side(program, derivatives))),
@@ -44,7 +44,7 @@ def is_costless(program: ControlProgram) -> bool:
     return not program.sample and not any(costs)
 
 
-def forward_motion(program: ControlProgram) -> tuple[list[int], list[int]]:
+def motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
     """Local indices of the equations of a step, and of what they determine: stages, and the state after it.
 
     Both are empty where the start does not give all states, or the end anything, so that no motion follows from a guess

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from codegen.runtime.optimise import line_search
-from codegen.runtime.optimise.line_search import settles_multipliers
+from codegen.runtime.optimise.line_search import converges_unseen
 
 SEARCH = SimpleNamespace(grid=SimpleNamespace(is_multiplier=np.array([False, True])))
 
@@ -30,5 +30,5 @@ def test_what_is_taken_though_the_filter_refuses_it(monkeypatch, moved, closer, 
     monkeypatch.setattr(line_search, "INEQUALITIES", 0)
     monkeypatch.setattr(line_search, "is_at_rounding_level", lambda grid, point: only_rounding)
     step = SimpleNamespace(primal=np.array([moved, 1.0]))
-    found = settles_multipliers(SEARCH, iterate(2.5e-9), step, iterate(1e-15 if closer else 2.4e-9))
+    found = converges_unseen(SEARCH, iterate(2.5e-9), step, iterate(1e-15 if closer else 2.4e-9))
     assert found is accepted

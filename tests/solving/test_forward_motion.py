@@ -91,6 +91,18 @@ def test_a_search_that_takes_long_begins_anew_at_a_motion(monkeypatch):
     assert [row[4] for row in result.log].count(0.0) == 2, "two searches, each with a beginning"
 
 
+def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
+    """From its beginning, and as far as it would have gone without the attempt: iterates are the same."""
+    module = of_problem(vaccination(1.0))
+    own = module.solve(20)
+    monkeypatch.setattr(module, "SLOW", 3)
+    monkeypatch.setattr(module, "forward_motion", lambda grid, unknowns: None)
+    result = module.solve(20)
+    assert (own.status, result.status) == ("solved", "solved")
+    assert result.cost == own.cost
+    assert result.iterations == own.iterations + 3
+
+
 def test_motions_that_run_away_are_none():
     module = of_problem(explosion())
     grid = module.make_grid(40)

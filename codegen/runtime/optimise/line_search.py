@@ -99,7 +99,7 @@ class Globalisation:
             trial = moved(search, iterate, step, length)
             if self.is_better(trial, iterate, step, length):
                 return trial
-            if length == step.longest and settles_multipliers(search, iterate, step, trial):
+            if length == step.longest and converges_unseen(search, iterate, step, trial):
                 return trial
             if length == step.longest and trial.point.violation >= iterate.point.violation:
                 better = self.second_order_correction(search, iterate, step, trial.point)
@@ -162,7 +162,7 @@ class Globalisation:
         return None
 
 
-def settles_multipliers(search, iterate, step, trial):
+def converges_unseen(search, iterate, step, trial):
     """Whether a step moves primal unknowns, or leaves of the equations, rounding alone, and is closer to an optimum.
 
     With bounds the optimality conditions are also those of the barrier problem, in which duals may be all that is left

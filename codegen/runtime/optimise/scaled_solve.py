@@ -63,7 +63,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     if grid.sizes.size:
         known, limit = None, min(max_iterations, LONG)
     if FORWARD and not warm:
-        found = search_forward(grid, unknowns, tolerance, limit, scaling, log, known)
+        found = search_forward(grid, unknowns, tolerance, limit, max_iterations, scaling, log, known)
         status, scaled, start, point, iterations = found
         grid = scaled
     else:
@@ -86,27 +86,28 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
 
 if FORWARD:
 
-    def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known):
+    def search_forward(grid, unknowns, tolerance, limit, max_iterations, scaling, log, known):
         """(status, grid, start, point, iterations) of a search that begins anew at a motion if it takes long or fails.
 
         That is the one under the controls of the guess `unknowns` (n,), with the sizes that things have there. Where no
-        optimum is found from it either, the first search goes on, from its beginning.
+        optimum is found from it either, the first search goes on, from its beginning and up to its own `limit`.
         """
-        start, limit = scaled_unknowns(grid, unknowns), min(max_iterations, SLOW)
-        status, point, total = minimise(grid, start, tolerance, limit, False, log, known)
+        start = scaled_unknowns(grid, unknowns)
+        status, point, total = minimise(grid, start, tolerance, min(limit, SLOW), False, log, known)
         if status not in FAILED or total >= max_iterations:
             return status, grid, start, point, total
         plain = plain_grid(grid)
         motion = forward_motion(plain, unknowns)
         if motion is not None:
             there = with_sizes(plain, evaluate(plain, motion)) if scaling == "auto" else plain
-            begin, limit = scaled_unknowns(there, motion), min(max_iterations - total, FROM_MOTION)
-            ended, found, iterations = minimise(there, begin, tolerance, limit, False, log)
+            begin, left = scaled_unknowns(there, motion), min(max_iterations - total, FROM_MOTION)
+            ended, found, iterations = minimise(there, begin, tolerance, left, False, log)
             total += iterations
             if ended in ("solved", "time limit"):
                 return ended, there, begin, found, total
         if status == "iteration limit" and total < max_iterations:
-            status, point, iterations = minimise(grid, start, tolerance, max_iterations - total, False, log, known)
+            left = min(limit, max_iterations - total)
+            status, point, iterations = minimise(grid, start, tolerance, left, False, log, known)
             total += iterations
         return status, grid, start, point, total
 
