@@ -13,8 +13,8 @@ from codegen import Control, control, controls, states
 def tuberculosis(steps: int = 100) -> Control:
     """Two strains of tuberculosis and two treatments, for five years.
 
-    Source: Jung, Lenhart and Feng (2002), Optimal control of treatments in a two-strain tuberculosis model; the optimum
-    is that of Betts (2020), Practical methods for optimal control, 5152.07310.
+    Source: Jung, Lenhart and Feng (2002), Optimal control of treatments in a two-strain tuberculosis model. The optimum
+    is 5152.07312 by gauss-4 with controls at stages, on 200 and on 400 intervals.
     """
     s, t, l1, l2, i1, i2 = states("S T L1 L2 I1 I2")
     u1, u2 = controls("u1 u2")
@@ -94,9 +94,10 @@ def test_a_search_that_takes_long_begins_anew_at_a_motion(monkeypatch):
 def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
     """From its beginning, and as far as it would have gone without the attempt: iterates are the same."""
     module = of_problem(vaccination(1.0))
+    monkeypatch.setattr(module, "forward_motion", lambda grid, unknowns: None)
+    monkeypatch.setattr(module, "SLOW", 3000)
     own = module.solve(20)
     monkeypatch.setattr(module, "SLOW", 3)
-    monkeypatch.setattr(module, "forward_motion", lambda grid, unknowns: None)
     result = module.solve(20)
     assert (own.status, result.status) == ("solved", "solved")
     assert result.cost == own.cost
