@@ -686,6 +686,23 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -694,23 +711,19 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -2871,8 +2884,9 @@ def least_violation(search, iterate, tolerance, is_late):
 
 def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
-    grid = search.grid
-    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    grid, unknowns, start = search.grid, iterate.point.unknowns, iterate
+    if has_multipliers(grid, unknowns):
+        start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
     nu = max(1e-12, WEIGHT * iterate.point.residual**2)
     # Where nu is 1e8, duals on the central path would hold all that is close to bounds for many iterations.
     start = start._replace(mu=nu, duals=np.minimum(nu / start.distance, LARGEST_DUAL))
@@ -5013,7 +5027,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_a4499a425f9c3301"
+_IDENTITY = "codegen_bouncing_ball_90076940324176ca"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

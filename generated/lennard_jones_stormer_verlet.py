@@ -159,6 +159,23 @@ def velocity(z, own, parameters, rates):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -167,23 +184,19 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()
 
 
 # One step of a composition method for a separable Hamiltonian: positions and momenta take turns, nothing is solved.
@@ -626,7 +639,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_lennard_jones_12980188283aa2b9"
+_IDENTITY = "codegen_lennard_jones_4b8ace06662dbf14"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

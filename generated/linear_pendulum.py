@@ -198,6 +198,23 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -206,23 +223,19 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -2115,9 +2128,8 @@ def initial_guess(grid):
     end_q = grid.parameters[0, 2]
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
-    duration = duration_of(grid, unknowns)
-    t = duration * grid.nodes / grid.steps
-    nodes[:, :, 0] = start_q + t*(end_q - start_q)/duration  # q
+    fraction = grid.nodes / grid.steps
+    nodes[:, :, 0] = fraction*(end_q - start_q) + start_q  # q
     pin_values(grid, unknowns, nodes)
     return unknowns
 
@@ -2143,7 +2155,7 @@ def pin_values(grid, unknowns, nodes):
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
-    t = duration_of(grid, unknowns) * grid.nodes / grid.steps
+    t = grid.h * grid.nodes
     p = discrete_momenta(grid, unknowns)
     return t, side_by_side(nodes[:, :, :1]), side_by_side(p), side_by_side(intervals[:, :, 0:1]), side_by_side(nodes[:, :, 1:2])
 
@@ -2246,7 +2258,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_ddf108561c90926e"
+_IDENTITY = "codegen_linear_pendulum_44a2e3e843fefb40"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -309,6 +309,23 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -317,23 +334,19 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -2136,8 +2149,9 @@ def least_violation(search, iterate, tolerance, is_late):
 
 def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
-    grid = search.grid
-    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    grid, unknowns, start = search.grid, iterate.point.unknowns, iterate
+    if has_multipliers(grid, unknowns):
+        start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
     return start
 
 
@@ -3825,10 +3839,9 @@ def initial_guess(grid):
     end_phi = grid.parameters[0, 10]
     unknowns = np.zeros(grid.is_multiplier.size)
     nodes, intervals = views(grid, unknowns)
-    duration = duration_of(grid, unknowns)
-    t = duration * grid.nodes / grid.steps
-    nodes[:, :, 0] = start_r + t*(end_r - start_r)/duration  # r
-    nodes[:, :, 1] = start_phi + t*(end_phi - start_phi)/duration  # phi
+    fraction = grid.nodes / grid.steps
+    nodes[:, :, 0] = fraction*(end_r - start_r) + start_r  # r
+    nodes[:, :, 1] = fraction*(end_phi - start_phi) + start_phi  # phi
     pin_values(grid, unknowns, nodes)
     return unknowns
 
@@ -3858,7 +3871,7 @@ def pin_values(grid, unknowns, nodes):
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
-    t = duration_of(grid, unknowns) * grid.nodes / grid.steps
+    t = grid.h * grid.nodes
     p = discrete_momenta(grid, unknowns)
     return t, side_by_side(nodes[:, :, :2]), side_by_side(p), side_by_side(intervals[:, :, 0:1]), side_by_side(nodes[:, :, 2:4])
 
@@ -3961,7 +3974,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_1521a0069e8539de"
+_IDENTITY = "codegen_orbital_transfer_9cdaaf2d68084f16"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

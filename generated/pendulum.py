@@ -150,6 +150,23 @@ def energy(state, t, parameters):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -158,23 +175,19 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()
 
 
 # One step of an implicit scheme by Newton's method, whose first correction is exact where equations are linear.
@@ -681,7 +694,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_94e42e3a708d7527"
+_IDENTITY = "codegen_pendulum_33fa19445888d367"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

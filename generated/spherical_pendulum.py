@@ -307,6 +307,23 @@ def end_gradient(unknowns, t, parameters, gradient):
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -315,23 +332,19 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()
 
 
 # Arrays that compiled functions make and clear for themselves.
@@ -2117,8 +2130,9 @@ def least_violation(search, iterate, tolerance, is_late):
 
 def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
-    grid = search.grid
-    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    grid, unknowns, start = search.grid, iterate.point.unknowns, iterate
+    if has_multipliers(grid, unknowns):
+        start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
     return start
 
 
@@ -3830,7 +3844,7 @@ def pin_values(grid, unknowns, nodes):
 def unpack(grid, unknowns):
     """Times, positions, momenta, controls and multipliers, a row for each time, of `unknowns` (n,)."""
     nodes, intervals = views(grid, unknowns)
-    t = duration_of(grid, unknowns) * grid.nodes / grid.steps
+    t = grid.h * grid.nodes
     p = discrete_momenta(grid, unknowns)
     return t, side_by_side(nodes[:, :, :3]), side_by_side(p), side_by_side(intervals[:, :, 0:2]), side_by_side(nodes[:, :, 3:6])
 
@@ -3933,7 +3947,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_0fa21c0ecf0ed96d"
+_IDENTITY = "codegen_spherical_pendulum_1153ef9daffa6ee9"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

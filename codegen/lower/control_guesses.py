@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import sympy
-from sympy import Expr
+from sympy import Expr, Symbol
 
 from codegen.lower.control_layout import inputs, shared_views, slack_indices
 from codegen.lower.kernels import Line
 from codegen.lower.printer import array_code, scalar_code
+from codegen.transcribe.guesses import DURATION
 from codegen.transcribe.program import ControlProgram
+
+FRACTION = Symbol("fraction", real=True)
+"""The part of the duration that has passed, of which straight lines between the ends are functions."""
 
 
 def guesses(program: ControlProgram) -> dict[str, Any]:
@@ -23,9 +27,8 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
     measured, between = _through_samples(program)
     at_nodes += [*measured, *_through_inner_times(program)]
     inside = [line for line in inside if line.target not in {other.target for other in between}] + between
-    nodes = (Line("t", "duration * grid.nodes / grid.steps"),)
-    middles = (Line("t", "duration * (0.5 * (grid.nodes[:-1] + grid.nodes[1:])) / grid.steps"),)
-    lines = [*(nodes if _read("t", at_nodes) else ()), *at_nodes, *(middles if _read("t", inside) else ()), *inside]
+    lines = [*_times("grid.nodes", at_nodes), *at_nodes]
+    lines += [*_times("(0.5 * (grid.nodes[:-1] + grid.nodes[1:]))", inside), *inside]
     at_inner_times = [value for _, values, _, _ in program.inner.guess for _, value in values]
     duration = (Line("duration", "duration_of(grid, unknowns)"),)
     return {
@@ -35,6 +38,20 @@ def guesses(program: ControlProgram) -> dict[str, Any]:
         "guess_lines": (*(duration if _read("duration", lines) else ()), *lines),
         **shared_guesses(program),
     }
+
+
+def _times(nodes: str, guessed: Sequence[Line]) -> Iterator[Line]:
+    """Lines that make the times of guesses, as fractions of the duration or as they are, where guesses read them."""
+    if _read(FRACTION.name, guessed):
+        yield Line(FRACTION.name, f"{nodes} / grid.steps")
+    if _read("t", guessed):
+        yield Line("t", f"duration * {nodes} / grid.steps")
+
+
+def _guess_code(program: ControlProgram, guess: Expr) -> str:
+    """Code of a guess over arrays of time, in fractions of the duration where that is all that it depends on."""
+    relative = guess.xreplace({program.model.time: FRACTION * DURATION})
+    return array_code(guess if relative.has(DURATION) else relative)
 
 
 def _through_inner_times(program: ControlProgram) -> list[Line]:
@@ -89,11 +106,13 @@ def _scalar_inputs(program: ControlProgram, values: Sequence[Expr]) -> tuple[Lin
 
 
 def _node_guess(program: ControlProgram) -> tuple[Line, ...]:
-    lines = [Line(str(i), array_code(guess), program.node[i].name) for i, guess in enumerate(program.node_guess)]
+    lines = [
+        Line(str(i), _guess_code(program, guess), program.node[i].name) for i, guess in enumerate(program.node_guess)
+    ]
     if program.nodal_controls:
         first = len(program.node) - len(program.model.controls)
         controls = zip(program.model.controls, program.control_guess, strict=True)
-        lines += [Line(str(first + i), array_code(guess), u.name) for i, (u, guess) in enumerate(controls)]
+        lines += [Line(str(first + i), _guess_code(program, guess), u.name) for i, (u, guess) in enumerate(controls)]
     return tuple(line for line in lines if line.code != "0")
 
 
@@ -103,7 +122,7 @@ def _interval_guess(program: ControlProgram) -> tuple[Line, ...]:
     if not program.nodal_controls:
         controls = zip(program.control_symbols, program.control_guess, strict=True)
         guessed += enumerate(controls, start=len(program.interval))
-    lines = [Line(str(i), array_code(guess), symbol.name) for i, (symbol, guess) in guessed]
+    lines = [Line(str(i), _guess_code(program, guess), symbol.name) for i, (symbol, guess) in guessed]
     return tuple(line for line in lines if line.code != "0")
 
 

@@ -99,6 +99,7 @@ def pins(program: ControlProgram) -> dict[str, Any]:
 def duration(program: ControlProgram) -> dict[str, Any]:
     """The duration as code of the arguments, or of the unknowns when it is free, and the times that follow from it."""
     free, code = program.scaled_time, scalar_code(program.model.duration)
+    times = "duration_of(grid, unknowns) * grid.nodes / grid.steps" if free else "grid.h * grid.nodes"
     return {
         "duration_arguments": () if free else ("duration",),
         "default_durations": () if free else (code,),
@@ -106,9 +107,7 @@ def duration(program: ControlProgram) -> dict[str, Any]:
         "duration_inputs": duration_inputs(program, [program.model.duration]) if free else (),
         "duration": code if free else "grid.steps * grid.h",
         "phase_durations": (),
-        "node_times": "duration_of(grid, unknowns) * grid.nodes / grid.steps"
-        if program.inner.clock is None
-        else f"nodes[0, :, {program.inner.clock}].copy()",
+        "node_times": times if program.inner.clock is None else f"nodes[0, :, {program.inner.clock}].copy()",
         "choices": (),
         "of_each_phase": "",
         "fractions": "fractions (N,) of the duration",

@@ -13,6 +13,23 @@ from numba import config
 PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
 
 
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
 class packed_operations:
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
 
@@ -21,20 +38,16 @@ class packed_operations:
 
         @wraps(function)
         def inside(*values, **named):
-            with self:
+            begin_packing()
+            try:
                 return function(*values, **named)
+            finally:
+                end_packing()
 
         return inside
 
     def __enter__(self):
-        with PACKING["lock"]:
-            if not PACKING["blocks"]:
-                PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
-                config.SLP_VECTORIZE = 1
-            PACKING["blocks"] += 1
+        begin_packing()
 
     def __exit__(self, *error):
-        with PACKING["lock"]:
-            PACKING["blocks"] -= 1
-            if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
-                config.SLP_VECTORIZE = PACKING["before"]
+        end_packing()

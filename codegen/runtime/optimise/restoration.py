@@ -18,6 +18,7 @@ from codegen.runtime.optimise.bounded import (
     newton_system,
     step_along,
 )
+from codegen.runtime.optimise.warm_start import has_multipliers
 from codegen.runtime.stand_ins.example import INEQUALITIES
 from codegen.runtime.unknowns.point import evaluate
 
@@ -97,8 +98,9 @@ def least_violation(search, iterate, tolerance, is_late):
 
 def restoration_start(search, iterate):
     """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
-    grid = search.grid
-    start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns)))
+    grid, unknowns, start = search.grid, iterate.point.unknowns, iterate
+    if has_multipliers(grid, unknowns):
+        start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
     if INEQUALITIES:
         nu = max(1e-12, WEIGHT * iterate.point.residual**2)
         # Where nu is 1e8, duals on the central path would hold all that is close to bounds for many iterations.
