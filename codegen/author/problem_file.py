@@ -12,6 +12,7 @@ import importlib
 import importlib.util
 import inspect
 import keyword
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -121,8 +122,11 @@ _MISTAKES = (
     ("multiply sequence", _UNPACK),
     ("Cannot convert expression to float", _OF_SYMPY),
     ("ufunc", _OF_SYMPY),
+    ("'function'", "call it where it makes a symbol, as in t = time()"),
 )
 """Words of a TypeError, and what its author should have written."""
+
+_UNEXPECTED = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'")
 
 
 @contextmanager
@@ -144,8 +148,20 @@ def _remedy(error: BaseException) -> str:
     if isinstance(error, SystemExit):
         return "let problem() return instead of exiting"
     if isinstance(error, TypeError):
+        if found := _UNEXPECTED.search(str(error)):
+            return _similar_arguments(*found.groups())
         return next((remedy for words, remedy in _MISTAKES if words in str(error)), "correct the file")
     return "correct the file"
+
+
+def _similar_arguments(function: str, name: str) -> str:
+    """What an argument of a problem, or of a declaration, that there is not may have been meant for."""
+    import codegen
+
+    named = getattr(codegen, function, None)
+    known = inspect.signature(named).parameters if callable(named) else {}
+    similar = difflib.get_close_matches(name, known, cutoff=0.5)
+    return f"perhaps it is {' or '.join(similar)}" if similar else "correct the file"
 
 
 def _location(path: Path, error: BaseException) -> str:

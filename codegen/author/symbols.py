@@ -157,7 +157,7 @@ def coordinates(names: str, velocities: str | None = None) -> tuple[tuple[Coordi
     """Declare several coordinates and their velocities.
 
     For example `(r, phi), (dr, dphi) = coordinates("r phi")`; a velocity is called `d<name>` unless told otherwise.
-    Raises SymbolError when a name is no identifier or when the two lists differ in length.
+    "x1:4" stands for x1, x2 and x3, as in sympy.symbols, here and wherever several are declared. Raises SymbolError when a name is no identifier or when the two lists differ in length.
     """
     qs = _split(names)
     vs = [f"d{name}" for name in qs] if velocities is None else _split(velocities)
@@ -268,7 +268,17 @@ def finite_number(value: Any, what: str) -> float:
 def _split(names: str) -> list[str]:
     if not isinstance(names, str) or not names.replace(",", " ").split():
         raise SymbolError(f"{names!r} declares no symbol", 'give names separated by blanks, as in "r phi"')
-    return names.replace(",", " ").split()
+    return [one for name in names.replace(",", " ").split() for one in _expanded(name)]
+
+
+def _expanded(name: str) -> list[str]:
+    """The names that a range such as x1:4 stands for, as sympy.symbols writes it; others stand for themselves."""
+    if ":" not in name:
+        return [name]
+    try:
+        return [symbol.name for symbol in sympy.symbols(name, seq=True)]
+    except ValueError as error:
+        raise SymbolError(f"{name!r} is no range of names ({error})", "write x1:4 for x1, x2 and x3") from None
 
 
 def _pairs(qs: list[str], partners: list[str], kind: type[Any]) -> tuple[tuple[Coordinate, ...], tuple[Any, ...]]:

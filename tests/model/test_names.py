@@ -24,6 +24,7 @@ from codegen import (
     parameter,
     particles,
     state,
+    states,
     time,
 )
 from codegen.author.symbols import recorded_declarations
@@ -202,6 +203,12 @@ def test_only_names_in_code_are_renamed():
 def test_what_is_no_identifier_is_refused(name):
     with pytest.raises(errors.SymbolError, match=r"identifier|declares no symbol"):
         parameter(name, 1.0)
+
+
+def test_a_range_stands_for_its_names():
+    assert [x.name for x in states("x1:4, y z:2")] == ["x1", "x2", "x3", "y", "z0", "z1"]
+    (_, second), (velocity, _) = coordinates("q:2")
+    assert (second.name, velocity.name) == ("q1", "dq0")
 
 
 def test_messages_have_the_authors_names():
