@@ -157,7 +157,8 @@ def coordinates(names: str, velocities: str | None = None) -> tuple[tuple[Coordi
     """Declare several coordinates and their velocities.
 
     For example `(r, phi), (dr, dphi) = coordinates("r phi")`; a velocity is called `d<name>` unless told otherwise.
-    "x1:4" stands for x1, x2 and x3, as in sympy.symbols, here and wherever several are declared. Raises SymbolError when a name is no identifier or when the two lists differ in length.
+    "x1:4" stands for x1, x2 and x3, as in sympy.symbols, here and wherever several are declared. Raises SymbolError
+    when a name is no identifier or when the two lists differ in length.
     """
     qs = _split(names)
     vs = [f"d{name}" for name in qs] if velocities is None else _split(velocities)

@@ -74,6 +74,26 @@ def batch() -> Control:
     )
 
 
+def lane() -> Control:
+    """Turn a ship onto a parallel lane, 500 m away, in the least time, about a hundred seconds.
+
+    The guess is five minutes, and 800 m ahead all the time. Rudder and rudder rate are bounded. Nomoto's model with a
+    cubic damping; numbers are of a small ship at 8 m/s. IPOPT 3.14 finds 146.876951211 on the same program.
+    """
+    x, y, psi, r, delta = states("x y psi r delta")
+    u, T = control("u"), free_parameter("T", 300, lower=10)
+    return Control(
+        dynamics={x: 8 * cos(psi), y: 8 * sin(psi), psi: r, r: (0.05 * delta - r - 30 * r**3) / 25, delta: u},
+        terminal_cost=T,
+        duration=T,
+        start={x: 0, y: 0, psi: 0, r: 0, delta: 0},
+        end={y: 500, psi: 0, r: 0, delta: 0},
+        bounds={delta: (-0.6, 0.6), u: (-0.05, 0.05)},
+        guess={x: 800},
+        steps=100,
+    )
+
+
 def module_of(problem: Control | Phases):
     return as_machine_code(text_of(problem))
 
@@ -252,3 +272,11 @@ def test_a_sample_where_derivatives_leave_all_measure_does_not_count():
     assert 1e-2 <= sizes["w"] <= 1e2
     assert 1e-6 <= sizes["mu_v"] <= 1e6
     assert module.solve().status == "solved"
+
+
+def test_a_cost_of_hundreds_does_not_throw_the_first_steps_onto_bounds():
+    """Beside sizes it was left as it was, and its slope sent the duration to the lower bound: 145 iterations."""
+    solution = module_of(lane()).solve()
+    assert solution.status == "solved", solution.message
+    assert solution.cost == pytest.approx(146.876951211, rel=1e-9)
+    assert solution.iterations <= 40

@@ -100,7 +100,9 @@ if FORWARD:
         motion = forward_motion(plain, unknowns)
         if motion is not None:
             there = with_sizes(plain, evaluate(plain, motion)) if scaling == "auto" else plain
-            begin, left = scaled_unknowns(there, motion), min(max_iterations - total, FROM_MOTION)
+            begin, left = scaled_unknowns(there, motion), max_iterations - total
+            if status == "iteration limit":
+                left = min(left, FROM_MOTION)  # the first search may still get there
             ended, found, iterations = minimise(there, begin, tolerance, left, False, log)
             total += iterations
             if ended in ("solved", "time limit"):

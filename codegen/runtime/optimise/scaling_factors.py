@@ -11,9 +11,9 @@ of a derivative and a size, and the cost by how much it changes at most when all
 size.
 
 Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
-them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
-well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a million changes
-nothing but the sizes.
+them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns and of the cost to powers
+of a hundred as well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a
+million changes nothing but the sizes.
 """
 
 import numpy as np
@@ -106,7 +106,6 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
         size[j] = max(size[j], bound[j])
     if TIED:
         equate_tied(size)
-    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
     for i in range(KINDS):
         if KIND_IS_MULTIPLIER[i]:
             size[i] = size_of_equation(i, size, tables[0])
@@ -114,7 +113,9 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
                 size[i] = rest[i]  # which is flat at the guess
     if TIED:
         equate_tied(size)
-    is_scaled, digits = weight != 1.0, digits_of(size)
+    digits = digits_of(size)
+    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), digits, True)
+    is_scaled = weight != 1.0
     for i in range(KINDS):
         if not GIVEN[i] > 0.0:
             size[i] = rounded(size[i], digits, IS_SINGLE[i])
