@@ -25,6 +25,7 @@ from codegen.model.definitions import Boundary, Bounds, Condition, EndValue, Fre
 from codegen.model.relations import Entry, text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
 from codegen.model.segments import in_segments
+from codegen.model.singular_guesses import with_regular_guesses
 from codegen.model.written import maximises, used_quantities, written_costs, written_entries
 
 
@@ -54,7 +55,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
     model = with_positive_durations(replace(model, unused=unused))
-    return in_segments(drawings.with_drawing(model, drawing, plain))
+    return in_segments(with_regular_guesses(drawings.with_drawing(model, drawing, plain)))
 
 
 def with_positive_durations(model: Model) -> Model:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import sympy
 from sympy import Dummy, Expr, Symbol
@@ -24,15 +25,42 @@ _WITH_ENDS = (sympy.log, sympy.asin, sympy.acos, sympy.acosh, sympy.atanh)
 
 def singular_at_guess(model: Model) -> tuple[Singular, ...]:
     """The functions inside cost, dynamics and conditions of one phase that have none all along its guess."""
-    points = [point_of_guess(model, share) for share in _INSIDE]
     moving = {*model.coordinates, *model.rates, *model.controls}
     found = list[Singular]()
+    for part, what, point in _singular_parts(model):
+        at = ", ".join(f"{s} = {point[s]:g}" for s in sorted(part.free_symbols & moving, key=str))
+        found.append((str(part), what, at))
+    return tuple(found)
+
+
+def with_regular_guesses(model: Model) -> Model:
+    """The model in which controls without a guess are guessed to be one where functions of them have no value at zero.
+
+    Such as log(u), or 1/u. A kink is left: what its author means is another formulation, not another guess.
+    """
+    phases = tuple(with_regular_guesses(phase) for phase in model.phases)
+    if phases:
+        return replace(model, phases=phases)
+    if not model.controls:
+        return model
+    given = {symbol for symbol, _ in model.guess}
+    without_value = [part for part, what, _ in _singular_parts(model) if what == "value"]
+    symbols = set[Symbol]().union(*(part.free_symbols for part in without_value))
+    moved = tuple((u, sympy.S.One) for u in model.controls if u in symbols - given)
+    other = replace(model, guess=(*model.guess, *moved)) if moved else model
+    return other if len(_singular_parts(other)) < len(_singular_parts(model)) else model
+
+
+def _singular_parts(model: Model) -> list[tuple[Expr, str, dict[Symbol, float]]]:
+    """Singular functions of one phase, what of them is not finite, and where."""
+    points = [point_of_guess(model, share) for share in _INSIDE]
+    moving = {*model.coordinates, *model.rates, *model.controls}
+    found = []
     for part in dict.fromkeys(part for expression in expressions_of(model) for part in _parts(expression)):
         wrong = [_wrong(part, point) for point in points] if part.free_symbols & moving else []
         if wrong and all(wrong):
-            at = ", ".join(f"{s} = {points[0][s]:g}" for s in sorted(part.free_symbols & moving, key=str))
-            found.append((str(part), wrong[0], at))
-    return tuple(found)
+            found.append((part, wrong[0], points[0]))
+    return found
 
 
 def point_of_guess(model: Model, share: float) -> dict[Symbol, float]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from interpreted import of_problem
 from sympy import Abs, acos, exp, log, sqrt
 
-from codegen import Control, controls, coordinate, states
+from codegen import Control, controls, coordinate, states, time
 from codegen.lower.notable import notable
 from codegen.model import normalise
 from codegen.model.singular_guesses import singular_at_guess
@@ -25,15 +27,16 @@ def problem(cost=a**2, rate=a, end_y=0, **more) -> Control:
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (problem(log(a)), [("log(a)", "value", "a = 0")]),
+        (problem(log(a), guess={a: 0}), [("log(a)", "value", "a = 0")]),
+        (problem(log(-a)), [("log(-a)", "value", "a = 0")]),  # one is no better
         (problem(sqrt(a**2 + b**2)), [("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0")]),
-        (problem(rate=a + 1 / b), [("1/b", "value", "b = 0")]),
+        (problem(rate=a + 1 / b, guess={b: 0}), [("1/b", "value", "b = 0")]),
         (problem((a**2 + b**2) ** 1.5), [("(a**2 + b**2)**(3/2)", "curvature", "a = 0, b = 0")]),
         (problem(acos(a), guess={a: 1}), [("acos(a)", "slope", "a = 1")]),
         (problem(path=[sqrt(a**2 + b**2) <= 1]), [("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0")]),
         (problem(sqrt(a**2 + b**2), guess={a: 1}), []),
         (problem(log(a), bounds={a: (0, None)}), []),  # optimisers begin inside
-        (problem(log(a), bounds={a: (-1, None)}), [("log(a)", "value", "a = 0")]),
+        (problem(log(a), bounds={a: (-1, 0.5)}), []),
         (problem(rate=sqrt(x) + a), []),  # zero at the start alone, where no scheme evaluates for long
         (problem(rate=sqrt(y) + a), [("sqrt(y)", "slope", "y = 0")]),
         (problem(rate=sqrt(y) + a, end_y=1), []),
@@ -43,6 +46,26 @@ def problem(cost=a**2, rate=a, end_y=0, **more) -> Control:
 )
 def test_singular_functions(given, expected):
     assert list(singular_at_guess(normalise(given))) == expected
+
+
+def test_controls_are_guessed_where_functions_of_them_have_a_value():
+    given = problem(-log(a) + sqrt(b), rate=a + 1 / b)
+    assert {u.name: value for u, value in normalise(given).guess} == {"a": 1, "b": 1}
+    assert not normalise(problem(log(a), bounds={a: (0, None)})).guess
+
+
+def consumption() -> Control:
+    """Eat of a cake with discounted logarithmic utility: from 1 to 1/2, as exp(-t / 10) says, in the course of 10."""
+    t = time()
+    return Control(dynamics={x: -a}, maximise=exp(-t / 10) * log(a), duration=10, start={x: 1}, end={x: 0.5}, steps=40)
+
+
+def test_a_logarithm_of_a_control_needs_no_guess():
+    """With the multiplier c of the constant total, a = exp(-t / 10) c, c = 1 / 20 / (1 - exp(-1))."""
+    solution = of_problem(consumption()).solve()
+    assert solution.status == "solved", solution.message
+    middles = 0.25 * np.arange(40) + 0.125
+    assert np.abs(solution.u[:, 0] / (np.exp(-middles / 10) / 20 / (1 - np.exp(-1))) - 1).max() < 1e-4
 
 
 def test_velocities_are_those_of_the_guess():

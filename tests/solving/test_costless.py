@@ -7,9 +7,9 @@ import math
 import pytest
 from interpreted import of_problem
 from scipy.special import ellipk
-from sympy import pi, sin
+from sympy import cos, pi, sin
 
-from codegen import Control, control, free_parameter, states
+from codegen import Control, control, coordinates, free_parameter, states
 
 
 def half_period(steps: int) -> Control:
@@ -54,3 +54,35 @@ def test_a_motion_that_obeys_is_found_at_once():
 def test_a_motion_that_is_impossible_is_none():
     """On few intervals: with 60 the search takes seven times as long until it ends in the same way."""
     assert of_problem(swing_up(0.05)).solve(12).status in ("infeasible", "stalled")
+
+
+def step_of_a_walker() -> Control:
+    """One step of a compass walker on level ground, which may be as fast as it likes: no hip torque is needed.
+
+    Source: Goswami, Espiau and Keramane (1996), Limit cycles and their stability in a passive bipedal gait.
+    """
+    (a, b), (da, db) = coordinates("a b")
+    u, T = control("u"), free_parameter("T", 0.8, lower=0.3, upper=2)
+    hip, leg, length, g = 10, 5, 1, 9.81
+    stance = (hip + leg + leg / 4) * length**2 * da**2 / 2
+    swing = leg * length**2 * db**2 / 8 - leg * length**2 * cos(a - b) * da * db / 2
+    potential = (hip + 3 * leg / 2) * length * g * cos(a) - leg * length * g * cos(b) / 2
+    return Control(
+        lagrangian=stance + swing - potential,
+        force={a: -u, b: u},
+        cost=u**2,
+        duration=T,
+        start={a: -0.2, b: 0.2},
+        end={a: 0.2, b: -0.2},
+        bounds={u: (-50, 50)},
+        steps=20,
+    )
+
+
+def test_a_cost_that_vanishes_at_its_optimum_ends_there():
+    """All terms of the conditions are 1e-22 there, and none is small beside them: it was called stalled."""
+    result = of_problem(step_of_a_walker()).solve()
+    assert result.status == "solved", result.message
+    assert result.cost <= 1e-20
+    assert result.residual <= 1e-12
+    assert result.iterations <= 20

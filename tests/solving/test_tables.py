@@ -276,7 +276,8 @@ def test_bodies_with_tables(folder):
     )
 
 
-def test_a_changed_file_is_seen(tabled, folder):
+def test_a_changed_file_is_seen(tabled, folder, monkeypatch):
+    monkeypatch.setenv("CODEGEN_CACHE_DIR", str(folder / "cache"))
     first = codegen.build(tabled)
     assert codegen.build(tabled).cached
     before = (folder / "spring.csv").read_bytes()
