@@ -1356,6 +1356,7 @@ def solve_kkt(grid, system, gradient, step):
 # How large the terms of the equations are: what a residual has to be compared with.
 
 UNIT_ROUNDOFF = 2.2e-16
+NOTHING = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
 
 
@@ -1430,7 +1431,7 @@ def is_solved(grid, point, tolerance, roundings=1.0):
 
 def is_small(value, size, tolerance, roundings):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
-    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, NOTHING)
 
 
 # Whether nothing but rounding is left, so that no step makes progress.
@@ -3262,9 +3263,9 @@ def change(moments, intervals, part, powers):
 # size.
 #
 # Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
-# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
-# well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a million changes
-# nothing but the sizes.
+# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns and of the cost to powers
+# of a hundred as well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a
+# million changes nothing but the sizes.
 
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
 LEAST = 1e-150  # what is below, or above its inverse, is no size
@@ -3320,13 +3321,14 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
         limit_angles(size, is_known)
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
-    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), 6.0, False)
     for i in range(KINDS):
         if KIND_IS_MULTIPLIER[i]:
             size[i] = size_of_equation(i, size, tables[0])
             if size[i] == 0.0:
                 size[i] = rest[i]  # which is flat at the guess
-    is_scaled, digits = weight != 1.0, digits_of(size)
+    digits = digits_of(size)
+    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), digits, True)
+    is_scaled = weight != 1.0
     for i in range(KINDS):
         if not GIVEN[i] > 0.0:
             size[i] = rounded(size[i], digits, IS_SINGLE[i])
@@ -3947,7 +3949,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_1153ef9daffa6ee9"
+_IDENTITY = "codegen_spherical_pendulum_6645abe0c994df8a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
