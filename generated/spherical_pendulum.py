@@ -3263,9 +3263,9 @@ def change(moments, intervals, part, powers):
 # size.
 #
 # Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
-# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns and of the cost to powers
-# of a hundred as well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a
-# million changes nothing but the sizes.
+# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
+# well, and so is the cost where its first derivatives decide. So problems in ordinary numbers are solved as they are, and
+# a change of units by a power of a million changes nothing but the sizes.
 
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
 LEAST = 1e-150  # what is below, or above its inverse, is no size
@@ -3327,7 +3327,9 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
             if size[i] == 0.0:
                 size[i] = rest[i]  # which is flat at the guess
     digits = digits_of(size)
-    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), digits, True)
+    slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
+    is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
+    weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for i in range(KINDS):
         if not GIVEN[i] > 0.0:
@@ -3403,9 +3405,10 @@ def fit_bounds(lower, upper, kinds, size):
 
 @njit(error_model="numpy")
 def drop_negligible_sizes(size, between, effect):
-    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding.
+    """Take away sizes that are negligible in all equations: a guess of zero, or a slack's, may be one of rounding.
 
-    Those that lie between two bounds are what these say.
+    Those that lie between two bounds are what these say. Others keep their size: a duration has no effect but rounding
+    where the guess is at rest.
     """
     for j in range(KINDS):
         least = np.inf
@@ -3416,7 +3419,8 @@ def drop_negligible_sizes(size, between, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
+        may_be_rounding = IS_SLACK[j] or size[j] < NEGLIGIBLE
+        if may_be_rounding and between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
@@ -3469,8 +3473,8 @@ def displaced(primal, lower, upper, kinds, size):
 
 
 @njit(error_model="numpy")
-def change_of_cost(slopes, kinds, size, curvature):
-    """By how much the cost changes, at most, when all unknowns of one kind change by its size.
+def slope_of_cost(slopes, kinds, size):
+    """By how much the cost changes, at most, when all unknowns of one kind change by its size, by first derivatives.
 
     It does not depend on the number of intervals as the share of a single one does.
     """
@@ -3480,6 +3484,14 @@ def change_of_cost(slopes, kinds, size, curvature):
             total[kinds[i]] += slopes[i]
     for i in range(KINDS):
         largest = max(largest, total[i] * size[i])
+    return largest
+
+
+@njit(error_model="numpy")
+def curvature_of_cost(size, curvature):
+    """The same by second derivatives: what controls cost is often flat at the guess."""
+    largest = 0.0
+    for i in range(KINDS):
         for j in range(KINDS):
             largest = max(largest, curvature[i, j] * size[i] * size[j])
     return largest
@@ -3949,7 +3961,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_6645abe0c994df8a"
+_IDENTITY = "codegen_spherical_pendulum_37326bdd61645bba"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 from interpreted import as_machine_code, of_problem, text_of
-from sympy import cos, exp, sin
+from sympy import cos, exp, log, sin
 
 from codegen import Control, control, controls, free_parameter, parameter, solving, states, time
 from codegen.author.problem import Phases
@@ -91,6 +91,29 @@ def lane() -> Control:
         bounds={delta: (-0.6, 0.6), u: (-0.05, 0.05)},
         guess={x: 800},
         steps=20,
+    )
+
+
+def charging() -> Control:
+    """Charge a battery from a tenth to 80 percent in the least time, by a current that is bounded.
+
+    At the guess, without a current, nothing but rounding changes with the duration. IPOPT 3.14 finds 580.117756762.
+    """
+    charge, over, heat = states("soc V1 T")
+    current, duration = control("I"), free_parameter("tf", 3000, lower=100)
+    return Control(
+        dynamics={
+            charge: current / (2.3 * 3600),
+            over: -over / (0.016 * 2500) + current / 2500,
+            heat: (0.01 * current**2 + over * current - (heat - 298) / 3.0) / 60,
+        },
+        terminal_cost=duration,
+        duration=duration,
+        start={charge: 0.1, over: 0, heat: 298},
+        end={charge: 0.8},
+        path=[3.2 + 0.9 * charge + 0.05 * log(charge / (1 - charge)) + over + 0.01 * current <= 4.1],
+        bounds={current: (0, 12), heat: (None, 308), charge: (0.01, 0.99)},
+        steps=100,
     )
 
 
@@ -280,3 +303,13 @@ def test_a_cost_of_hundreds_does_not_throw_the_first_steps_onto_bounds():
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(147.848102916, rel=1e-9)
     assert solution.iterations <= 25
+
+
+def test_a_duration_has_its_size_where_the_guess_is_at_rest():
+    """It was 1e18 s, that of what balances rounding, and a search began there: 56 iterations."""
+    module = of_problem(charging())
+    grid = time_grid(module, 20)
+    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes[-1] == 100.0
+    solution = module.solve(20)
+    assert solution.status == "solved", solution.message
+    assert solution.iterations <= 30

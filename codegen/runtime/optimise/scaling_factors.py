@@ -11,9 +11,9 @@ of a derivative and a size, and the cost by how much it changes at most when all
 size.
 
 Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
-them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns and of the cost to powers
-of a hundred as well. So problems in ordinary numbers are solved as they are, and a change of units by a power of a
-million changes nothing but the sizes.
+them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
+well, and so is the cost where its first derivatives decide. So problems in ordinary numbers are solved as they are, and
+a change of units by a power of a million changes nothing but the sizes.
 """
 
 import numpy as np
@@ -114,7 +114,9 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     if TIED:
         equate_tied(size)
     digits = digits_of(size)
-    weight = 1.0 / rounded(change_of_cost(slopes, kinds, size, tables[2]), digits, True)
+    slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
+    is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
+    weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for i in range(KINDS):
         if not GIVEN[i] > 0.0:
@@ -207,9 +209,10 @@ def fit_bounds(lower, upper, kinds, size):
 
 @njit(error_model="numpy")
 def drop_negligible_sizes(size, between, effect):
-    """Take away sizes that are negligible in all equations: a slack's guess may be nothing but rounding.
+    """Take away sizes that are negligible in all equations: a guess of zero, or a slack's, may be one of rounding.
 
-    Those that lie between two bounds are what these say.
+    Those that lie between two bounds are what these say. Others keep their size: a duration has no effect but rounding
+    where the guess is at rest.
     """
     for j in range(KINDS):
         least = np.inf
@@ -220,7 +223,8 @@ def drop_negligible_sizes(size, between, effect):
                     others = max(others, effect[i, k] * size[k])
             if effect[i, j] > 0.0:
                 least = min(least, others / effect[i, j])
-        if between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
+        may_be_rounding = IS_SLACK[j] or size[j] < NEGLIGIBLE
+        if may_be_rounding and between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
             size[j] = 0.0
 
 
@@ -273,8 +277,8 @@ def displaced(primal, lower, upper, kinds, size):
 
 
 @njit(error_model="numpy")
-def change_of_cost(slopes, kinds, size, curvature):
-    """By how much the cost changes, at most, when all unknowns of one kind change by its size.
+def slope_of_cost(slopes, kinds, size):
+    """By how much the cost changes, at most, when all unknowns of one kind change by its size, by first derivatives.
 
     It does not depend on the number of intervals as the share of a single one does.
     """
@@ -284,6 +288,14 @@ def change_of_cost(slopes, kinds, size, curvature):
             total[kinds[i]] += slopes[i]
     for i in range(KINDS):
         largest = max(largest, total[i] * size[i])
+    return largest
+
+
+@njit(error_model="numpy")
+def curvature_of_cost(size, curvature):
+    """The same by second derivatives: what controls cost is often flat at the guess."""
+    largest = 0.0
+    for i in range(KINDS):
         for j in range(KINDS):
             largest = max(largest, curvature[i, j] * size[i] * size[j])
     return largest
