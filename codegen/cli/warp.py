@@ -73,7 +73,9 @@ Steps = Annotated[
 ]
 Field = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha or .nrrd; for many pairs a folder."),
+    typer.Option(
+        metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha, .mhd or .nrrd; for many pairs a folder."
+    ),
 ]
 Report = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")

@@ -20,14 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import CodegenError, ExtraError, ImageError
-from codegen.files import replacing
 from codegen.registration.grid import Grid
 from codegen.registration.images.header import VOLUMES
 from codegen.registration.volumes import stacks
+from codegen.registration.volumes.two_files import replacing_volume
 
 READ = VOLUMES
-WRITTEN = (".nii", ".nii.gz", ".mha", ".nrrd")
-"""Kinds that are one file."""
+WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
+_BARE = (".nii", ".mhd")
+"""Kinds that are not compressed."""
 MOST_VOXELS = 1 << 30
 THINNEST = 2
 """Samples along each axis that make a volume."""
@@ -145,7 +146,7 @@ def _silent() -> Iterator[None]:
 def require_written(path: Path, dtype: np.dtype[Any] | None = None) -> None:
     """Refuse names of volumes that are not written, and without the library that writes them."""
     kind = ending(path, (*WRITTEN, *stacks.SUFFIXES))
-    if kind is None:
+    if kind is None or (kind in WRITTEN and not path.name.endswith(kind)):  # SimpleITK knows no capitals
         raise ImageError(f"{path}: volumes are not written so", f"let it end in {', '.join((*WRITTEN, '.tif'))}")
     library("tifffile" if kind in stacks.SUFFIXES else "SimpleITK")
     if dtype is not None and kind in stacks.SUFFIXES:
@@ -155,7 +156,7 @@ def require_written(path: Path, dtype: np.dtype[Any] | None = None) -> None:
 def write_volume(path: Path, samples: NDArray[Any], grid: Grid) -> None:
     """Write samples on a grid as the file's name says, as a whole or not at all; FileError where that is refused."""
     require_written(path, samples.dtype)
-    with replacing(path) as temporary, _telling(path):
+    with replacing_volume(path) as temporary, _telling(path):
         if ending(path, stacks.SUFFIXES):
             stacks.write_stack(temporary, samples, grid)
             return
@@ -172,7 +173,7 @@ def write_image(path: Path, samples: NDArray[Any], grid: Grid, note: str = "") -
     if note:
         image.SetMetaData("descrip" if ending(path, READ) in (".nii", ".nii.gz") else "Comment", note)
     with _silent():
-        itk.WriteImage(image, str(path), useCompression=ending(path, READ) != ".nii")
+        itk.WriteImage(image, str(path), useCompression=ending(path, READ) not in _BARE)
 
 
 def library(name: str) -> Any:
