@@ -401,7 +401,7 @@ def test_the_page_is_for_pictures_and_says_so(files):
     done = CliRunner().invoke(main, ["app", str(files / "moving.nii.gz"), "--no-browser"])
     assert done.exit_code == 2
     (line,) = done.stderr.strip().splitlines()
-    assert line.endswith("moving.nii.gz is a volume, and this is for pictures; give codegen warp two volumes")
+    assert "moving.nii.gz is a volume (30 x 26 x 20 voxels), and the page is for pictures" in line
 
 
 def test_units_must_be_the_same(files):
