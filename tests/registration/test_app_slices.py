@@ -119,7 +119,8 @@ def test_files_that_name_others_are_not_followed(tmp_path, refusal):
     written(tmp_path / "a.mhd")
     header = (tmp_path / "a.mhd").read_bytes().replace(b"a.raw", str(secret).encode())
     comments = b"".join(b"Comment = %s\n" % (b"x" * 70) for _ in range(2000))
-    for variant in (header, header.replace(b"DataFile =", b"DataFile:"), comments + header):
+    hidden = b"Comment = ElementDataFile = LOCAL\n" + header
+    for variant in (header, header.replace(b"DataFile =", b"DataFile:"), comments + header, hidden):
         for kind in ("mhd", "mha"):
             assert "names another file" in refusal(variant, f"a.{kind}")
     assert "names another file" in refusal(nrrd([f"data file: {secret}"]), "a.png")  # whatever it is called
@@ -138,6 +139,9 @@ def test_damaged_and_unfit_files_are_refused(tmp_path, refusal):
     assert "samples of int64" in refusal(written(tmp_path / "i.nrrd", PIXELS.astype("i8")), "i.nrrd")
     large = nrrd([]).replace(b"sizes: 5 4", b"sizes: 500000 400000")
     assert "more than" in refusal(large, "large.nrrd")
+    many = nrrd(["kinds: vector domain domain"]).replace(b"dimension: 2", b"dimension: 3")
+    many = many.replace(b"sizes: 5 4", b"sizes: 1000000000 5 4")
+    assert "1000000000 numbers in each pixel" in refusal(many, "many.nrrd")
     bomb = bytearray(nifti(tmp_path / "b.nii", "mm"))
     assert "cut off" in refusal(gzip.compress(bytes(bomb[:353])), "b.nii.gz")
 

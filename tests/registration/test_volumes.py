@@ -132,8 +132,12 @@ def test_samples_that_a_header_names_are_not_overwritten(files, option):
     header.write_text(header.read_text().replace("moving.raw", "other.raw"))
     kept = (files / "other.raw").read_bytes()
     outputs = ["--out", files / "out.nii.gz", option, files / "other.mhd"]
-    given = [files / "moving.mhd", "--landmarks", files / "pairs.csv", *outputs]
-    assert "other.raw is read and would be overwritten" in refused(*given)
+    sizes = " ".join(map(str, MOVING.size))
+    lines = ["NRRD0004", "type: short", "endian: little", "dimension: 3", f"sizes: {sizes}", "encoding: raw"]
+    (files / "moving.nhdr").write_text("\n".join([*lines, "data file: other.raw", ""]))
+    for name in ("moving.mhd", "moving.nhdr"):
+        given = [files / name, "--landmarks", files / "pairs.csv", *outputs]
+        assert "other.raw is read and would be overwritten" in refused(*given)
     assert (files / "other.raw").read_bytes() == kept
     assert not (files / "other.mhd").exists()
 

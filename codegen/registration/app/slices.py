@@ -29,7 +29,7 @@ _METAIMAGE = re.compile(rb"\s*(ObjectType|Comment|NDims)\s*=")
 _ELSEWHERE = re.compile(rb"^\s*data\s*file", re.MULTILINE | re.IGNORECASE)
 """A line of NRRD that names other files."""
 _HERE = re.compile(rb"\s*=\s*LOCAL\s*\n")
-"""What follows the last key of MetaImage where samples follow that."""
+"""What follows a key of MetaImage, the last of its header, where samples follow that."""
 _UNIT = re.compile(rb'^(?:space )?units: *"([^"\r\n]*)"', re.MULTILINE)
 _KINDS = {".nii": "NIfTI", ".nii.gz": "NIfTI", ".nrrd": "NRRD", ".mha": "MetaImage"}
 MICROMETRES = 3
@@ -68,9 +68,12 @@ def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> tuple[NDA
             reader.SetFileName(str(path))
             reader.ReadImageInformation()
             axes = _axes(name, reader, limits)
+            _require_components(name, reader.GetNumberOfComponents())
             require_whole(path, reader, name)
             samples = itk.GetArrayFromImage(reader.Execute())
-    _require_samples(name, samples.dtype, reader.GetNumberOfComponents())
+    if samples.dtype not in SAMPLES:
+        remedy = "save it with 8 or 16-bit integers or 32-bit floats"
+        raise ImageError(f"{name} holds samples of {samples.dtype}", remedy)
     width, height = (reader.GetSize()[axis] for axis in axes)
     pixels = samples.reshape(height, width, *samples.shape[reader.GetDimension() :])
     return np.ascontiguousarray(pixels), _KINDS[ending], _spacing(data, ending, reader, axes)
@@ -79,8 +82,8 @@ def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> tuple[NDA
 def _require_alone(name: str, data: bytes, ending: str) -> None:
     """Refuse headers whose samples are in another file."""
     if ending == ".mha":
-        _, key, rest = data.partition(b"ElementDataFile")
-        is_alone = not key or _HERE.match(rest[:100]) is not None
+        _, *rest = data.split(b"ElementDataFile")  # of all, since a comment may hold the first
+        is_alone = all(_HERE.match(part[:100]) for part in rest)
     else:
         is_alone = ending != ".nrrd" or _ELSEWHERE.search(_text(data)) is None
     if not is_alone:
@@ -107,9 +110,7 @@ def _axes(name: str, reader: Any, limits: Limits) -> tuple[int, int]:
     return axes[0], axes[1]
 
 
-def _require_samples(name: str, dtype: np.dtype[Any], components: int) -> None:
-    if dtype not in SAMPLES:
-        raise ImageError(f"{name} holds samples of {dtype}", "save it with 8 or 16-bit integers or 32-bit floats")
+def _require_components(name: str, components: int) -> None:
     if components not in (1, 3, 4):
         raise ImageError(f"{name} has {components} numbers in each pixel", "give grey, RGB or RGB with opacity")
 

@@ -14,6 +14,8 @@ from codegen.files import replacing
 SUFFIX = ".mhd"
 _SAMPLES = ".raw"
 _KEY = "ElementDataFile"
+_NAMING = {SUFFIX: ("=", (_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
+"""Kinds of headers: what is between a key and its value, and the keys that name samples."""
 _MOST = 1 << 16
 """Bytes of a header that are looked through."""
 
@@ -24,15 +26,17 @@ def written_with(path: Path) -> Path | None:
 
 
 def read_with(path: Path) -> Path | None:
-    """The file of samples that a header names; None where a volume is one file, or nothing can be read of it."""
-    if path.suffix.lower() != SUFFIX:
+    """The file of samples that a header names, of NRRD as well; None where there is none, or it cannot be read."""
+    separator, keys = _NAMING.get(path.suffix.lower(), ("", ()))
+    if not keys:
         return None
     try:
         with path.open("rb") as file:
             lines = file.read(_MOST).decode("latin-1").splitlines()
     except OSError:
         return None  # whoever reads the volume says so
-    named = [value.strip() for key, _, value in (line.partition("=") for line in lines) if key.strip() == _KEY]
+    parts = (line.partition(separator) for line in lines)
+    named = [value.strip() for key, _, value in parts if key.strip() in keys]
     return path.parent / named[-1] if named and named[-1] not in ("", "LOCAL", "LIST") else None
 
 
