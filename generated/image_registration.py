@@ -885,18 +885,20 @@ def copy_state(source, target):
 
 # The linearised field J H'' times directions, from stored second derivatives or, where they are too many, anew.
 #
-# Stored ones are an array of shape (P, 2nd, 2nd), else there is None: numba compiles what is used of both.
+# They are a pair: stored ones, an array of shape (P, 2nd, 2nd), and None; or an empty array and True. Where an argument
+# is None numba leaves out what is for others, so that products without stored ones are compiled only for those.
 
 STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they are stored (240 MB)
 
 
 def curvature_at(points, own, parameters):
-    """The second derivatives, shape (P, 2nd, 2nd), at all points, shape (P, 2, n, d), or None if they are too many."""
-    if float(points.shape[0]) * points[0].size ** 2 > STORED:
-        return None
-    hessians = np.empty((points.shape[0], points[0].size, points[0].size))
+    """The second derivatives at all points, shape (P, 2, n, d), as a pair; none are stored if they are too many."""
+    are_too_many = float(points.shape[0]) * points[0].size ** 2 > STORED
+    hessians = np.empty((0 if are_too_many else points.shape[0], points[0].size, points[0].size))
+    if are_too_many:
+        return hessians, True
     fill_curvature(points, own, parameters, hessians)
-    return hessians
+    return hessians, None
 
 
 @njit(cache=True, error_model="numpy")
@@ -907,12 +909,12 @@ def fill_curvature(points, own, parameters, hessians):
 
 
 @njit(cache=True, error_model="numpy")
-def linearised_field(hessians, points, k, own, parameters, directions, products):
+def linearised_field(hessians, anew, points, k, own, parameters, directions, products):
     """Fill `products`, shape (2nd, m), with J H'' at the k-th point times directions."""
-    if hessians is None:
-        hessian_products(points[k], own, parameters, directions, products)
-    else:
+    if anew is None:
         symmetric_product(hessians[k], directions, products)
+    else:
+        hessian_products(points[k], own, parameters, directions, products)
     half = directions.shape[0] // 2
     for row in range(half):
         for c in range(directions.shape[1]):
@@ -973,21 +975,22 @@ def advance(z, t, h, given, work, after):
 
 
 @njit(cache=True, error_model="numpy")
-def advance_directions(hessians, points, first, h, own, parameters, directions, after):
+def advance_directions(curvature, points, first, h, own, parameters, directions, after):
     """Fill `after`, shape (2nd, m), with the derivative of a step times directions.
 
     The step's points are those from number `first`. Return whether the linear equations of every substep were solved.
     """
+    hessians, anew = curvature
     before, products = directions.copy(), np.empty(directions.shape)
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
         if (a > 0.0 or b > 0.0):
             if not implicit_directions(
-                hessians, points, first + s, step, a, b, own, parameters, before, products, after
+                hessians, anew, points, first + s, step, a, b, own, parameters, before, products, after
             ):
                 return False
         else:
-            linearised_field(hessians, points, first + s, own, parameters, before, products)
+            linearised_field(hessians, anew, points, first + s, own, parameters, before, products)
             for row in range(before.shape[0]):
                 for c in range(before.shape[1]):
                     after[row, c] = before[row, c] + step * products[row, c]
@@ -1098,7 +1101,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 
 @njit(cache=True, error_model="numpy")
-def implicit_directions(hessians, points, k, step, a, b, own, parameters, before, products, after):
+def implicit_directions(hessians, anew, points, k, step, a, b, own, parameters, before, products, after):
     """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
     middle, half = np.empty(before.shape), before.shape[0] // 2
     for row in range(before.shape[0]):
@@ -1111,7 +1114,7 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
             weight = a if row < half else b
             for c in range(before.shape[1]):
                 middle[row, c] = before[row, c] + weight * (after[row, c] - before[row, c])
-        linearised_field(hessians, points, k, own, parameters, middle, products)
+        linearised_field(hessians, anew, points, k, own, parameters, middle, products)
         for row in range(before.shape[0]):
             for c in range(before.shape[1]):
                 value = before[row, c] + step * products[row, c]
@@ -1122,9 +1125,9 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
         if not change < np.inf:
             break
         previous = change
-    if hessians is None:
-        return False
-    return direct_directions(hessians[k], step, a, b, before, after)
+    if anew is None:
+        return direct_directions(hessians[k], step, a, b, before, after)
+    return False
 
 
 @njit(cache=True, error_model="numpy")
@@ -1251,12 +1254,15 @@ def fill_end_residual(state, target, sigma, residual):
 
 
 @njit(cache=True, error_model="numpy")
-def approximate_inverse(factor, left, right, count, values, change):
-    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`."""
+def approximate_inverse(factor, left, right, values, change):
+    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`.
+
+    A row of `left` and `right`, shape (steps, nd), is the correction by a step.
+    """
     for k in range(values.size):
         change[k] = values[k]
     solve_cholesky(factor, change.reshape((factor.shape[0], values.size // factor.shape[0])))
-    for c in range(count):
+    for c in range(left.shape[0]):
         product = 0.0
         for k in range(values.size):
             product += right[c, k] * change[k]
@@ -1273,17 +1279,16 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
     size = target.size
     left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
     step, change, residual = np.empty(size), np.empty(size), np.empty(size)
-    momenta = path[0, 1].copy()
-    moved, kept = momenta.reshape(size), momenta.copy()
+    momenta = path[0, 1].reshape(size)
+    kept = momenta.copy()
     error, norm = fill_end_residual(path[-1], target, sigma, residual)
-    scale = max(np.abs(target).max(), 1e-300)
+    scale = max(largest(target.reshape(size)), 1e-300)
     start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
-    approximate_inverse(factor, left, right, 0, residual, step)
+    approximate_inverse(factor, left[:made], right[:made], residual, step)
     while made < BROYDEN_STEPS and error > tolerance and waited < PATIENCE:
         for k in range(size):
             step[k] = -step[k]
-            moved[k] += step[k]
-        path[0, 1] = momenta
+            momenta[k] += step[k]
         made, waited, is_kept = made + 1, waited + 1, False
         if follow(h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
             break
@@ -1294,7 +1299,7 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
             best, kept, is_kept = norm, momenta.copy(), True
         if norm < 0.5 * halved:
             halved, waited = norm, 0
-        approximate_inverse(factor, left, right, made - 1, residual, change)
+        approximate_inverse(factor, left[: made - 1], right[: made - 1], residual, change)
         along = 0.0
         for k in range(size):
             along += step[k] * (step[k] + change[k])
@@ -1307,7 +1312,8 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
         for k in range(size):
             step[k] = change[k] * (1.0 - product / along)
     if not is_kept:
-        path[0, 1] = kept
+        for k in range(size):  # an assignment of arrays has numba compile text for errors: a tenth of all time
+            momenta[k] = kept[k]
         follow(h, own, parameters, path, points, 0.0)
     return made
 
@@ -1334,11 +1340,11 @@ VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 
 @njit(cache=True, error_model="numpy")
-def tangents(hessians, points, steps, h, own, parameters, directions):
+def tangents(curvature, points, steps, h, own, parameters, directions):
     """Propagate directions, shape (2nd, m), over all steps in place; return whether every step was solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
-        if not advance_directions(hessians, points, k * POINTS, h, own, parameters, directions, after):
+        if not advance_directions(curvature, points, k * POINTS, h, own, parameters, directions, after):
             return False
         for row in range(after.shape[0]):
             for c in range(after.shape[1]):
@@ -1396,14 +1402,14 @@ class Linearised:
     def __init__(self, case, points, factor):
         """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
         self.case, self.points, self.factor, self.count = case, points, factor, 0
-        self.hessians = curvature_at(points, case.own, case.parameters)
+        self.curvature = curvature_at(points, case.own, case.parameters)
 
     def tangents(self, directions):
         """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
         case = self.case
         self.count += directions.shape[1]
         h = case.duration / case.steps
-        if not tangents(self.hessians, self.points, case.steps, h, case.own, case.parameters, directions):
+        if not tangents(self.curvature, self.points, case.steps, h, case.own, case.parameters, directions):
             directions[:] = np.nan
         return directions
 
@@ -1601,7 +1607,7 @@ def shift_states(linear, errors, shifts):
     h = case.duration / case.steps
     for k, error in enumerate(errors):
         solved = advance_directions(
-            linear.hessians, linear.points, k * POINTS, h, case.own, case.parameters, shifts[k], shifts[k + 1]
+            linear.curvature, linear.points, k * POINTS, h, case.own, case.parameters, shifts[k], shifts[k + 1]
         )
         shifts[k + 1, :, 0] += error.ravel() if solved else np.nan
 
@@ -1713,7 +1719,7 @@ INTERVALS = 20  # least number of intervals of the path: half as many mislead wh
 BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # how far first paths are bent aside: particles may meet on the guessed one
 DESCENTS = 300  # iterations at most
 REFRESHED = 5  # iterations after which the second derivatives are taken anew, and what was learnt is forgotten
-ENOUGH = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
+WORTHWHILE = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
 SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
 SHORTEST = 2.0**-20  # least part of a step that is tried
 MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
@@ -1842,7 +1848,7 @@ def descended(case, count):
                 break
         way = direction(pivots, couplings, memory, gradient[1:])
         decrease = -(way * gradient[1:]).sum()
-        if not decrease > ENOUGH * action:
+        if not decrease > WORTHWHILE * action:
             break
         length, reached = 1.0, None
         while length >= SHORTEST and reached is None:
@@ -2191,12 +2197,12 @@ def all_equations_jacobian(case, unknowns):
     points, errors = np.zeros((steps * POINTS, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
     h = case.duration / steps
     defects(h, case.own, case.parameters, path, points, errors)
-    hessians = curvature_at(points, case.own, case.parameters)
+    curvature = curvature_at(points, case.own, case.parameters)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
     after, variance = np.empty((2 * size, 2 * size)), np.repeat(case.sigma**2, case.start.shape[1])
     for k in range(steps):
         rows = slice(2 * size * k, 2 * size * (k + 1))
-        advance_directions(hessians, points, k * POINTS, h, case.own, case.parameters, np.eye(2 * size), after)
+        advance_directions(curvature, points, k * POINTS, h, case.own, case.parameters, np.eye(2 * size), after)
         momenta = slice(inner + size * k, inner + size * (k + 1))
         later = slice(momenta.stop, momenta.stop + size)
         matrix[rows, momenta] += after[:, size:]
@@ -2393,7 +2399,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_30a086bfd9e9b4c0"
+_IDENTITY = "codegen_image_registration_e1bdb41021892631"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

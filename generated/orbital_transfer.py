@@ -1375,7 +1375,7 @@ def solve_kkt(grid, system, gradient, step):
 # How large the terms of the equations are: what a residual has to be compared with.
 
 UNIT_ROUNDOFF = 2.2e-16
-NOTHING = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
+VANISHED = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
 
 
@@ -1450,7 +1450,7 @@ def is_solved(grid, point, tolerance, roundings=1.0):
 
 def is_small(value, size, tolerance, roundings):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
-    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, NOTHING)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, VANISHED)
 
 
 # Whether nothing but rounding is left, so that no step makes progress.
@@ -3988,7 +3988,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_007012e2000de028"
+_IDENTITY = "codegen_orbital_transfer_d7d16de8ea839a25"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -15,7 +15,7 @@ from codegen.terminal import console, progress, working
 
 if TYPE_CHECKING:
     from codegen.registration.batches.outcome import Batch
-    from codegen.registration.jobs import Options, Outcome
+    from codegen.registration.jobs import Options
 
 # Nothing of codegen.registration may be imported before the command runs: it brings numba.
 
@@ -49,7 +49,7 @@ class Interpolation(StrEnum):
 Moving = Annotated[
     Path,
     typer.Argument(
-        metavar="MOVING", help="The image or volume to be warped, a folder of images, or a table of pairs (.csv)."
+        metavar="MOVING", help="The image or volume to be warped, a folder of them, or a table of pairs (.csv)."
     ),
 ]
 Landmarks = Annotated[
@@ -73,7 +73,9 @@ Steps = Annotated[
 ]
 Field = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha or .nrrd; for many pairs a folder."),
+    typer.Option(
+        metavar="FILE", help="Save displacements: .npz, .nii.gz, .mha, .mhd or .nrrd; for many pairs a folder."
+    ),
 ]
 Report = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write a page about the pair; for many pairs a folder.")
@@ -171,10 +173,8 @@ def _one(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
     report: Path | None, options: Options, json: bool,
 ) -> None:  # fmt: skip
-    from codegen.registration import job, warp_text
+    from codegen.registration import any_job, warp_text
     from codegen.registration.jobs import Job
-    from codegen.registration.volumes import job as volume_job
-    from codegen.registration.volumes.files import is_volume
     from codegen.solutions import output
 
     if out is None or not landmarks:
@@ -182,12 +182,7 @@ def _one(
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
     wanted = Job(moving, landmarks, out, fixed, field, report)
     with working("Registering") as status:
-        progress = None if status is None else status.update
-        result: Outcome
-        if is_volume(moving):
-            result = volume_job.run(wanted, options, progress)
-        else:
-            result = job.run(wanted, options, progress=progress)
+        result = any_job.run(wanted, options, None if status is None else status.update)
     if json:
         typer.echo(output.as_json(result.record))
     else:

@@ -92,12 +92,22 @@ def simulate_parts(module: Any) -> Calls:
 
 
 def connect_parts(module: Any) -> Calls:
-    """Calls for a module that connects points."""
+    """Calls for a module that connects points; where it carries others along, all that a registration calls."""
     case = small_case(module)
     points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
     points[:, 0] = case.start
+
+    def solve() -> None:
+        solution = module.solve_case(case)
+        module.stages_of(case, np.stack([solution.q, solution.p], axis=1))
+
+    def linearise() -> None:
+        module.Linearised(case, points, None).matrix()
+
+    if module.metadata["passive"]:  # few functions are in two of these calls, the longest of which come first
+        return [solve, lambda: module.carry(case, points, case.start, derivative=True), linearise]
     return [
-        lambda: module.Linearised(case, points, None).matrix(),
+        linearise,
         lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
     ]
 

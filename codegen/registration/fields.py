@@ -1,7 +1,7 @@
 """Displacement fields: where each pixel goes, or comes from, as arrays and as files that other programs read.
 
 A field on the fixed frame, made with `inverse=True`, is what resampling programs such as ITK expect: added to the place
-of a fixed pixel, it gives the place in the moving image at which to look. Files of NIfTI and MetaImage have one voxel a
+of a fixed pixel, it gives the place in the moving image at which to look. NIfTI, MetaImage and NRRD have one voxel a
 pixel, of size 1, with the origin at the centre of the top-left pixel, and vectors (x, y) in pixels; axes are ITK's,
 that is x to the left of the patient and y to the back, so that no sign changes between the array and ITK.
 """
@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ExtraError, ImageError
-from codegen.files import replacing
 from codegen.registration.coarse import Positions, Spacing, map_grid
 from codegen.registration.frame import pixel_grid
 from codegen.registration.maps import Registration
+from codegen.registration.volumes.two_files import replacing_volume, written_with
 
-KINDS = (".npz", ".nii", ".nii.gz", ".mha")
+KINDS = (".npz", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _VECTOR = "vector"  # the NIfTI intent whose components ITK takes as they are
 
 
@@ -52,19 +52,19 @@ def displacements(positions: Positions) -> NDArray[np.float64]:
 
 
 def write_field(path: Path | str, field: NDArray[np.float64], direction: str = "") -> None:
-    """Write a displacement field, shape (h, w, 2), as .npz, .nii, .nii.gz or .mha; `direction` is noted in the file.
+    """Write a displacement field, shape (h, w, 2), by the ending of its name; `direction` is noted in the file.
 
     Raises ArgumentError for another kind of file, FileError for a place that cannot be written, ExtraError when the
-    library is missing (nibabel for NIfTI, SimpleITK for MetaImage), ImageError for an array that is no field.
+    library is missing (nibabel for NIfTI, SimpleITK for MetaImage and NRRD), ImageError for an array that is no field.
     """
     path, values = Path(path), np.asarray(field, dtype=np.float64)
     if values.ndim != 3 or values.shape[2] != 2:
         raise ImageError(f"the displacement field has shape {values.shape}", "give (height, width, 2)")
-    kind = next((kind for kind in reversed(KINDS) if path.name.lower().endswith(kind)), None)
+    kind = next((kind for kind in reversed(KINDS) if path.name.endswith(kind)), None)
     if kind is None:
         raise ArgumentError(f"{path}: unknown kind of displacement field", f"let it end in {', '.join(KINDS)}")
-    writer = {".npz": _write_npz, ".mha": _write_meta}.get(kind, _write_nifti)
-    with replacing(path) as temporary:
+    writer = {".npz": _write_npz, ".nii": _write_nifti, ".nii.gz": _write_nifti}.get(kind, _write_by_itk)
+    with replacing_volume(path) as temporary:
         writer(temporary, values, direction)
 
 
@@ -83,12 +83,12 @@ def _write_nifti(path: Path, field: NDArray[np.float64], direction: str) -> None
     path.write_bytes(gzip.compress(content, 6) if path.suffix.lower() == ".gz" else content)
 
 
-def _write_meta(path: Path, field: NDArray[np.float64], direction: str) -> None:
+def _write_by_itk(path: Path, field: NDArray[np.float64], direction: str) -> None:
     itk = _library("SimpleITK")
     image = itk.GetImageFromArray(np.ascontiguousarray(field), isVector=True)
     if direction:
         image.SetMetaData("Comment", f"displacement {direction}")
-    itk.WriteImage(image, str(path), useCompression=True)
+    itk.WriteImage(image, str(path), useCompression=written_with(path) is None)
 
 
 def _library(name: str) -> Any:

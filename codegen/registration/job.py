@@ -63,7 +63,7 @@ def run(
 def require_writable(job: Job, options: Options) -> None:
     """Refuse outputs of unknown kinds, in folders that are not there, or in place of an input."""
     require_kind(job.out)
-    if job.field is not None and not job.field.name.lower().endswith(fields.KINDS):
+    if job.field is not None and not job.field.name.endswith(fields.KINDS):
         raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(fields.KINDS)}")
     require_places(job, options)
 

@@ -18,6 +18,7 @@ from codegen.registration.maps import Registration
 from codegen.registration.outliers import Outliers
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
+from codegen.registration.volumes.two_files import read_with, written_with
 from codegen.registration.warp import Interpolation
 
 MOST_LEFT_OUT = 100
@@ -64,7 +65,9 @@ class Job:
     @property
     def read(self) -> tuple[Path, ...]:
         """All files that are read."""
-        return (self.moving, *self.landmarks, *([self.fixed] if self.fixed is not None else []))
+        fixed = [self.fixed] if self.fixed is not None else []
+        samples = [found for path in (self.moving, *fixed) if (found := read_with(path)) is not None]
+        return (self.moving, *self.landmarks, *fixed, *samples)
 
     def absolute(self) -> Job:
         """The same files by names that mean the same in any process, and are the same however they were written."""
@@ -74,7 +77,8 @@ class Job:
     @property
     def written(self) -> tuple[Path, ...]:
         """All files that are written, the image last."""
-        return tuple(path for path in (self.field, self.report, self.out) if path is not None)
+        named = tuple(path for path in (self.field, self.report, self.out) if path is not None)
+        return (*(found for path in named if (found := written_with(path)) is not None), *named)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

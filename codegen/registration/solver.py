@@ -10,9 +10,6 @@ from __future__ import annotations
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from codegen.errors import ModuleError, SchemeError
 from codegen.loading import load
@@ -53,9 +50,10 @@ def _has_machine_code(path: Path) -> bool:
 def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> FlowModule:
     """The generated module of a scheme, derived and compiled when it is needed for the first time on a machine.
 
-    That takes about half a minute and is announced on stderr. Raises SchemeError for a scheme without fixed steps.
+    That is announced on stderr. Raises SchemeError for a scheme without fixed steps.
     """
     from codegen.compiler import build
+    from codegen.machine_code.compilation import compile_all
     from codegen.machine_code.processes import compilers
 
     made = build(problem_file(), arguments_of(dimension), scheme=scheme)
@@ -66,16 +64,5 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
         with compilers() as processes:
             processes.compile(made.path)
-    _touch(module)
+    compile_all(module)  # reads machine code, or makes what is missing, before anything is timed
     return module
-
-
-def _touch(module: Any) -> None:
-    """Call what a registration calls, so that its machine code is read, or compiled, before anything is timed."""
-    from codegen.machine_code.parts import small_case
-
-    case = small_case(module)
-    with module.packed_operations():
-        solution = module.solve_case(case)
-        path = np.stack([solution.q, solution.p], axis=1)
-        module.carry(case, module.stages_of(case, path), case.start, derivative=True)

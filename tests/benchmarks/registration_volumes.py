@@ -1,12 +1,13 @@
 """Registration of volumes, measured: known maps, real volumes, labels, folds; beside SimpleITK and thin plates.
 
-    python tests/benchmarks/registration_volumes.py [maps folds labels field noise size hard] [--repeat R]
+    python tests/benchmarks/registration_volumes.py [maps folds labels field noise size many hard] [--repeat R]
 
 `maps` registers volumes by landmarks of a known map: a synthetic one, and what nibabel ships of brains (data of its
 tests: anisotropic, and oblique). `folds` draws random pairs, whose displacements are no smooth map, and counts those
 where the determinant of differences is not positive somewhere. `labels` compares labels. `field` reads displacement
 fields with SimpleITK. `noise` adds known errors to landmarks. `size` runs the command on 256 x 256 x 256 voxels with
-40 landmarks in a process of its own. `hard` are permutations, turns and near duplicates.
+40 landmarks in a process of its own, and `many` batches of 1 to 8 volumes of 128 x 128 x 128, with the largest memory
+of any process. `hard` are permutations, turns and near duplicates.
 
 The thin plate is scipy's with the kernel r and an affine part, which is what ITK's ThinPlateSplineKernelTransform is in
 space; SimpleITK itself has no thin plate, but fits a B-spline to landmarks (LandmarkBasedTransformInitializer, which
@@ -284,6 +285,31 @@ def size(repeat: int) -> None:
         print(f"thin plate at every 64th voxel, times 64: {64.0 * (perf_counter() - begin):.1f} s")
 
 
+def many(repeat: int) -> None:
+    """Batches of one worker, with a field of each specimen: memory must not grow with their number."""
+    grid = Grid((128, 128, 128), (-50.0, -45.0, -40.0), (0.8, 0.8, 0.8), UPRIGHT, "mm")
+    for count in (1, 2, 4, 8):
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch) / "in"
+            folder.mkdir()
+            for seed in range(count):
+                fixed = inner_points(grid, 20, seed)
+                pairs = LandmarkPairs(known_map(grid, 0.02, seed)(fixed), fixed)
+                write_volume(folder / f"{seed}.nii.gz", texture(grid, seed).samples, grid)
+                (folder / f"{seed}.csv").write_text(landmark_texts(pairs, "csv")[0])
+            words = f"warp {folder} --out {scratch}/out --field {scratch}/fields --workers 1 --json".split()
+            begin = perf_counter()
+            # A process of its own, whose children are those of this batch alone.
+            script = (
+                "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL);"
+                "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+            )
+            command = [sys.executable, "-c", script, sys.executable, "-m", "codegen", *words]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            megabytes = int(done.stdout) / 1024.0
+            print(f"{count} volumes: {perf_counter() - begin:.1f} s, at most {megabytes:.0f} MB a process")
+
+
 def hard(repeat: int) -> None:
     print("case | outcome | least det J by differences")
     grid = Grid((64, 64, 64), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), UPRIGHT, "mm")
@@ -320,7 +346,10 @@ def hard(repeat: int) -> None:
         print(f"{name:26s} | {found.steps} steps, {said}, {met} | {least:.3f}")
 
 
-PARTS = {"maps": maps, "folds": folds, "labels": labels, "field": field, "noise": noise, "size": size, "hard": hard}
+PARTS = {
+    "maps": maps, "folds": folds, "labels": labels, "field": field, "noise": noise, "size": size, "many": many,
+    "hard": hard,
+}  # fmt: skip
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

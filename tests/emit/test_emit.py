@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,7 @@ from codegen.lower.module import ControlModule, Origin, SimulateModule
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
+SETTERS = ast.Subscript | ast.Attribute
 SPARE = {"interval_times"}
 """Middles of intervals stand beside the times of nodes, whether or not a guess depends on them."""
 
@@ -31,6 +33,27 @@ SPARE = {"interval_times"}
 def test_committed_modules_are_what_the_generator_makes(problem):
     """What `python tests/golden.py` compares, one problem at a time, each made once for all tests of a run."""
     assert differences(built([problem]), [problem]) == []
+
+
+def given_names(text: str) -> list[str]:
+    """The names that a module gives at its top, those aside that are made of what they were, as in x = *x, y."""
+    found = []
+    for statement in ast.parse(text).body:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            found.append(statement.name)
+        elif isinstance(statement, ast.Assign):
+            stored = [n.id for t in statement.targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+            read = {n.id for n in ast.walk(statement.value) if isinstance(n, ast.Name)}
+            found += [name for name in stored if name not in read and not isinstance(statement.targets[0], SETTERS)]
+    return found
+
+
+@pytest.mark.parametrize("problem", sorted({problem for problem, _, _ in GALLERY}))
+def test_each_name_is_given_once(problem):
+    """Texts of many files become one module, in which the last of two constants of one name would hold for both."""
+    for name, text in built([problem]).items():
+        twice = [one for one, number in Counter(given_names(text)).items() if number > 1]
+        assert not twice, f"{name}: {twice}"
 
 
 def test_what_the_cache_holds_is_what_is_generated_anew():

@@ -1,6 +1,7 @@
 """What `codegen build` compiles: every function that `solve` calls, for the very types that it calls it with."""
 
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from sympy import exp, log
 from codegen.compiler import build
 from codegen.lower.printer import stabilised
 from codegen.machine_code.compilation import compile_all
+from codegen.machine_code.parts import small_case
+from codegen.registration.solver import arguments_of, problem_file
 
 
 def recorded(text: str, name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...]]]]:
@@ -71,6 +74,34 @@ def test_all_that_sensitivities_call_is_compiled_beforehand(name):
     module.unpacked_rates(grid, unknowns, module.sensitivities(grid, unknowns), 0)
     assert {function for function, _ in calls} >= {"change_along", "add_steps"}
     assert calls <= before
+
+
+@pytest.mark.parametrize("steps", [2, 4])
+def test_all_that_a_registration_of_many_landmarks_calls_is_compiled_beforehand(steps):
+    text = build(problem_file(), arguments_of(2), scheme="rk4").path.read_text(encoding="utf-8")
+    module, calls = recorded(text, "image_registration")
+    compile_all(module)
+    before = set(calls)
+    calls.clear()
+    case = small_case(module, steps)
+    solution = module.solve_case(case)
+    stages = module.stages_of(case, np.stack([solution.q, solution.p], axis=1))
+    for ends in ((0.0, 1.5), (1.5, 0.0)):
+        for derivative in (False, True):
+            module.carry(case, stages, case.start, *ends, derivative=derivative)
+    module.Linearised(case, stages, None).product(np.ones(case.start.size))
+    assert {function for function, _ in calls} >= {"broyden_steps", "carry_points", "tangents", "fill_curvature"}
+    assert calls <= before
+
+
+def test_products_with_second_derivatives_that_are_stored_do_not_compile_the_others(solver):
+    case = small_case(solver)
+    directions = np.eye(2 * case.start.size)
+    solver.Linearised(case, np.zeros((2 * solver.POINTS, 2, *case.start.shape)), None).tangents(directions)
+    files = (Path(solver.__file__).parent / "__pycache__").glob("*.nbi")
+    kept = [file.name.split(".")[1].split("-")[0] for file in files]
+    assert "symmetric_product" in kept
+    assert "hessian_products" not in kept
 
 
 def test_only_differences_of_exponentials_are_rewritten():

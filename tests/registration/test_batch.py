@@ -54,7 +54,7 @@ def stand_in(job, options, record=None):
 def done(jobs, options, summary, run_one=stand_in, **request):
     """The batch in this process, without a solver."""
     asked = BatchRequest(jobs, options, Places(), summary, **request)
-    return outcome_of(asked, run_one=run_one, prepare=lambda scheme: None)
+    return outcome_of(asked, run_one=run_one, prepare=lambda *_: None)
 
 
 def test_files_of_one_stem_belong_together(folder, tmp_path):

@@ -85,7 +85,7 @@ def asked(files, *more, moving="moving.nii.gz", landmarks="pairs.csv", fixed="fi
 # ---- From files to files ----
 
 
-@pytest.mark.parametrize("kind", ["nii", "nii.gz", "mha", "nrrd"])
+@pytest.mark.parametrize("kind", ["nii", "nii.gz", "mha", "mhd", "nrrd"])
 def test_a_field_read_by_simpleitk_moves_points_as_the_map_does(files, kind):
     """At the centres of voxels to a thousandth of a voxel; and resampling there gives the same volume."""
     field, out = files / f"field.{kind}", f"out.{kind}"
@@ -103,6 +103,43 @@ def test_a_field_read_by_simpleitk_moves_points_as_the_map_does(files, kind):
     differences = np.abs(itk.GetArrayFromImage(ours) - theirs)[1:-1, 1:-1, 1:-1]
     inside = (theirs != 0)[1:-1, 1:-1, 1:-1]
     assert differences[inside].max() <= 1.0  # both round to integers
+
+
+def test_a_header_names_its_file_of_bare_samples_and_both_are_replaced_as_a_whole(files):
+    run(*asked(files, out="a b.mhd"))
+    assert "ElementDataFile = a b.raw" in (files / "a b.mhd").read_text().splitlines()
+    samples = read_volume(files / "a b.mhd").samples
+    bare = np.fromfile(files / "a b.raw", samples.dtype).reshape(samples.shape)
+    np.testing.assert_array_equal(bare, samples)
+    np.testing.assert_array_equal(samples, _written(files, "out.mha"))
+    before = {path.name: path.read_bytes() for path in files.iterdir()}
+    (files / "new.raw").mkdir()
+    assert "new.raw is a folder" in refused(*asked(files, out="new.mhd"))
+    (files / "new.raw").rmdir()
+    assert {path.name: path.read_bytes() for path in files.iterdir()} == before
+
+
+def _written(files, out):
+    run(*asked(files, out=out))
+    return read_volume(files / out).samples
+
+
+@pytest.mark.parametrize("option", ["--out", "--field"])
+def test_samples_that_a_header_names_are_not_overwritten(files, option):
+    write_volume(files / "moving.mhd", volume(MOVING), MOVING)
+    (files / "moving.raw").rename(files / "other.raw")
+    header = files / "moving.mhd"
+    header.write_text(header.read_text().replace("moving.raw", "other.raw"))
+    kept = (files / "other.raw").read_bytes()
+    outputs = ["--out", files / "out.nii.gz", option, files / "other.mhd"]
+    sizes = " ".join(map(str, MOVING.size))
+    lines = ["NRRD0004", "type: short", "endian: little", "dimension: 3", f"sizes: {sizes}", "encoding: raw"]
+    (files / "moving.nhdr").write_text("\n".join([*lines, "data file: other.raw", ""]))
+    for name in ("moving.mhd", "moving.nhdr"):
+        given = [files / name, "--landmarks", files / "pairs.csv", *outputs]
+        assert "other.raw is read and would be overwritten" in refused(*given)
+    assert (files / "other.raw").read_bytes() == kept
+    assert not (files / "other.mhd").exists()
 
 
 def test_the_warped_volume_is_like_the_fixed_one_and_the_record_says_how(files):
@@ -343,7 +380,7 @@ def test_damaged_volumes_are_refused_in_one_line(files):
 def test_outputs_that_cannot_be_are_refused(files):
     before = written(files)
     assert "let it end in .nii" in refused(*asked(files, out="out.png"))
-    assert "let it end in .nii" in refused(*asked(files, out="out.mhd"))
+    assert "let it end in .nii" in refused(*asked(files, out="out.nhdr"))
     assert "--field" in refused(*asked(files, "--field", files / "f.npz"))
     assert "--flip mirrors pictures" in refused(*asked(files, "--flip"))
     assert "two outputs have the same name" in refused(*asked(files, "--field", files / "out.nii.gz"))
@@ -368,7 +405,7 @@ def test_the_page_is_for_pictures_and_says_so(files):
     done = CliRunner().invoke(main, ["app", str(files / "moving.nii.gz"), "--no-browser"])
     assert done.exit_code == 2
     (line,) = done.stderr.strip().splitlines()
-    assert line.endswith("moving.nii.gz is a volume, and this is for pictures; give codegen warp two volumes")
+    assert "moving.nii.gz is a volume (30 x 26 x 20 voxels), and the page is for pictures" in line
 
 
 def test_units_must_be_the_same(files):

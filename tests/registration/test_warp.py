@@ -160,16 +160,17 @@ def test_fields_point_from_pixels_to_where_they_go_or_come_from(registration):
 def test_files_are_read_by_other_programs_as_they_were_meant(registration, tmp_path):
     itk, nibabel = pytest.importorskip("SimpleITK"), pytest.importorskip("nibabel")
     field = displacement_field(registration, inverse=True)
-    for name in ("field.npz", "field.mha", "field.nii.gz", "field.nii"):
+    for name in ("field.npz", "field.mha", "field.mhd", "field.nrrd", "field.nii.gz", "field.nii"):
         write_field(tmp_path / name, field, "fixed to moving")
     with np.load(tmp_path / "field.npz") as archive:
         np.testing.assert_array_equal(archive["displacement"], field)
         assert str(archive["direction"]) == "fixed to moving"
     data = np.asarray(nibabel.load(tmp_path / "field.nii").dataobj)
     np.testing.assert_array_equal(data[:, :, 0, 0, :], field.transpose(1, 0, 2))
+    assert (tmp_path / "field.raw").read_bytes() == field.tobytes()
     points = [(30.0, 40.0), (100.0, 20.0), (75.0, 90.0)]
     expected = registration.map_points_inverse(points)
-    for name in ("field.mha", "field.nii.gz"):
+    for name in ("field.mha", "field.mhd", "field.nrrd", "field.nii.gz"):
         found = itk.ReadImage(str(tmp_path / name), itk.sitkVectorFloat64)
         assert found.TransformIndexToPhysicalPoint((30, 40)) == (30.0, 40.0)
         moved = [itk.DisplacementFieldTransform(itk.Image(found)).TransformPoint(p) for p in points]
@@ -178,8 +179,9 @@ def test_files_are_read_by_other_programs_as_they_were_meant(registration, tmp_p
 
 def test_fields_that_cannot_be_written_say_why(tmp_path, monkeypatch):
     field = np.zeros((3, 4, 2))
-    with pytest.raises(ArgumentError, match="unknown kind"):
-        write_field(tmp_path / "field.tif", field)
+    for name in ("field.tif", "field.MHD"):
+        with pytest.raises(ArgumentError, match="unknown kind"):
+            write_field(tmp_path / name, field)
     with pytest.raises(ImageError, match=r"\(3, 4\)"):
         write_field(tmp_path / "field.npz", field[..., 0])
     with pytest.raises(FileError, match="cannot be written"):
@@ -188,7 +190,7 @@ def test_fields_that_cannot_be_written_say_why(tmp_path, monkeypatch):
     for name in ("SimpleITK", "nibabel"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr("importlib.import_module", lambda name: found("no_such_library"))
-    for name in ("field.mha", "field.nii"):
+    for name in ("field.mha", "field.mhd", "field.nrrd", "field.nii"):
         with pytest.raises(ExtraError, match=r"variational-codegen\[fields\]"):
             write_field(tmp_path / name, field)
         assert not list(tmp_path.iterdir())

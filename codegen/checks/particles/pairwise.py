@@ -161,9 +161,9 @@ def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> I
             "symplecticity", "one step", False, f"no step could be made, down to a length of {_LENGTHS[-1]:g}"
         )
         return
-    hessians = module.curvature_at(points, own, parameters)
+    curvature = module.curvature_at(points, own, parameters)
     derivative = np.empty((state.size, state.size))
-    module.advance_directions(hessians, points, 0, h, own, parameters, np.eye(state.size), derivative)
+    module.advance_directions(curvature, points, 0, h, own, parameters, np.eye(state.size), derivative)
     half = state.size // 2
     form = np.block([[np.zeros((half, half)), np.eye(half)], [-np.eye(half), np.zeros((half, half))]])
     size = np.abs(derivative).T @ np.abs(form) @ np.abs(derivative)  # coordinates and momenta have units of their own

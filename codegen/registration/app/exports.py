@@ -62,7 +62,7 @@ def warped_image(task: Task) -> Download:
     registration, positions = certified(task)
     interpolation: Any = task.work.settings.interpolation
     pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
-    suffix, kind = (".tif", "image/tiff") if task.moving.kind == "TIFF" else (".png", "image/png")
+    suffix, kind = (".png", "image/png") if task.moving.kind in ("PNG", "JPEG") else (".tif", "image/tiff")
     data = _written(suffix, lambda path: write_image(path, pixels, task.moving.profile))
     return Download(f"{task.moving.stem}_warped{suffix}", kind, data)
 

@@ -32,7 +32,8 @@ ROWS = 256
 class Picture:
     """Pixels of shape (h, w) or (h, w, channels), a name to show, and the bytes that they were read from.
 
-    `kind` is the kind of that file, PNG, JPEG or TIFF, `profile` its colour profile, `spacing` the size of its pixels.
+    `kind` is the kind of that file, PNG, JPEG, TIFF, NIfTI, NRRD or MetaImage, `profile` its colour profile, `spacing`
+    the size of its pixels.
     """
 
     pixels: NDArray[Any]

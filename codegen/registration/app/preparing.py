@@ -1,6 +1,6 @@
 """The solver of registrations, made ready beside the server: the page can be used while it is being compiled.
 
-Deriving and compiling it takes about a minute of work, once on a machine. A process of its own does that, so that the
+Deriving and compiling it takes some 15 s of work, once on a machine. A process of its own does that, so that the
 page answers meanwhile; `python -m codegen.registration.app.preparing SCHEME` is that process.
 """
 
@@ -15,7 +15,7 @@ from functools import cache
 from codegen.errors import CodegenError, ModuleError
 from codegen.registration.solver import is_compiled, registration_module
 
-COMPILING = "The solver is being compiled, once on this machine (about a minute)"
+COMPILING = "The solver is being compiled, once on this machine (up to half a minute)"
 MODULE = "codegen.registration.app.preparing"
 _LOCK = threading.Lock()
 

@@ -10,6 +10,7 @@ from typing import TypeAlias
 from codegen.errors import ArgumentError, ImageError, PointsError
 from codegen.registration.app.picture import NAME_LENGTH, Picture
 from codegen.registration.app.session import Session
+from codegen.registration.app.slices import ending_of, read_slice
 from codegen.registration.app.spacing import spacing_of
 from codegen.registration.app.state import Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
@@ -28,6 +29,9 @@ _EXAMPLE = files("codegen.registration.app") / "example"
 def picture_from(data: bytes, name: str) -> Picture:
     """Decode an image within LIMITS. Only the last part of its name is kept, to be shown; raises ImageError."""
     shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
+    if len(data) <= LIMITS.bytes and (ending := ending_of(data)) is not None:
+        pixels, kind, spacing = read_slice(data, ending, LIMITS, shown)
+        return Picture(pixels, shown, data, kind, None, spacing)
     image = read_image(data, LIMITS, shown)
     return Picture(image.pixels, shown, data, image.kind, image.profile, spacing_of(image.kind, data))
 

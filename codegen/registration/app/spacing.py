@@ -1,4 +1,7 @@
-"""How large the pixels of an image are, where its file says so: TIFF files of ImageJ, of OME and with a resolution."""
+"""How large the pixels of an image are, where its file says so: TIFF files of ImageJ, of OME and with a resolution.
+
+What NIfTI, NRRD and MetaImage say is read with their samples, in `slices.py`.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +34,12 @@ def spacing_of(kind: str, data: bytes) -> Spacing | None:
         found = _of_tiff(data)
     except Exception:  # the pixels could be read; whatever is wrong with the rest is no reason to refuse them
         return None
-    usable = found is not None and 1e-12 < found.x < 1e12 and 1e-12 < found.y < 1e12
-    return found if usable else None
+    return None if found is None else meant(found)
+
+
+def meant(spacing: Spacing) -> Spacing | None:
+    """The same, if anything can have that size."""
+    return spacing if 1e-12 < spacing.x < 1e12 and 1e-12 < spacing.y < 1e12 else None
 
 
 def _of_tiff(data: bytes) -> Spacing | None:
@@ -47,7 +54,7 @@ def _of_tiff(data: bytes) -> Spacing | None:
             return None
         if file.is_imagej:
             unit = str((file.imagej_metadata or {}).get("unit", ""))
-            return Spacing(1 / x, 1 / y, _named(unit)) if unit and unit != "pixel" else None
+            return Spacing(1 / x, 1 / y, named(unit)) if unit and unit != "pixel" else None
         code = int(page.tags.valueof(296) or 2)
         if code == 3:
             return Spacing(10 / x, 10 / y, "mm")
@@ -59,10 +66,11 @@ def _of_ome(text: str) -> Spacing | None:
     if x is None or y is None:
         return None
     unit = re.search(r'PhysicalSizeXUnit="([^"]*)"', text)
-    return Spacing(float(x[1]), float(y[1]), _named(unit[1] if unit else "µm"))
+    return Spacing(float(x[1]), float(y[1]), named(unit[1] if unit else "µm"))
 
 
-def _named(unit: str) -> str:
+def named(unit: str) -> str:
+    """A unit as the page shows it."""
     return _NAMES.get(unit, unit)[:MOST_UNIT]
 
 

@@ -15,6 +15,7 @@ from codegen.engines.tally import SOLVED, Tally
 from codegen.errors import one_line
 from codegen.files import replacing
 from codegen.registration.jobs import Job, Options
+from codegen.registration.volumes.two_files import written_with
 
 SUMMARY = "summary.csv"
 COLUMNS = (
@@ -94,7 +95,8 @@ def written_by(job: Job) -> str:
 
 def _digests(job: Job) -> dict[str, str]:
     """A digest of every output that a job has; empty for what is missing, which no line tells."""
-    places = {"out": job.out, "field": job.field, "report": job.report}
+    samples = {f"{name}-samples": written_with(path) for name, path in (("out", job.out), ("field", job.field)) if path}
+    places = {"out": job.out, "field": job.field, "report": job.report, **samples}
     return {kind: _digest(path) for kind, path in places.items() if path is not None}
 
 

@@ -22,10 +22,10 @@ from codegen.engines.team import Progress, Team, Working, silent
 from codegen.engines.work import Done
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers
+from codegen.registration.any_job import dimension_of, run
 from codegen.registration.batches.lines import COLUMNS, Line, options_digest, read_summary, tally_of, write_summary
 from codegen.registration.batches.pairing import Places, make_folders
 from codegen.registration.batches.work import BatchWork, Pair, Place, Tried
-from codegen.registration.job import run
 from codegen.registration.jobs import Job, Options
 from codegen.registration.solver import registration_module
 
@@ -76,25 +76,27 @@ def outcome_of(
     working: Working = nullcontext,
     progress: Progress = silent,
     run_one: Callable[[Job, Options], Any] = run,
-    prepare: Callable[[str], Any] = registration_module,
+    prepare: Callable[[str, int], Any] = registration_module,
 ) -> Batch:
     """Do all pairs that are not whole; one that fails leaves a line that says why, and never stops the others.
 
     What is wrong with the request is said before anything is written, by a CodegenError. So is what would fail for
     every pair: a scheme that cannot be used, a file system that refuses, a worker that does not see the files.
-    `prepare` makes the solver ready, by the name of its scheme.
+    `prepare` makes a solver ready, by the name of its scheme and its dimension.
     """
     digest, before = options_digest(request.options), read_summary(request.summary)
     path = journal_of(request.summary)
     if request.resume:
         _require_same(request.summary, before, path, digest)
     with connected(request.cluster) as cluster:
-        prepare(request.options.scheme)
+        dimensions = tuple(sorted({dimension_of(job) for job in request.jobs}))
+        for dimension in dimensions:
+            prepare(request.options.scheme, dimension)
         team = Team(request.workers, cluster, working, progress)
         make_folders(request.places)
         journal = _journal(path, digest)
         jobs = [job.absolute() for job in request.jobs]
-        way = _Way(journal, jobs, {line["out"]: line for line in (*before, *_noted(journal))}, {}, team)
+        way = _Way(journal, jobs, dimensions, {line["out"]: line for line in (*before, *_noted(journal))}, {}, team)
         try:
             way.go(request.options, run_one)
             remove_leftovers(path for job in jobs for path in job.written)
@@ -133,6 +135,7 @@ class _Way:
 
     journal: Journal
     jobs: Sequence[Job]
+    dimensions: tuple[int, ...]
     known: Mapping[str, Line]
     tried: dict[int, Tried]
     team: Team
@@ -155,7 +158,7 @@ class _Way:
         pairs = [Pair(number, job, self.known.get(str(job.out), {})) for number, job in enumerate(self.jobs)]
         alone = self.team.workers == 1 and self.team.cluster is None
         threads = os.cpu_count() or 1 if alone else 1
-        work = BatchWork(pairs, options, 1, threads, Place.of(self.journal.path), run_one=run_one)
+        work = BatchWork(pairs, options, 1, threads, Place.of(self.journal.path), self.dimensions, run_one=run_one)
         first, here = 0, replace(self.team, workers=1, cluster=None, progress=silent)
         with self.team.working("Registering a first pair"):
             while first < min(TRIALS, len(pairs)) and not self._solved():

@@ -1,4 +1,4 @@
-"""Which files of a folder or of a table belong together, and where the outputs of each pair go."""
+"""Which files of a folder or of a table belong together, pictures or volumes, and where the outputs of each pair go."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from codegen.errors import ArgumentError, one_line
 from codegen.files import refused
 from codegen.registration.images.kinds import KINDS
 from codegen.registration.jobs import Job
+from codegen.registration.volumes.files import READ, ending, is_volume
 
 MOST_PAIRS = 100_000
-_SINGLE, _DOUBLE = (".csv", ".tps"), (".pts", ".mrk.json")
+_SINGLE, _DOUBLE = (".csv", ".tps"), (".pts", ".mrk.json", ".fcsv")
+_HEADERS = {".nhdr": ".nrrd"}
+"""Kinds of volumes that are read and not written, and what is written instead."""
 
 
 @dataclass(frozen=True)
@@ -25,26 +28,42 @@ class Places:
     report: Path | None = None
 
     def job(self, moving: Path, landmarks: tuple[Path, ...], fixed: Path | None, out: Path | None = None) -> Job:
-        """The job of one pair; its outputs are named after the moving image unless `out` names the image."""
-        out = out or (self.out or Path()) / moving.name
-        field = self.field / f"{out.stem}.npz" if self.field is not None else None
-        report = self.report / f"{out.stem}.html" if self.report is not None else None
+        """The job of one pair; its outputs are named after the moving image unless `out` names the image.
+
+        Fields of pictures are .npz, those of volumes .nii.gz.
+        """
+        out = out or (self.out or Path()) / f"{_stem(moving)}{_written(moving)}"
+        kind = ".nii.gz" if self.field is not None and is_volume(moving) else ".npz"
+        field = self.field / f"{_stem(out)}{kind}" if self.field is not None else None
+        report = self.report / f"{_stem(out)}.html" if self.report is not None else None
         return Job(moving, landmarks, out, fixed, field, report)
+
+
+def _stem(image: Path) -> str:
+    """The name of an image without what tells its kind, such as .nii.gz."""
+    kind = ending(image, READ)
+    return image.stem if kind is None else image.name[: -len(kind)]
+
+
+def _written(image: Path) -> str:
+    """What tells the kind of an image that is written for another."""
+    kind = image.name[len(_stem(image)) :]
+    return _HEADERS.get(kind.lower(), kind)
 
 
 def jobs_in_folder(
     folder: Path, places: Places, fixed: Path | None, landmarks: tuple[Path, ...]
 ) -> tuple[list[Job], list[Path]]:
-    """The images of a folder with landmark files of the same stem, or with `landmarks` all of its images.
+    """The images and volumes of a folder with landmark files of the same stem, or with `landmarks` all of them.
 
     The second list are the images that are left out, because they have none.
 
-    `a.png` belongs to `a.csv`, `a.tps`, `a.moving.pts` with `a.fixed.pts`, or `a.moving.mrk.json` with
-    `a.fixed.mrk.json`. `fixed` is one image for all, or a folder with images of the same names. Raises ArgumentError
+    `a.png` or `a.nii.gz` belongs to `a.csv`, `a.tps`, `a.moving.pts` with `a.fixed.pts`, or the same with `.mrk.json`
+    or `.fcsv`. `fixed` is one image for all, or a folder with images of the same names. Raises ArgumentError
     where there is no pair, or where it is not clear which files belong together.
     """
-    suffixes = {suffix for known in KINDS.values() for suffix in known}
-    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+    kinds = (*(suffix for known in KINDS.values() for suffix in known), *READ)
+    images = sorted(path for path in folder.iterdir() if path.name.lower().endswith(kinds) and path.is_file())
     jobs, without = [], []
     for image in images:
         own = landmarks or _landmarks_of(image)
@@ -64,9 +83,9 @@ def jobs_in_folder(
 
 def _landmarks_of(image: Path) -> tuple[Path, ...]:
     """The landmark files that belong to an image; none where there are none."""
-    found = [(path,) for path in (image.with_name(image.stem + suffix) for suffix in _SINGLE) if path.is_file()]
+    found = [(path,) for path in (image.with_name(_stem(image) + suffix) for suffix in _SINGLE) if path.is_file()]
     pairs = (
-        tuple(image.with_name(f"{image.stem}.{side}{suffix}") for side in ("moving", "fixed")) for suffix in _DOUBLE
+        tuple(image.with_name(f"{_stem(image)}.{side}{suffix}") for side in ("moving", "fixed")) for suffix in _DOUBLE
     )
     candidates: list[tuple[Path, ...]] = [*found, *(pair for pair in pairs if all(path.is_file() for path in pair))]
     if len(candidates) > 1:

@@ -18,6 +18,7 @@ from codegen.engines.machines import Target, alone, compiled_note, target
 from codegen.engines.tally import LOST
 from codegen.engines.work import Abandoned, Done
 from codegen.errors import ClusterError, CodegenError, FileError
+from codegen.registration.any_job import run
 from codegen.registration.batches.lines import (
     Digests,
     Line,
@@ -30,7 +31,6 @@ from codegen.registration.batches.lines import (
     written_by,
 )  # fmt: skip
 from codegen.registration.flow import threads_at_most
-from codegen.registration.job import run
 from codegen.registration.jobs import Job, Options
 from codegen.registration.solver import is_compiled, registration_module
 
@@ -86,7 +86,8 @@ class Place:
 class BatchWork:
     """All that registering any pair needs; `size` pairs are a chunk, and `threads` carry the pixels of one.
 
-    `place` is a file that workers elsewhere must see, and `is_elsewhere` tells that this is one of them.
+    `dimensions` are those of the pairs, `place` is a file that workers elsewhere must see, and `is_elsewhere` tells
+    that this is one of them.
     """
 
     pairs: Sequence[Pair]
@@ -94,6 +95,7 @@ class BatchWork:
     size: int
     threads: int
     place: Place
+    dimensions: tuple[int, ...] = (2,)
     is_elsewhere: bool = False
     run_one: Callable[[Job, Options], Any] = run
 
@@ -108,8 +110,9 @@ class BatchWork:
         return range(-(-len(self.pairs) // self.size))
 
     def loaded(self) -> BatchWork:
-        """The same; the solver is loaded in this process."""
-        registration_module(self.options.scheme)
+        """The same; the solvers are loaded in this process."""
+        for dimension in self.dimensions:
+            registration_module(self.options.scheme, dimension)
         return self
 
     def piece(self, number: int) -> Piece:
@@ -145,8 +148,12 @@ class BatchWork:
 
     def parcel(self) -> BatchParcel:
         """The work without its pairs."""
-        text = Path(_file(self.options.scheme)).read_bytes()
-        return BatchParcel(replace(self, pairs=()), hashlib.sha256(text).hexdigest(), target())
+        return BatchParcel(replace(self, pairs=()), self.digest_of_solvers(), target())
+
+    def digest_of_solvers(self) -> str:
+        """That of the texts of all solvers."""
+        modules: list[Any] = [registration_module(self.options.scheme, dimension) for dimension in self.dimensions]
+        return hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in modules)).hexdigest()
 
     def _tried(self, pair: Pair) -> Tried:
         job, now = pair.job, Digests(self.digest, read_by(pair.job))
@@ -180,22 +187,18 @@ class BatchParcel:
         """The work, ready to do pieces here; ClusterError where files or versions are not those of the batch."""
         if not self.work.place.is_here:
             raise _unseen(self.work.place.path)
-        with alone(f"registration {self.work.options.scheme}"):
-            was_compiled = is_compiled(self.work.options.scheme)
-            module: Any = registration_module(self.work.options.scheme)
-        file = Path(module.__file__)
-        if hashlib.sha256(file.read_bytes()).hexdigest() != self.digest:
+        scheme, dimensions = self.work.options.scheme, self.work.dimensions
+        with alone(f"registration {scheme}"):
+            were_compiled = all(is_compiled(scheme, dimension) for dimension in dimensions)
+            modules: list[Any] = [registration_module(scheme, dimension) for dimension in dimensions]
+        if self.work.digest_of_solvers() != self.digest:
             remedy = "install the same versions of variational-codegen and sympy for all workers"
             raise ClusterError(f"{platform.node()} derives another solver of registrations", remedy)
         notes: tuple[str, ...] = ()
-        if not was_compiled or loading.machine_code_counts(module)[0]:
-            notes = (compiled_note(file.stem, target(), self.origin, "the batch"),)
+        if not were_compiled or any(loading.machine_code_counts(module)[0] for module in modules):
+            name = Path(modules[0].__file__).stem
+            notes = (compiled_note(name, target(), self.origin, "the batch"),)
         return replace(self.work, is_elsewhere=True), notes
-
-
-def _file(scheme: str) -> str:
-    module: Any = registration_module(scheme)
-    return str(module.__file__)
 
 
 def _finished(tried: Sequence[Tried]) -> Done:

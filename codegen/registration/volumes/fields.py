@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError
-from codegen.files import replacing
 from codegen.registration.grid import Grid
-from codegen.registration.volumes.files import WRITTEN, ending, library, write_image
+from codegen.registration.volumes.files import WRITTEN, library, write_image
+from codegen.registration.volumes.two_files import replacing_volume
 
 
 def require_field(path: Path) -> None:
     """Refuse names of other kinds of files; ArgumentError names the file."""
-    if ending(path, WRITTEN) is None:
+    if not path.name.endswith(WRITTEN):  # SimpleITK knows no capitals
         finding = f"--field {path}: displacements of volumes are not written so"
         raise ArgumentError(finding, f"let it end in {', '.join(WRITTEN)}")
     library("SimpleITK")
@@ -29,5 +29,5 @@ def require_field(path: Path) -> None:
 def write_field(path: Path, field: NDArray[np.float32], grid: Grid, direction: str = "") -> None:
     """Write a field, shape (slices, rows, columns, 3), on its grid; FileError where the file system refuses."""
     require_field(path)
-    with replacing(path) as temporary:
+    with replacing_volume(path) as temporary:
         write_image(temporary, np.asarray(field), grid, f"displacement {direction}".strip())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import importlib
 import os
+import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,17 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import CodegenError, ExtraError, ImageError
-from codegen.files import replacing
 from codegen.registration.grid import Grid
 from codegen.registration.images.header import VOLUMES
 from codegen.registration.volumes import stacks
+from codegen.registration.volumes.two_files import replacing_volume
 
 READ = VOLUMES
-WRITTEN = (".nii", ".nii.gz", ".mha", ".nrrd")
-"""Kinds that are one file."""
+WRITTEN = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
+_BARE = (".nii", ".mhd")
+"""Kinds that are not compressed."""
 MOST_VOXELS = 1 << 30
 THINNEST = 2
 """Samples along each axis that make a volume."""
+_SILENCE = threading.Lock()
 INSTALL = "install the extra: pip install 'variational-codegen[volumes]'"
 
 
@@ -66,12 +69,12 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
     if not path.is_file():
         raise ImageError(f"{path} cannot be read (no such file)", "give a volume")
     itk = library("SimpleITK")
-    with _telling(path), _silent():
+    with telling(path), silent():
         reader = itk.ImageFileReader()
         reader.SetFileName(str(path))
         reader.ReadImageInformation()
         _require_scalars(path, reader, most)
-        _require_whole(path, reader)
+        require_whole(path, reader)
         if reader.GetDimension() == 4:  # of one time
             reader.SetExtractSize((*reader.GetSize()[:3], 0))
         image = reader.Execute()
@@ -95,8 +98,8 @@ def _require_scalars(path: Path, reader: Any, most: int) -> None:
         raise ImageError(finding, "give a volume of one number a voxel")
 
 
-def _require_whole(path: Path, reader: Any) -> None:
-    """Refuse NIfTI files that are cut off, which the library fills up with zeros."""
+def require_whole(path: Path, reader: Any, name: str = "") -> None:
+    """Refuse NIfTI files that are cut off, which the library fills up with zeros; errors may call them by a `name`."""
     kind = ending(path, READ)
     if kind not in (".nii", ".nii.gz"):
         return
@@ -105,13 +108,15 @@ def _require_whole(path: Path, reader: Any) -> None:
     held = path.stat().st_size
     if kind == ".nii.gz":
         with gzip.open(path) as file:
-            held = sum(len(part) for part in iter(lambda: file.read(1 << 22), b""))
+            held = 0
+            while held < needed and (part := file.read(1 << 22)):  # and no further, whatever else is in it
+                held += len(part)
     if held < needed:
-        raise ImageError(f"{path} is cut off: {held} bytes of {needed}", "give a whole file")
+        raise ImageError(f"{name or path} is cut off: {held} bytes of {needed}", "give a whole file")
 
 
 @contextmanager
-def _telling(path: Path) -> Iterator[None]:
+def telling(path: Path | str) -> Iterator[None]:
     """Errors of libraries as one ImageError with the last thing they say."""
     try:
         yield
@@ -130,22 +135,23 @@ def _telling(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
-    """What libraries in C write to stderr beside the errors that they raise goes nowhere."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+def silent() -> Iterator[None]:
+    """What libraries in C write to stderr beside the errors that they raise goes nowhere; for one thread at a time."""
+    with _SILENCE:
+        kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(nowhere, 2)
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            os.close(nowhere)
 
 
 def require_written(path: Path, dtype: np.dtype[Any] | None = None) -> None:
     """Refuse names of volumes that are not written, and without the library that writes them."""
     kind = ending(path, (*WRITTEN, *stacks.SUFFIXES))
-    if kind is None:
+    if kind is None or (kind in WRITTEN and not path.name.endswith(kind)):  # SimpleITK knows no capitals
         raise ImageError(f"{path}: volumes are not written so", f"let it end in {', '.join((*WRITTEN, '.tif'))}")
     library("tifffile" if kind in stacks.SUFFIXES else "SimpleITK")
     if dtype is not None and kind in stacks.SUFFIXES:
@@ -155,7 +161,7 @@ def require_written(path: Path, dtype: np.dtype[Any] | None = None) -> None:
 def write_volume(path: Path, samples: NDArray[Any], grid: Grid) -> None:
     """Write samples on a grid as the file's name says, as a whole or not at all; FileError where that is refused."""
     require_written(path, samples.dtype)
-    with replacing(path) as temporary, _telling(path):
+    with replacing_volume(path) as temporary, telling(path):
         if ending(path, stacks.SUFFIXES):
             stacks.write_stack(temporary, samples, grid)
             return
@@ -171,8 +177,8 @@ def write_image(path: Path, samples: NDArray[Any], grid: Grid, note: str = "") -
     image.SetDirection([cosine for row in grid.direction for cosine in row])
     if note:
         image.SetMetaData("descrip" if ending(path, READ) in (".nii", ".nii.gz") else "Comment", note)
-    with _silent():
-        itk.WriteImage(image, str(path), useCompression=ending(path, READ) != ".nii")
+    with silent():
+        itk.WriteImage(image, str(path), useCompression=ending(path, READ) not in _BARE)
 
 
 def library(name: str) -> Any:

@@ -21,7 +21,7 @@ from codegen.runtime.unknowns.shared import global_index, read_shared
 from codegen.runtime.unknowns.times import span
 
 UNIT_ROUNDOFF = 2.2e-16
-NOTHING = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
+VANISHED = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
 
 
@@ -105,4 +105,4 @@ def is_solved(grid, point, tolerance, roundings=1.0):
 
 def is_small(value, size, tolerance, roundings):
     """Whether a sum of terms of a given size is zero, to the tolerance or but for rounding."""
-    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, NOTHING)
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, VANISHED)

@@ -40,7 +40,7 @@ def motion_entries():
     return np.array(found).T
 
 
-ENTRIES = motion_entries()
+MOTION_ENTRIES = motion_entries()
 
 
 def forward_motion(grid, unknowns):
@@ -74,7 +74,7 @@ def is_solved_for_motion(grid, k, piece):
     `piece` (ELEMENT + ROOT,) has the unknowns of the interval and both nodes, and those that no node owns.
     """
     times, gradient, values = grid.nodes[k : k + 2], np.empty(piece.size), np.empty((1, HESSIAN_ROWS.size))
-    kinds, (entry, row, column) = np.zeros(piece.size, bool), ENTRIES
+    kinds, (entry, row, column) = np.zeros(piece.size, bool), MOTION_ENTRIES
     matrix = np.zeros((MOTION_EQUATIONS.size, MOTION_UNKNOWNS.size))
     for _ in range(NEWTON_STEPS):
         measured_gradient(piece, NONE, 1.0, 1, grid.h, times, grid.parameters, kinds, gradient)

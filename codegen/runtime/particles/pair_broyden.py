@@ -8,7 +8,7 @@ Source: Kelley (1995), Iterative methods for linear and nonlinear equations, sec
 import numpy as np
 from numba import njit
 
-from codegen.runtime.particles.pair_algebra import solve_cholesky
+from codegen.runtime.particles.pair_algebra import largest, solve_cholesky
 from codegen.runtime.particles.pair_trajectory import follow
 
 BROYDEN_STEPS = 40  # iterations, each of which keeps two vectors
@@ -29,12 +29,15 @@ def fill_end_residual(state, target, sigma, residual):
 
 
 @njit(cache=True, error_model="numpy")
-def approximate_inverse(factor, left, right, count, values, change):
-    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`."""
+def approximate_inverse(factor, left, right, values, change):
+    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`.
+
+    A row of `left` and `right`, shape (steps, nd), is the correction by a step.
+    """
     for k in range(values.size):
         change[k] = values[k]
     solve_cholesky(factor, change.reshape((factor.shape[0], values.size // factor.shape[0])))
-    for c in range(count):
+    for c in range(left.shape[0]):
         product = 0.0
         for k in range(values.size):
             product += right[c, k] * change[k]
@@ -51,17 +54,16 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
     size = target.size
     left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
     step, change, residual = np.empty(size), np.empty(size), np.empty(size)
-    momenta = path[0, 1].copy()
-    moved, kept = momenta.reshape(size), momenta.copy()
+    momenta = path[0, 1].reshape(size)
+    kept = momenta.copy()
     error, norm = fill_end_residual(path[-1], target, sigma, residual)
-    scale = max(np.abs(target).max(), 1e-300)
+    scale = max(largest(target.reshape(size)), 1e-300)
     start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
-    approximate_inverse(factor, left, right, 0, residual, step)
+    approximate_inverse(factor, left[:made], right[:made], residual, step)
     while made < BROYDEN_STEPS and error > tolerance and waited < PATIENCE:
         for k in range(size):
             step[k] = -step[k]
-            moved[k] += step[k]
-        path[0, 1] = momenta
+            momenta[k] += step[k]
         made, waited, is_kept = made + 1, waited + 1, False
         if follow(h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
             break
@@ -72,7 +74,7 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
             best, kept, is_kept = norm, momenta.copy(), True
         if norm < 0.5 * halved:
             halved, waited = norm, 0
-        approximate_inverse(factor, left, right, made - 1, residual, change)
+        approximate_inverse(factor, left[: made - 1], right[: made - 1], residual, change)
         along = 0.0
         for k in range(size):
             along += step[k] * (step[k] + change[k])
@@ -85,6 +87,7 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
         for k in range(size):
             step[k] = change[k] * (1.0 - product / along)
     if not is_kept:
-        path[0, 1] = kept
+        for k in range(size):  # an assignment of arrays has numba compile text for errors: a tenth of all time
+            momenta[k] = kept[k]
         follow(h, own, parameters, path, points, 0.0)
     return made

@@ -83,12 +83,12 @@ def all_equations_jacobian(case, unknowns):
     points, errors = np.zeros((steps * POINTS, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
     h = case.duration / steps
     defects(h, case.own, case.parameters, path, points, errors)
-    hessians = curvature_at(points, case.own, case.parameters)
+    curvature = curvature_at(points, case.own, case.parameters)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
     after, variance = np.empty((2 * size, 2 * size)), np.repeat(case.sigma**2, case.start.shape[1])
     for k in range(steps):
         rows = slice(2 * size * k, 2 * size * (k + 1))
-        advance_directions(hessians, points, k * POINTS, h, case.own, case.parameters, np.eye(2 * size), after)
+        advance_directions(curvature, points, k * POINTS, h, case.own, case.parameters, np.eye(2 * size), after)
         momenta = slice(inner + size * k, inner + size * (k + 1))
         later = slice(momenta.stop, momenta.stop + size)
         matrix[rows, momenta] += after[:, size:]

@@ -1,6 +1,7 @@
 """The linearised field J H'' times directions, from stored second derivatives or, where they are too many, anew.
 
-Stored ones are an array of shape (P, 2nd, 2nd), else there is None: numba compiles what is used of both.
+They are a pair: stored ones, an array of shape (P, 2nd, 2nd), and None; or an empty array and True. Where an argument
+is None numba leaves out what is for others, so that products without stored ones are compiled only for those.
 """
 
 import numpy as np
@@ -13,12 +14,13 @@ STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they
 
 
 def curvature_at(points, own, parameters):
-    """The second derivatives, shape (P, 2nd, 2nd), at all points, shape (P, 2, n, d), or None if they are too many."""
-    if float(points.shape[0]) * points[0].size ** 2 > STORED:
-        return None
-    hessians = np.empty((points.shape[0], points[0].size, points[0].size))
+    """The second derivatives at all points, shape (P, 2, n, d), as a pair; none are stored if they are too many."""
+    are_too_many = float(points.shape[0]) * points[0].size ** 2 > STORED
+    hessians = np.empty((0 if are_too_many else points.shape[0], points[0].size, points[0].size))
+    if are_too_many:
+        return hessians, True
     fill_curvature(points, own, parameters, hessians)
-    return hessians
+    return hessians, None
 
 
 @njit(cache=True, error_model="numpy")
@@ -29,12 +31,12 @@ def fill_curvature(points, own, parameters, hessians):
 
 
 @njit(cache=True, error_model="numpy")
-def linearised_field(hessians, points, k, own, parameters, directions, products):
+def linearised_field(hessians, anew, points, k, own, parameters, directions, products):
     """Fill `products`, shape (2nd, m), with J H'' at the k-th point times directions."""
-    if hessians is None:
-        hessian_products(points[k], own, parameters, directions, products)
-    else:
+    if anew is None:
         symmetric_product(hessians[k], directions, products)
+    else:
+        hessian_products(points[k], own, parameters, directions, products)
     half = directions.shape[0] // 2
     for row in range(half):
         for c in range(directions.shape[1]):

@@ -109,7 +109,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 
 @njit(cache=True, error_model="numpy")
-def implicit_directions(hessians, points, k, step, a, b, own, parameters, before, products, after):
+def implicit_directions(hessians, anew, points, k, step, a, b, own, parameters, before, products, after):
     """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
     middle, half = np.empty(before.shape), before.shape[0] // 2
     for row in range(before.shape[0]):
@@ -122,7 +122,7 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
             weight = a if row < half else b
             for c in range(before.shape[1]):
                 middle[row, c] = before[row, c] + weight * (after[row, c] - before[row, c])
-        linearised_field(hessians, points, k, own, parameters, middle, products)
+        linearised_field(hessians, anew, points, k, own, parameters, middle, products)
         for row in range(before.shape[0]):
             for c in range(before.shape[1]):
                 value = before[row, c] + step * products[row, c]
@@ -133,9 +133,9 @@ def implicit_directions(hessians, points, k, step, a, b, own, parameters, before
         if not change < np.inf:
             break
         previous = change
-    if hessians is None:
-        return False
-    return direct_directions(hessians[k], step, a, b, before, after)
+    if anew is None:
+        return direct_directions(hessians[k], step, a, b, before, after)
+    return False
 
 
 @njit(cache=True, error_model="numpy")

@@ -21,7 +21,7 @@ INTERVALS = 20  # least number of intervals of the path: half as many mislead wh
 BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # how far first paths are bent aside: particles may meet on the guessed one
 DESCENTS = 300  # iterations at most
 REFRESHED = 5  # iterations after which the second derivatives are taken anew, and what was learnt is forgotten
-ENOUGH = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
+WORTHWHILE = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
 SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
 SHORTEST = 2.0**-20  # least part of a step that is tried
 MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
@@ -150,7 +150,7 @@ def descended(case, count):
                 break
         way = direction(pivots, couplings, memory, gradient[1:])
         decrease = -(way * gradient[1:]).sum()
-        if not decrease > ENOUGH * action:
+        if not decrease > WORTHWHILE * action:
             break
         length, reached = 1.0, None
         while length >= SHORTEST and reached is None:

@@ -21,7 +21,7 @@ def advance(z, t, h, given, work, after):
     for s in range(POINTS):
         combined(z, h, gradients, ROWS[s], s, points[s])
         hamiltonian_gradient(points[s], own, parameters, gradients[s])
-    combined(z, h, gradients, WEIGHTS, POINTS, after)
+    combined(z, h, gradients, WEIGHTS, len(WEIGHTS), after)
     return 0 if copy_state(after, gradients[0]) else NON_FINITE
 
 
@@ -38,13 +38,14 @@ def combined(z, h, gradients, weights, count, result):
 
 
 @njit(cache=True, error_model="numpy")
-def advance_directions(hessians, points, first, h, own, parameters, directions, after):
+def advance_directions(curvature, points, first, h, own, parameters, directions, after):
     """Fill `after`, shape (2nd, m), with the derivative of a step times directions; the points begin at `first`."""
+    hessians, anew = curvature
     rates, middle = np.empty((POINTS, *directions.shape)), np.empty(directions.shape)
     for s in range(POINTS):
         combined_directions(directions, h, rates, ROWS[s], s, middle)
-        linearised_field(hessians, points, first + s, own, parameters, middle, rates[s])
-    combined_directions(directions, h, rates, WEIGHTS, POINTS, after)
+        linearised_field(hessians, anew, points, first + s, own, parameters, middle, rates[s])
+    combined_directions(directions, h, rates, WEIGHTS, len(WEIGHTS), after)
     return True
 
 

@@ -32,11 +32,11 @@ VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 
 @njit(cache=True, error_model="numpy")
-def tangents(hessians, points, steps, h, own, parameters, directions):
+def tangents(curvature, points, steps, h, own, parameters, directions):
     """Propagate directions, shape (2nd, m), over all steps in place; return whether every step was solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
-        if not advance_directions(hessians, points, k * POINTS, h, own, parameters, directions, after):
+        if not advance_directions(curvature, points, k * POINTS, h, own, parameters, directions, after):
             return False
         for row in range(after.shape[0]):
             for c in range(after.shape[1]):
@@ -94,14 +94,14 @@ class Linearised:
     def __init__(self, case, points, factor):
         """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
         self.case, self.points, self.factor, self.count = case, points, factor, 0
-        self.hessians = curvature_at(points, case.own, case.parameters)
+        self.curvature = curvature_at(points, case.own, case.parameters)
 
     def tangents(self, directions):
         """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
         case = self.case
         self.count += directions.shape[1]
         h = case.duration / case.steps
-        if not tangents(self.hessians, self.points, case.steps, h, case.own, case.parameters, directions):
+        if not tangents(self.curvature, self.points, case.steps, h, case.own, case.parameters, directions):
             directions[:] = np.nan
         return directions
 
@@ -299,6 +299,6 @@ def shift_states(linear, errors, shifts):
     h = case.duration / case.steps
     for k, error in enumerate(errors):
         solved = advance_directions(
-            linear.hessians, linear.points, k * POINTS, h, case.own, case.parameters, shifts[k], shifts[k + 1]
+            linear.curvature, linear.points, k * POINTS, h, case.own, case.parameters, shifts[k], shifts[k + 1]
         )
         shifts[k + 1, :, 0] += error.ravel() if solved else np.nan

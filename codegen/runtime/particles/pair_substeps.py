@@ -43,21 +43,22 @@ def advance(z, t, h, given, work, after):
 
 
 @njit(cache=True, error_model="numpy")
-def advance_directions(hessians, points, first, h, own, parameters, directions, after):
+def advance_directions(curvature, points, first, h, own, parameters, directions, after):
     """Fill `after`, shape (2nd, m), with the derivative of a step times directions.
 
     The step's points are those from number `first`. Return whether the linear equations of every substep were solved.
     """
+    hessians, anew = curvature
     before, products = directions.copy(), np.empty(directions.shape)
     for s in range(POINTS):
         step, a, b = h * SUBSTEPS[s][0], SUBSTEPS[s][1], SUBSTEPS[s][2]
         if IMPLICIT and (a > 0.0 or b > 0.0):
             if not implicit_directions(
-                hessians, points, first + s, step, a, b, own, parameters, before, products, after
+                hessians, anew, points, first + s, step, a, b, own, parameters, before, products, after
             ):
                 return False
         else:
-            linearised_field(hessians, points, first + s, own, parameters, before, products)
+            linearised_field(hessians, anew, points, first + s, own, parameters, before, products)
             for row in range(before.shape[0]):
                 for c in range(before.shape[1]):
                     after[row, c] = before[row, c] + step * products[row, c]

@@ -36,11 +36,13 @@ def tracer_step(k, h, stages, own, parameters, positions, tangents, velocities, 
         inverse_positions(positions, -h, first, stages, own, parameters, after, rates, derivative)
         for m in range(DIMENSION * BLOCK):
             positions[m] = after[m]
-        if tangents.size > 0:
-            explicit_step(positions, -h, first, stages, own, parameters, rates, derivative)
-            eliminated(derivative, tangents, DIMENSION)
+        if tangents.size == 0:
+            return
+    wanted = derivative if tangents.size > 0 else tangents
+    explicit_step(positions, abs(h), first, stages, own, parameters, rates, wanted)  # one call, or it is compiled twice
+    if h < 0.0:
+        eliminated(derivative, tangents, DIMENSION)
         return
-    explicit_step(positions, h, first, stages, own, parameters, rates, derivative if tangents.size > 0 else tangents)
     for m in range(DIMENSION * BLOCK):
         positions[m] += h * rates[m]
     if tangents.size > 0:
@@ -68,7 +70,7 @@ def explicit_step(positions, h, first, stages, own, parameters, rates, derivativ
         for s in range(POINTS):
             rates[m] += WEIGHTS[s] * velocities[s, m]
     if derivative.size > 0:
-        unit_and_combined(h, slopes, WEIGHTS, POINTS, derivative)
+        unit_and_combined(h, slopes, WEIGHTS, len(WEIGHTS), derivative)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -5,7 +5,7 @@ import { download, upload } from "./files.js"
 import { hasUnits } from "./table.js"
 
 const node = (id) => document.getElementById(id)
-const IMAGES = ".png,.jpg,.jpeg,.tif,.tiff"
+const IMAGES = ".png,.jpg,.jpeg,.tif,.tiff,.nii,.nii.gz,.gz,.nrrd,.mha"
 const PLAIN = { brightness: 0, contrast: 1, map: "colours" }
 
 export function setUpControls({ model, options, acts, panes, table, link, say, modes }) {
@@ -86,7 +86,7 @@ export function setUpControls({ model, options, acts, panes, table, link, say, m
     pane.stage.addEventListener("drop", (event) => {
       event.preventDefault()
       const files = [...event.dataTransfer.files]
-      const isImage = /\.(png|jpe?g|tiff?)$/i
+      const isImage = /\.(png|jpe?g|tiff?|nii|nii\.gz|nrrd|nhdr|mha|mhd)$/i
       if (files.length) open(files.every(({ name }) => isImage.test(name)) ? pane.side : "landmarks", files)
     })
   }
@@ -232,7 +232,8 @@ export function setUpControls({ model, options, acts, panes, table, link, say, m
       acts.show(panes[2], model.alone || mode === "fixed" ? "warped" : mode)
       node("third").disabled = model.alone
       node("units-line").hidden = !hasUnits(model)
-      node("unit").textContent = (moving.spacing ?? fixed.spacing)?.unit ?? ""
+      const units = [moving, fixed].filter(({ spacing }) => spacing).map(({ spacing }) => spacing.unit)
+      node("unit").textContent = [...new Set(units)].join(" and ")
       showStraight()
     },
   }

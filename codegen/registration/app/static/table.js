@@ -7,6 +7,7 @@ const ROW = 27 // height of a row in pixels, as in the style sheet
 const BEYOND = 6 // rows above and below those that are seen
 const PLACES = [["moving", 0], ["moving", 1], ["fixed", 0], ["fixed", 1]]
 const ERRORS = ["residual", "left_out"]
+const HEADS = { residual: "residual", left_out: "left out" }
 
 export class Table {
   #first = 0
@@ -106,6 +107,7 @@ export class Table {
     const { model } = this
     const open = this.#shown.includes(model.selected) && this.#rows.has(model.selected) ? model.selected : this.#shown[this.#first]
     const outliers = new Set(this.#certified?.outliers)
+    const factor = this.#length()
     for (const [id, row] of this.#rows) {
       const pair = model.pairs.get(id)
       if (!pair) continue
@@ -130,9 +132,20 @@ export class Table {
       })
       ERRORS.forEach((kind) => {
         const error = this.#error(kind, id)
-        row.querySelector(`.${kind}`).textContent = error === null ? "" : error < 0.005 ? "0.00" : error.toFixed(2)
+        row.querySelector(`.${kind}`).textContent = error === null ? "" : inDigits(error * factor, factor)
       })
     }
+  }
+
+  // What errors are multiplied by, which are distances in the fixed image: those have a length where its pixels are square.
+  #length() {
+    const spacing = this.units ? this.model.images?.fixed.spacing : null
+    const isSquare = spacing && Math.abs(spacing.x - spacing.y) <= 1e-6 * spacing.x
+    for (const kind of ERRORS) {
+      const unit = !this.units ? "" : isSquare ? spacing.unit : "px"
+      this.root.querySelector(`th [data-by=${kind}]`).textContent = [HEADS[kind], unit].filter(Boolean).join(" ")
+    }
+    return isSquare ? spacing.x : 1
   }
 
   #factor(side, axis) {
@@ -142,7 +155,7 @@ export class Table {
 
   #written(value, side, axis) {
     const factor = this.#factor(side, axis)
-    return (value * factor).toFixed(factor === 1 ? 2 : Math.min(8, Math.max(2, 2 - Math.floor(Math.log10(factor)))))
+    return inDigits(value * factor, factor)
   }
 
   #made(id) {
@@ -226,6 +239,11 @@ export class Table {
     else if ((k + 1) * ROW + head > scrollTop + clientHeight) this.scroller.scrollTop = (k + 1) * ROW + head - clientHeight
     this.#fill()
   }
+}
+
+// A length as text, to about a hundredth of what a pixel is of it.
+function inDigits(length, factor) {
+  return length.toFixed(factor === 1 ? 2 : Math.min(8, Math.max(2, 2 - Math.floor(Math.log10(factor)))))
 }
 
 function field() {
