@@ -35,7 +35,7 @@ def test_a_duration_that_fell_too_far():
 
 @pytest.mark.parametrize("guessed", [5, 8])
 def test_a_duration_whose_violation_has_a_minimum_of_its_own(guessed):
-    """From (3, 0) everything leads to T = 3.03, where the violation is least near by; at the guessed T motions do obey."""
+    """From (3, 0) all leads to T = 3.03, where the violation is least nearby; with the guessed T motions do obey."""
     q, p = canonical_pair("q", "p")
     u, duration = control("u"), free_parameter("T", guessed)
     problem = Control(
@@ -59,7 +59,7 @@ AREA = (ANGLE - math.sin(ANGLE) * math.cos(ANGLE)) * (ROPE / (2 * ANGLE)) ** 2
 
 
 def test_a_guess_on_which_a_condition_does_not_depend():
-    """The length of a rope that is straight does not change, to first order: the violation is stationary, and greatest."""
+    """The length of a straight rope does not change, to first order: its violation is stationary, and greatest."""
     y, u = state("y"), control("u")
     ends = {"start": {y: 0}, "end": {y: 0}, "duration": 1, "steps": 30}
     problem = Control(dynamics={y: u}, maximise=y, integral=[Eq(sqrt(1 + u**2), ROPE)], **ends)
