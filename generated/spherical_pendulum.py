@@ -2069,6 +2069,7 @@ FEASIBILITY_STEPS = 1000  # of the search for the least violation
 STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # part of the residual that the violation's slope is where it is least
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
+HOLDING, NONE_HELD = 1e16, slice(0)  # a curvature beside which no other counts, and no unknowns
 
 
 def restore(search, iterate, reduction, filtered, is_late):
@@ -2100,13 +2101,14 @@ def restore(search, iterate, reduction, filtered, is_late):
     return "stalled", current
 
 
-def least_violation(search, iterate, tolerance, is_late):
+def least_violation(search, iterate, tolerance, is_late, held):
     """("infeasible", the iterate where the violation is least), or ("restored", one where the equations hold).
 
     Otherwise (what went wrong, the last iterate). The first says that no small change of the unknowns brings the
     equations closer to zero, as far as first derivatives tell. The search begins inside the bounds, and its steps are
     those of Newton: where residuals do not vanish, steps without the equations' curvature converge slowly or not at
-    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals.
+    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals. Unknowns that are `held`, a
+    slice, stay as they are.
     """
     grid, damping = search.grid, 0.0
     inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
@@ -2118,11 +2120,12 @@ def least_violation(search, iterate, tolerance, is_late):
         if point.residual <= tolerance:
             return "restored", current
         pull = residual_gradient(grid, point)
+        pull[held] = 0.0
         damping = damping or first_damping(grid, point, pull)
         error = restoration_error(search, current, pull)
         if error <= STATIONARY * point.residual:
             return "infeasible", current
-        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True)
+        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True, held)
         if taken is None:
             return "stalled", current
         current, damping = taken
@@ -2159,21 +2162,23 @@ def restoration_error(search, current, pull):
     return np.abs(pull).max()
 
 
-def damped_step(search, current, pull, damping, largest, curved=False):
+def damped_step(search, current, pull, damping, largest, curved=False, held=NONE_HELD):
     """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none.
 
     The step is Newton's where it is to be `curved`, else that of Gauss and Newton. To the former any decrease will do,
     and none but rounding: close to bounds slopes promise more than a step can keep, and duals may still have to settle.
+    What is `held` stays.
     """
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     unknowns = np.where(grid.is_multiplier, point.gradient, point.unknowns) if curved else point.unknowns
     least = restoration_objective(grid, current)
     while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
+        diagonal[held] += HOLDING
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
         if is_factored(factor_kkt(grid, unknowns, 0.0, diagonal, search.system, right, step)):
-            step[grid.is_multiplier] = 0.0
+            step[grid.is_multiplier] = step[held] = 0.0
             taken = step_along(search, current, slopes, step, InertiaCorrection())
             trial = moved(search, current, taken, taken.longest)
             enough = 1e-15 * abs(least) if curved else 1e-4 * taken.longest * min(0.0, slopes @ step)
@@ -2346,6 +2351,7 @@ def restored(search, iterate, reduction, filtered, log):
 
 # The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed.
 
+BULGE = 0.1  # part of its size by which a guess is bent
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
 
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
@@ -2406,8 +2412,8 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
     "infeasible", and not only a search that has `status` because it found no way on.
     """
     ended, total = None, 0
-    for start in (iterate, guess):
-        found, least = least_violation(search, start, tolerance, log.is_late)
+    for start, held in violating_starts(search, iterate, guess):
+        found, least = least_violation(search, start, tolerance, log.is_late, held)
         if found == "restored":
             left = max_iterations - total
             tried, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, left, log)
@@ -2418,6 +2424,19 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
         elif found == "infeasible" and ended is None and status != "rank-deficient":
             ended = found, least
     return *(ended or (status, iterate)), total
+
+
+def violating_starts(search, iterate, guess):
+    """Iterates near which the equations may hold, with the unknowns that are to stay as they are.
+
+    Shared ones, as a duration, may fall to where no motion obeys while the motion itself has hardly begun to. A guess
+    that is symmetric may be stationary and no minimum, so that the last one is bent.
+    """
+    grid = search.grid
+    yield iterate, NONE_HELD
+    yield guess, NONE_HELD
+    bent = bulged_guess(grid, np.where(grid.is_multiplier, 0.0, guess.point.unknowns), BULGE)
+    yield begin(search, bent, CASCADE[0]), NONE_HELD
 
 
 def first_iterate(search, unknowns, attempt, known):
@@ -2446,10 +2465,13 @@ def from_nearby(search, guess, tolerance, max_iterations, log):
 
 
 def bulged_guess(grid, unknowns, part):
-    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has.
+
+    Where all are zero, there is nothing to tell sizes from, and one will do.
+    """
     if part == 0.0:
         return unknowns
-    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
+    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0) or 1.0
     for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
         sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
         own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
@@ -3961,7 +3983,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_90557370301a2783"
+_IDENTITY = "codegen_spherical_pendulum_74d76001f2127063"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

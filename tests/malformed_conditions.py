@@ -108,7 +108,7 @@ _BOUNDS = [
 ]
 
 _PATHS = [
-    Malformed("path-single", optimal(path="q <= 1"), ExpressionError, "path is a LessThan"),
+    Malformed("path-single", optimal(path="q <= 1"), ExpressionError, "path is a single relation"),
     Malformed("path-set", optimal(path="{q <= 1}"), ExpressionError, "path is a set"),
     Malformed("path-text", optimal(path="['q <= 1']"), ExpressionError, "path[0] is 'q <= 1'"),
     Malformed("path-true", optimal(path="[q**2 >= 0]"), ExpressionError, "path[0] always holds"),

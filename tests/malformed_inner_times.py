@@ -21,7 +21,7 @@ def _way(text: str, declare: str = _WAYPOINT, **changes: str) -> str:
 MALFORMED_INNER_TIMES: tuple[Malformed, ...] = (
     Malformed("at-list", _at("[q]"), ExpressionError, "at is a list"),
     Malformed("at-no-condition", _at("{0.5: []}"), ExpressionError, "at[0.5] has no condition"),
-    Malformed("at-no-list", _at("{0.5: q - 1}"), ExpressionError, "at[0.5] is a Add"),
+    Malformed("at-no-list", _at("{0.5: q - 1}"), ExpressionError, "at[0.5] is a single expression"),
     Malformed("at-true", _at("{True: [q]}"), ExpressionError, "a time of at is True"),
     Malformed("at-text", _at("{'half': [q]}"), ExpressionError, "a time of at is 'half'"),
     Malformed("at-nan", _at("{float('nan'): [q]}"), ExpressionError, "a time of at contains nan"),
@@ -47,7 +47,7 @@ MALFORMED_INNER_TIMES: tuple[Malformed, ...] = (
     ),
     Malformed("at-beside", optimal(at="{0.5: [q]}", waypoints="[[q]]"), BoundaryError, "at beside waypoints"),
     Malformed("waypoints-mapping", _way("{0.5: [q]}"), ExpressionError, "waypoints is a dict"),
-    Malformed("waypoints-flat", _way("[q - 1, dq]"), ExpressionError, "waypoints[0] is a Add"),
+    Malformed("waypoints-flat", _way("[q - 1, dq]"), ExpressionError, "waypoints[0] is a single expression"),
     Malformed("waypoint-empty", _way("[[q - 0.1], []]"), ExpressionError, "waypoints[1] has no condition"),
     Malformed("window-number", _way("[Waypoint([q - 0.1], window=0.5)]"), ExpressionError, "is 0.5"),
     Malformed("window-three", _way("[Waypoint([q - 0.1], window=(0, 1, 2))]"), ExpressionError, "window=(earliest"),

@@ -114,7 +114,10 @@ def with_location(error: CodegenError, location: str) -> CodegenError:
     return type(error)(clause(f"{location}: {error.finding}"), clause(error.remedy))
 
 
-_UNPACK = "unpack what is returned, as in (x,), (v,) = coordinates('x'), or use state('x'), control('u') and their like"
+_UNPACK = (
+    "unpack what is returned, as in (x,), (v,) = coordinates('x'), or use state('x'), control('u'), parameter('m', 1) "
+    "and their like"
+)
 _OF_SYMPY = "take functions of expressions from sympy, not from math or numpy"
 _MISTAKES = (
     ("truth value of Relational", "write two inequalities, such as x >= 0 and x <= 2, for 0 <= x <= 2, or use bounds"),

@@ -68,7 +68,10 @@ def require_declared(what: str, has: str, symbol: Any) -> None:
 def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
     """A list or tuple; ExpressionError that shows how to write it."""
     if not isinstance(values, (list, tuple)):
-        raise ExpressionError(f"{what} is a {type(values).__name__}", f"write {what} as [{entry}, ...]")
+        found = type(values).__name__
+        if isinstance(values, sympy.Basic):
+            found = "single relation" if isinstance(values, relational.Relational) else "single expression"
+        raise ExpressionError(f"{what} is a {found}", f"write {what} as [{entry}, ...]")
     return values
 
 

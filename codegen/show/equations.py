@@ -23,7 +23,7 @@ from codegen.discretise import (
 from codegen.expressions.table_functions import tables_of
 from codegen.model import Model, legendre
 from codegen.model.conditions.table import CONDITIONS
-from codegen.model.definitions import prescribed
+from codegen.model.definitions import Bounds, prescribed
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
 from codegen.show.delays import delay_blocks, is_past, of_the_whole, with_past
@@ -48,6 +48,7 @@ _BALANCE = (
     "D₂ Ld(qₖ₋₁, qₖ) + D₁ Ld(qₖ, qₖ₊₁) + f⁺ₖ₋₁ + f⁻ₖ = 0 for k = 1, ..., N - 1, written out",
     r"$D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + f^+_{k-1} + f^-_k = 0$ for $k = 1, \dots, N - 1$, written out",
 )
+_MAXIMISED = ("the cost is minus what is to be greatest",) * 2
 _MOMENTA = ("the discrete momenta of the first and last node are those of the prescribed velocities",) * 2
 
 
@@ -78,7 +79,34 @@ def equations(
         if model.phases
         else (*_continuous(model.authored, program.method), *delay_blocks(model), *_discrete(shown, program))
     )
-    return written(title, [*own, *_ends(program), *_tables(model), _layout(program, notation)], notation)
+    rest = [*_ends(program), *_given(model, notation), *_tables(model), _layout(program, notation)]
+    return written(title, [*own, *rest], notation)
+
+
+def _given(model: Model, notation: Notation) -> Iterator[Block]:
+    """The terminal cost, where free parameters begin, and bounds, those of each phase."""
+    whole = model.authored
+    if whole.terminal_cost != 0:
+        there = {symbol: _named(f"{symbol}@T") for symbol in (*whole.coordinates, *whole.rates)}
+        yield Block("Terminal cost", ((_named("C_T"), whole.terminal_cost.xreplace(there)),))
+    if whole.free_parameters:
+        rows = tuple((free.symbol, free.guess) for free in whole.free_parameters)
+        limits = [Bounds(free.symbol, free.lower, free.upper) for free in whole.free_parameters]
+        yield Block("Free parameters, at their first guess", rows, _within(limits, notation))
+    for number, part in enumerate(whole.phases or (whole,), start=1):
+        if remarks := _within(part.bounds, notation):
+            yield Block(f"Bounds in phase {number}" if whole.phases else "Bounds", (), remarks)
+
+
+def _within(bounds: Iterable[Bounds], notation: Notation) -> tuple[tuple[str, str], ...]:
+    """What lies between which limits, a remark for each that has one."""
+    remarks = []
+    for limits in (b for b in bounds if b.conditions):
+        parts = [part for part in (limits.lower, limits.symbol, limits.upper) if part is not None]
+        shown = [notation.translated(part) for part in parts]
+        tex = r" \leq ".join(sympy.latex(part) for part in shown)
+        remarks.append((" ≤ ".join(sympy.sstr(part) for part in shown), rf"${tex}$\\"))
+    return tuple(remarks)
 
 
 def _tables(model: Model) -> Iterator[Block]:
@@ -150,7 +178,9 @@ def _continuous(given: Model, method: str) -> Iterator[Block]:
 def _cost(model: Model) -> Iterator[Block]:
     """The integrands: of the cost, and of conditions."""
     if model.cost is not None:
-        yield Block("Rate of the cost, and duration", ((_named("C"), model.cost), (_named("T"), model.duration)))
+        remarks = (_MAXIMISED,) if model.maximised else ()
+        pair = (_named("C"), model.cost), (_named("T"), model.duration)
+        yield Block("Rate of the cost, and duration", pair, remarks)
     for heading, rows in (block for kind in CONDITIONS for block in kind.shown(model)):
         yield Block(heading, tuple((_named(name), value) for name, value in rows))
 

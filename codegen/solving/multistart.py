@@ -25,13 +25,14 @@ SAME = 1e-6
 def varied(module: ControlModule, steps: int, seed: int) -> Vector:
     """The problem's own guess on N = `steps` intervals with a random smooth curve added to every quantity.
 
-    What is given stays, and so do multipliers and what no node owns, such as a free duration.
+    What is given stays, and so do multipliers and what no node owns, such as a free duration. A guess that is zero all
+    over has no size, and curves of the size of one are added to it.
     """
     grid, rng = module.make_grid(steps), np.random.default_rng(seed)
     guess = module.initial_guess(grid)
     changed = module.primal_unknowns(grid)
     changed = changed[changed < guess.size - module.ROOT]
-    least = 0.3 * np.abs(guess[changed]).max(initial=0.0)
+    least = 0.3 * np.abs(guess[changed]).max(initial=0.0) or 1.0
     change = np.zeros_like(guess)
     for own, curves in zip(module.views(grid, guess), module.views(grid, change), strict=True):
         times = np.linspace(0.0, 1.0, own.shape[1])

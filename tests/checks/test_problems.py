@@ -87,6 +87,28 @@ def test_nodal_controls_are_harmless_with_the_trapezoidal_rule(prepared):
     assert failures("null controls", context) == []
 
 
+CONSTANT = '''"""A boat of constant speed: the integral of its squared speed is the same whatever the rudder does."""
+
+from sympy import cos, sin
+
+from codegen import Control, control, states
+
+
+def problem() -> Control:
+    x, y = states("x y")
+    theta = control("theta")
+    cost = (2 * cos(theta)) ** 2 + (2 * sin(theta)) ** 2
+    dynamics = {x: 2 * cos(theta), y: 2 * sin(theta)}
+    return Control(dynamics=dynamics, cost=cost, duration=1, start={x: 0, y: 0}, end={x: 1, y: 1}, steps=10)
+'''
+
+
+def test_a_cost_that_is_constant_has_no_null_controls_of_the_scheme(prepared, tmp_path: Path):
+    path = tmp_path / "boat.py"
+    path.write_text(CONSTANT, encoding="utf-8")
+    assert failures("null controls", prepared(path, {})) == []
+
+
 @pytest.mark.parametrize("method", ["variational", "hamiltonian"])
 def test_redundant_boundary_condition(prepared, tmp_path: Path, method):
     path = tmp_path / "drifting.py"

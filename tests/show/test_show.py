@@ -111,6 +111,25 @@ def test_phases_and_switches():
     assert "m⁺ = -dry₁ + m⁻" in shown("two_stage_rocket")
 
 
+@pytest.mark.parametrize(
+    ("problem", "rows"),
+    [
+        ("goddard_rocket", ("C_T = -r(T)", "Free parameters, at their first guess", "0 ≤ T", "0 ≤ thrust ≤ greatest")),
+        ("bryson_denham", ("x ≤ wall",)),
+        ("low_thrust", ("At every time, not positive", "C_T = -r(T)")),
+        ("spherical_pendulum", ("Holonomic constraints", "0 = ")),
+        ("two_stage_rocket", ("Terminal cost", "Bounds in phase 2")),
+        ("published/bioreactor", ("Periodic ends", "y(T) = y(0)", "0 ≤ u ≤ 1")),
+        ("published/isoperimetric_area", ("the cost is minus what is to be greatest", "At every time\n")),
+    ],
+)
+def test_all_that_a_problem_says_is_shown(problem, rows):
+    text, latex = shown(problem), shown(problem, latex=True)
+    for row in rows:
+        assert row in text
+    assert r" \leq " in latex or "≤" not in text
+
+
 def test_initial_state_of_a_simulation():
     text = shown("pendulum")
     assert "p(0) = 7/5" in text

@@ -7,7 +7,7 @@ import pytest
 from interpreted import of_problem
 from sympy import cos, sin
 
-from codegen import Control, control, coordinates, solving
+from codegen import Control, control, coordinates, solving, states
 from codegen.errors import ArgumentError
 from codegen.solving.multistart import varied
 
@@ -77,3 +77,13 @@ def test_several_guesses_contradict_a_warm_start_and_a_simulation(hoop, pendulum
         solving.solve(hoop, guesses=2, warm=hoop.initial_guess(hoop.make_grid(4)))
     with pytest.raises(ArgumentError, match="optimisation"):
         solving.solve(pendulum, guesses=2)
+
+
+def test_a_guess_of_zeros_is_varied():
+    x, v = states("x v")
+    u = control("u")
+    rest = {x: 0, v: 0}
+    module = of_problem(Control(dynamics={x: v, v: u}, cost=u**2, duration=1, start=rest, end=rest, steps=8))
+    first, second = varied(module, 8, 1), varied(module, 8, 2)
+    assert 0.1 < np.abs(first).max() < 10
+    assert np.abs(first - second).max() > 0.1

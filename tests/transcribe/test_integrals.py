@@ -155,7 +155,7 @@ def test_each_phase_has_its_own():
         (lambda x, v, u: [sympy.Eq(sympy.Symbol("z", real=True), 1)], "no integrand"),
         (lambda x, v, u: [sympy.Eq(x, sympy.oo)], "integral"),
         (lambda x, v, u: [sympy.Eq(x * body_number(), 1)], "depends on body"),
-        (lambda x, v, u: sympy.Eq(x, 1), "integral is a Equality"),
+        (lambda x, v, u: sympy.Eq(x, 1), "integral is a single relation"),
         (lambda x, v, u: [sympy.Eq(x, 1), sympy.Eq(x, 1)], "twice"),
         (lambda x, v, u: [sympy.Le(sympy.acos(2 + v**2), 1, evaluate=False)], "no finite real value"),
         (lambda x, v, u: {"": sympy.Eq(x, 1)}, "has the name ''"),

@@ -61,3 +61,7 @@ class Holonomic(Kind):
 
     def sentences(self, model: Model) -> list[str]:
         return [f"{sympy.sstr(constraint)} = 0 at the nodes" for constraint in model.holonomic]
+
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        if model.holonomic:
+            yield "Holonomic constraints", tuple(("0", constraint) for constraint in model.holonomic)

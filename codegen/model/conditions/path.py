@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import ClassVar
 
+from sympy import Expr
+
 from codegen.author.symbols import ControlInput, Delayed, Time
 from codegen.errors import DegenerateError, ExpressionError
 from codegen.model.conditions.base import Kind, Points, Scope, dependent, is_constant
@@ -37,6 +39,12 @@ class Path(Kind):
     def sentences(self, model: Model) -> list[str]:
         nodal = {True: "at the nodes", False: "at the nodes and on the intervals"}
         return [f"{c.name} {nodal[c.equality] if is_nodal(model, c) else 'on the intervals'}" for c in model.path]
+
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        if equations := tuple(("0", c.expression) for c in model.path if c.equality):
+            yield "At every time", equations
+        if inequalities := tuple((f"g_{i}", c.expression) for i, c in enumerate(model.path, 1) if not c.equality):
+            yield "At every time, not positive", inequalities
 
 
 def is_nodal(model: Model, condition: Condition) -> bool:

@@ -62,6 +62,11 @@ class Periodic(Kind):
     def sentences(self, model: Model) -> list[str]:
         return [f"{q} at the end = {q} at the start{_added(shift)}" for q, shift in model.periodic]
 
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        if model.periodic:
+            rows = tuple((f"{q}@T", Symbol(f"{q}@0", real=True) + shift) for q, shift in model.periodic)
+            yield "Periodic ends", rows
+
 
 def _added(shift: Expr) -> str:
     text = sstr(shift)

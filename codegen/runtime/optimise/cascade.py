@@ -17,17 +17,18 @@ from codegen.runtime.optimise.convergence_test import is_solved, sizes_of_terms
 from codegen.runtime.optimise.exact_bounds import within_bounds
 from codegen.runtime.optimise.filter import Filter
 from codegen.runtime.optimise.newton import UNLUCKY, descend, restored
-from codegen.runtime.optimise.restoration import least_violation
+from codegen.runtime.optimise.restoration import NONE_HELD, least_violation
 from codegen.runtime.optimise.saddle_points import ESCAPES, LEFT, escape_steps, is_below
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.optimise.termination import VIOLATED
 from codegen.runtime.optimise.unbounded import NEARBY
 from codegen.runtime.optimise.warm_start import begin_nearby
-from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
+from codegen.runtime.stand_ins.example import INEQUALITIES, ROOT, UNBOUNDED
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.time_grid import views
 
+BULGE = 0.1  # part of its size by which a guess is bent
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
 
 if UNBOUNDED:
@@ -96,8 +97,8 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
     "infeasible", and not only a search that has `status` because it found no way on.
     """
     ended, total = None, 0
-    for start in (iterate, guess):
-        found, least = least_violation(search, start, tolerance, log.is_late)
+    for start, held in violating_starts(search, iterate, guess):
+        found, least = least_violation(search, start, tolerance, log.is_late, held)
         if found == "restored":
             if INEQUALITIES:
                 weight = CASCADE[0].weight  # that of the restoration is tiny in the end
@@ -111,6 +112,21 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
         elif found == "infeasible" and ended is None and status != "rank-deficient":
             ended = found, least
     return *(ended or (status, iterate)), total
+
+
+def violating_starts(search, iterate, guess):
+    """Iterates near which the equations may hold, with the unknowns that are to stay as they are.
+
+    Shared ones, as a duration, may fall to where no motion obeys while the motion itself has hardly begun to. A guess
+    that is symmetric may be stationary and no minimum, so that the last one is bent.
+    """
+    grid = search.grid
+    yield iterate, NONE_HELD
+    yield guess, NONE_HELD
+    if ROOT:
+        yield guess, slice(grid.is_multiplier.size - ROOT, None)
+    bent = bulged_guess(grid, np.where(grid.is_multiplier, 0.0, guess.point.unknowns), BULGE)
+    yield begin(search, bent, CASCADE[0]), NONE_HELD
 
 
 def first_iterate(search, unknowns, attempt, known):
@@ -141,10 +157,13 @@ if UNBOUNDED:
 
 
 def bulged_guess(grid, unknowns, part):
-    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has."""
+    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has.
+
+    Where all are zero, there is nothing to tell sizes from, and one will do.
+    """
     if part == 0.0:
         return unknowns
-    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0)
+    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0) or 1.0
     for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
         sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
         own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]

@@ -28,6 +28,7 @@ FEASIBILITY_STEPS = 1000  # of the search for the least violation
 STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # part of the residual that the violation's slope is where it is least
 WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
+HOLDING, NONE_HELD = 1e16, slice(0)  # a curvature beside which no other counts, and no unknowns
 if INEQUALITIES:
     LARGEST_DUAL = 0.1  # at the start; with 1e3, half of the searches of the space shuttle from noise fail, not 2 of 30
 
@@ -65,13 +66,14 @@ def restore(search, iterate, reduction, filtered, is_late):
     return "stalled", current
 
 
-def least_violation(search, iterate, tolerance, is_late):
+def least_violation(search, iterate, tolerance, is_late, held):
     """("infeasible", the iterate where the violation is least), or ("restored", one where the equations hold).
 
     Otherwise (what went wrong, the last iterate). The first says that no small change of the unknowns brings the
     equations closer to zero, as far as first derivatives tell. The search begins inside the bounds, and its steps are
     those of Newton: where residuals do not vanish, steps without the equations' curvature converge slowly or not at
-    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals.
+    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals. Unknowns that are `held`, a
+    slice, stay as they are.
     """
     grid, damping = search.grid, 0.0
     inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
@@ -83,13 +85,14 @@ def least_violation(search, iterate, tolerance, is_late):
         if point.residual <= tolerance:
             return "restored", current
         pull = residual_gradient(grid, point)
+        pull[held] = 0.0
         damping = damping or first_damping(grid, point, pull)
         error = restoration_error(search, current, pull)
         if error <= STATIONARY * point.residual:
             return "infeasible", current
         if INEQUALITIES:
             current = current._replace(mu=lower_weight(current.mu, error))
-        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True)
+        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True, held)
         if taken is None:
             return "stalled", current
         current, damping = taken
@@ -144,21 +147,23 @@ if INEQUALITIES:
         return nu
 
 
-def damped_step(search, current, pull, damping, largest, curved=False):
+def damped_step(search, current, pull, damping, largest, curved=False, held=NONE_HELD):
     """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none.
 
     The step is Newton's where it is to be `curved`, else that of Gauss and Newton. To the former any decrease will do,
     and none but rounding: close to bounds slopes promise more than a step can keep, and duals may still have to settle.
+    What is `held` stays.
     """
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     unknowns = np.where(grid.is_multiplier, point.gradient, point.unknowns) if curved else point.unknowns
     least = restoration_objective(grid, current)
     while damping < largest:
         slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
+        diagonal[held] += HOLDING
         diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
         right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
         if is_factored(factor_kkt(grid, unknowns, 0.0, diagonal, search.system, right, step)):
-            step[grid.is_multiplier] = 0.0
+            step[grid.is_multiplier] = step[held] = 0.0
             taken = step_along(search, current, slopes, step, InertiaCorrection())
             trial = moved(search, current, taken, taken.longest)
             enough = 1e-15 * abs(least) if curved else 1e-4 * taken.longest * min(0.0, slopes @ step)
