@@ -2186,6 +2186,7 @@ def moved(search, iterate, step, length):
 
 LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+FAR = 10.0  # times the largest unknown
 SOLVED = 1e-12  # residuals below it are rounding, which no step reduces
 
 
@@ -2234,6 +2235,9 @@ def regularised_step(search, iterate, before, damping, careful):
             if delta_c == 0.0 and step.is_of_rounding:
                 delta_c = dual_regularisation(iterate)
                 continue
+            if delta_w > before.last == 0.0 and is_far(grid, point, primal):
+                delta_w *= 100.0
+                continue
             if careful:  # corrections that are not worth their name change the step as well
                 refined = refine(grid, point.unknowns, diagonal, system, gradient, primal)
                 step = step_along(search, iterate, gradient, primal, given)._replace(refined=refined)
@@ -2249,6 +2253,12 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+def is_far(grid, point, primal):
+    """Whether a step goes far beyond anything that an iterate knows of: the first shift alone says how far."""
+    is_primal = ~grid.is_multiplier
+    return np.abs(primal[is_primal]).max() > FAR * max(1.0, np.abs(point.unknowns[is_primal]).max())
 
 
 def dual_regularisation(iterate):
@@ -4454,7 +4464,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_6ff260ca6b3e0cd1"
+_IDENTITY = "codegen_hovercraft_790381bbee2d503c"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -53,6 +53,7 @@ _FILES = [
     Malformed("missing-keyword", optimal(duration=""), ProblemFileError, "'duration'"),
     Malformed("unknown-keyword", simulation(lagrange="q"), ProblemFileError, "'lagrange'"),
     Malformed("keyword-misspelt", simulation(lagrangan="q"), ProblemFileError, "perhaps it is lagrangian"),
+    Malformed("keyword-of-others", simulation(final_time="2"), ProblemFileError, "perhaps it is duration"),
     Malformed("time-not-called", declaring("q * time"), ProblemFileError, "t = time()"),
     Malformed("unpacking", file_text('(a, b), (da,) = coordinates("a b")'), ProblemFileError, "unpack"),
     Malformed("function-of-math", declaring("import math; math.sin(q)"), ProblemFileError, "from sympy"),

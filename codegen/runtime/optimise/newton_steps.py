@@ -17,6 +17,8 @@ from codegen.runtime.stand_ins.example import INEQUALITIES, UNBOUNDED
 
 LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
 UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
+if UNBOUNDED:
+    FAR = 10.0  # times the largest unknown
 SOLVED = 1e-12  # residuals below it are rounding, which no step reduces
 
 
@@ -65,6 +67,9 @@ def regularised_step(search, iterate, before, damping, careful):
             if delta_c == 0.0 and step.is_of_rounding:
                 delta_c = dual_regularisation(iterate)
                 continue
+            if UNBOUNDED and delta_w > before.last == 0.0 and is_far(grid, point, primal):
+                delta_w *= 100.0
+                continue
             if careful:  # corrections that are not worth their name change the step as well
                 refined = refine(grid, point.unknowns, diagonal, system, gradient, primal)
                 step = step_along(search, iterate, gradient, primal, given)._replace(refined=refined)
@@ -80,6 +85,14 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+if UNBOUNDED:
+
+    def is_far(grid, point, primal):
+        """Whether a step goes far beyond anything that an iterate knows of: the first shift alone says how far."""
+        is_primal = ~grid.is_multiplier
+        return np.abs(primal[is_primal]).max() > FAR * max(1.0, np.abs(point.unknowns[is_primal]).max())
 
 
 def dual_regularisation(iterate):
