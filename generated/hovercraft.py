@@ -2235,7 +2235,7 @@ def regularised_step(search, iterate, before, damping, careful):
             if delta_c == 0.0 and step.is_of_rounding:
                 delta_c = dual_regularisation(iterate)
                 continue
-            if delta_w > before.last == 0.0 and is_far(grid, point, primal):
+            if delta_c > 0.0 and before.last == 0.0 < delta_w < 1.0 and is_far(grid, point, primal):
                 delta_w *= 100.0
                 continue
             if careful:  # corrections that are not worth their name change the step as well
@@ -2256,7 +2256,10 @@ def regularised_step(search, iterate, before, damping, careful):
 
 
 def is_far(grid, point, primal):
-    """Whether a step goes far beyond anything that an iterate knows of: the first shift alone says how far."""
+    """Whether a step goes far beyond anything that an iterate knows of.
+
+    Where equations do not depend on anything there, to first order, the first shift alone says how far.
+    """
     is_primal = ~grid.is_multiplier
     return np.abs(primal[is_primal]).max() > FAR * max(1.0, np.abs(point.unknowns[is_primal]).max())
 
@@ -4464,7 +4467,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_790381bbee2d503c"
+_IDENTITY = "codegen_hovercraft_6023ce3733136b13"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -67,7 +67,7 @@ def regularised_step(search, iterate, before, damping, careful):
             if delta_c == 0.0 and step.is_of_rounding:
                 delta_c = dual_regularisation(iterate)
                 continue
-            if UNBOUNDED and delta_w > before.last == 0.0 and is_far(grid, point, primal):
+            if UNBOUNDED and delta_c > 0.0 and before.last == 0.0 < delta_w < 1.0 and is_far(grid, point, primal):
                 delta_w *= 100.0
                 continue
             if careful:  # corrections that are not worth their name change the step as well
@@ -90,7 +90,10 @@ def regularised_step(search, iterate, before, damping, careful):
 if UNBOUNDED:
 
     def is_far(grid, point, primal):
-        """Whether a step goes far beyond anything that an iterate knows of: the first shift alone says how far."""
+        """Whether a step goes far beyond anything that an iterate knows of.
+
+        Where equations do not depend on anything there, to first order, the first shift alone says how far.
+        """
         is_primal = ~grid.is_multiplier
         return np.abs(primal[is_primal]).max() > FAR * max(1.0, np.abs(point.unknowns[is_primal]).max())
 
