@@ -1814,12 +1814,13 @@ SOLVED = 1e-12  # residuals below it are rounding, which no step reduces
 class AccuracyMonitor:
     """When to measure what a step leaves of the linear system: where it left more of the equations than it should.
 
-    Curvature may be the reason, so that a step that was measured and found accurate makes it take twice as many
-    doubtful ones. After one that was not, the next is measured, and refined, before it is taken.
+    Curvature may be the reason, and is for a step or two of most searches, so that the second doubtful one is the first
+    that is measured, and one that was found accurate makes it take four times as many. After one that was not, the next
+    is measured, and refined, before it is taken.
     """
 
     def __init__(self):
-        self.doubtful, self.enough = 0, 1
+        self.doubtful, self.enough = 0, 2
 
     def add(self):
         """Take note of a step that left too much."""
@@ -1831,7 +1832,7 @@ class AccuracyMonitor:
 
     def record(self, refined):
         """Take note of whether a step that was measured had to be refined."""
-        self.doubtful, self.enough = (1, 1) if refined else (0, 2 * self.enough)
+        self.doubtful, self.enough = (1, 1) if refined else (0, 4 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):
@@ -3996,7 +3997,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_68d5daa41ce6663b"
+_IDENTITY = "codegen_spherical_pendulum_c56e8dc097987df9"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

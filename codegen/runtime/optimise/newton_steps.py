@@ -25,12 +25,13 @@ SOLVED = 1e-12  # residuals below it are rounding, which no step reduces
 class AccuracyMonitor:
     """When to measure what a step leaves of the linear system: where it left more of the equations than it should.
 
-    Curvature may be the reason, so that a step that was measured and found accurate makes it take twice as many
-    doubtful ones. After one that was not, the next is measured, and refined, before it is taken.
+    Curvature may be the reason, and is for a step or two of most searches, so that the second doubtful one is the first
+    that is measured, and one that was found accurate makes it take four times as many. After one that was not, the next
+    is measured, and refined, before it is taken.
     """
 
     def __init__(self):
-        self.doubtful, self.enough = 0, 1
+        self.doubtful, self.enough = 0, 2
 
     def add(self):
         """Take note of a step that left too much."""
@@ -42,7 +43,7 @@ class AccuracyMonitor:
 
     def record(self, refined):
         """Take note of whether a step that was measured had to be refined."""
-        self.doubtful, self.enough = (1, 1) if refined else (0, 2 * self.enough)
+        self.doubtful, self.enough = (1, 1) if refined else (0, 4 * self.enough)
 
 
 def regularised_step(search, iterate, before, damping, careful):

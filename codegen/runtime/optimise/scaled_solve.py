@@ -42,7 +42,7 @@ LARGE_CORRECTION = 1e-3  # part of the cost
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 LONG = 1000
 if FORWARD:
-    SLOW = 300  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
+    SLOW = 150  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
     FROM_MOTION = 300  # for that one
 STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
