@@ -3294,7 +3294,9 @@ def change(moments, intervals, part, powers):
 # constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
 # duration. An angle so found is one radian at most: a sine tells no more apart. What has no effect on any equation at the
 # guess, such as the rate of a reaction between substances that are not there yet, or the slack of a condition in squares,
-# is looked at beside it, where all that has a size differs by a part of it. Equations are divided by the largest product
+# is looked at beside it, where all that has a size differs by a part of it. Where a size that was so found is no ordinary
+# number, a rate may be flat at the guess, as those that a substrate inhibits are while there is much of it: then a motion
+# of a tenth of all values tells whether it has to be far larger. Equations are divided by the largest product
 # of a derivative and a size, and the cost by how much it changes at most when all unknowns of one kind change by their
 # size.
 #
@@ -3309,6 +3311,8 @@ LOOSE = 0.3  # a guess below this part of two bounds says little about the size 
 NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
 BESIDE = 0.1  # part of all sizes by which unknowns differ from the guess where it says nothing of some
 ROUNDS = 4  # how often they do, each time with the sizes found before
+LESSENED = 0.1  # part of all values at which rates that are flat at the guess may be steep
+FAR_LARGER = 1e3  # times as large are sizes that are found there because the guess is flat, and not by their powers
 
 # Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
 NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
@@ -3355,6 +3359,15 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
             break
         balance_sizes(size, rest, away[1])
         limit_angles(size, is_known)
+    if has_odd_sizes(size, is_known):
+        lessened, there = with_lessened_values(inside, lower, upper, kinds), np.zeros((3, KINDS, KINDS))
+        measure_intervals(lessened, steps, h, nodes, parameters, there)
+        larger = np.where(is_known, size, 0.0)
+        if np.isfinite(there[1]).all():
+            balance_sizes(larger, rest, there[1])
+            limit_angles(larger, is_known)
+        for j in range(KINDS):
+            size[j] = larger[j] if larger[j] > FAR_LARGER * size[j] else size[j]
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     for i in range(KINDS):
@@ -3506,6 +3519,25 @@ def displaced(primal, lower, upper, kinds, size):
                 by = max(-by, lower[i] - beside[i])
             beside[i] += by
     return beside
+
+
+@njit(error_model="numpy")
+def has_odd_sizes(size, is_known):
+    """Whether sizes that were found, and not known, are beyond those of ordinary numbers."""
+    is_odd = (size < 10.0**SMALL) | (size > 10.0**LARGE)
+    return (is_odd & (size > 0.0) & ~is_known).any()
+
+
+@njit(error_model="numpy")
+def with_lessened_values(primal, lower, upper, kinds):
+    """A part of all unknowns but the shared ones, such as durations, inside their bounds."""
+    lessened = primal.copy()
+    for i in range(kinds.size):
+        if kinds[i] < STRIDE:
+            lessened[i] *= LESSENED
+            if lower.size:
+                lessened[i] = min(max(lessened[i], lower[i]), upper[i])
+    return lessened
 
 
 @njit(error_model="numpy")
@@ -3997,7 +4029,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_c56e8dc097987df9"
+_IDENTITY = "codegen_spherical_pendulum_724affafb96afaa7"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -118,6 +118,33 @@ def charging() -> Control:
     )
 
 
+def yeast(unit: float = 1.0) -> Control:
+    """Feed yeast such that most protein is secreted; what is made of it while food abounds is exp(-25) of its amount.
+
+    Source: Park and Ramirez (1988), Optimal production of secreted protein in fed-batch reactors. `unit` is that of
+    proteins, in which amounts of them are stated.
+    """
+    secreted, total, cells, food, volume = states("secreted total cells food volume")
+    feed = control("feed")
+    growth = 21.87 * food / ((food + 0.4) * (food + 62.5))
+    made = food * exp(-5 * food) / (0.1 + food)
+    return Control(
+        dynamics={
+            secreted: 4.75 * growth / (0.12 + growth) * (total - secreted) - feed / volume * secreted,
+            total: made / unit * cells - feed / volume * total,
+            cells: (growth - feed / volume) * cells,
+            food: -7.3 * growth * cells - feed / volume * (food - 20),
+            volume: feed,
+        },
+        terminal_cost=-secreted * unit * volume,
+        duration=15,
+        start={secreted: 0, total: 0, cells: 1, food: 5, volume: 1},
+        bounds={feed: (0, 2), food: (0, None), cells: (0, None), volume: (0.5, None)},
+        guess={feed: 0.8},
+        steps=40,
+    )
+
+
 def module_of(problem: Control | Phases):
     return as_machine_code(text_of(problem))
 
@@ -131,6 +158,17 @@ def test_rates_that_do_not_matter_at_the_guess_are_found():
     assert solution.status == "solved", solution.message
     assert solution.iterations < 60
     assert solution.unknowns[-2:] == pytest.approx([FIRST, SECOND], rel=1e-2)
+
+
+@pytest.mark.parametrize(("unit", "size"), [(1.0, 1.0), (1e6, 1e-6)])
+def test_rates_that_are_flat_at_the_guess_are_looked_at_where_there_is_less_of_all(interpreted, unit, size):
+    """By their rates at the guess proteins had the size 1e-9, in parts of which a search led nowhere."""
+    module = of_problem(yeast(unit))
+    grid = module.make_grid(40)
+    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    nodes, _ = module.views(grid, scaled.sizes if scaled.sizes.size else np.ones_like(module.initial_guess(grid)))
+    expected = np.tile([size, size, 1.0, 1.0, 1.0], (41, 1))
+    assert nodes[0, :, :5] == pytest.approx(expected)
 
 
 def test_a_slack_has_the_size_of_its_condition_beside_the_guess():
