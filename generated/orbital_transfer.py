@@ -3268,8 +3268,15 @@ def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters)
             interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
             largest[count] = np.abs(hessian).max()
             count += 1
-    median = np.sort(largest[:count])[(count - 1) // 2]
-    return median if count > 2 and median > 0.0 else np.inf
+    if count > 2:
+        for i in range(count):  # a sort would take as long to compile as all else here
+            lower = 0
+            for j in range(count):
+                if largest[j] < largest[i] or (largest[j] == largest[i] and j < i):
+                    lower += 1
+            if lower == (count - 1) // 2 and largest[i] > 0.0:
+                return largest[i]
+    return np.inf
 
 
 @njit(error_model="numpy")
@@ -3352,41 +3359,16 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the moduli of
     the gradient of the Lagrangian, the lesser of both.
     """
-    size, rest, tables = zero_vector(KINDS), zero_vector(KINDS), np.zeros((3, KINDS, KINDS))
+    size, rest = zero_vector(KINDS), zero_vector(KINDS)
     for i in range(kinds.size):
         if KIND_IS_MULTIPLIER[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
         else:
             size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
     bound, between = fit_bounds(lower, upper, kinds, size)
-    measure_intervals(primal, steps, h, nodes, parameters, tables)
-    drop_negligible_sizes(size, between, tables[1])
-    for j in range(KINDS):
-        if GIVEN[j] > 0.0:
-            size[j] = GIVEN[j]
-    is_known = size > 0.0
-    for j in range(KINDS):
-        bound[j] = 0.0 if is_known[j] else bound[j]
-    balance_sizes(size, rest, tables[1])
-    limit_angles(size, is_known)
-    for _ in range(ROUNDS):
-        if not lacks_sizes(size, bound):
-            break
-        beside, away = displaced(inside, lower, upper, kinds, size), np.zeros((3, KINDS, KINDS))
-        measure_intervals(beside, steps, h, nodes, parameters, away)
-        if not np.isfinite(away[1]).all():
-            break
-        balance_sizes(size, rest, away[1])
-        limit_angles(size, is_known)
-    if has_odd_sizes(size, is_known):
-        lessened, there = with_lessened_values(inside, lower, upper, kinds), np.zeros((3, KINDS, KINDS))
-        measure_intervals(lessened, steps, h, nodes, parameters, there)
-        larger = np.where(is_known, size, 0.0)
-        if np.isfinite(there[1]).all():
-            balance_sizes(larger, rest, there[1])
-            limit_angles(larger, is_known)
-        for j in range(KINDS):
-            size[j] = larger[j] if larger[j] > FAR_LARGER * size[j] else size[j]
+    tables = find_sizes(
+        primal, inside, lower, upper, kinds, steps, h, nodes, parameters, rest, bound, between, size
+    )  # fmt: skip
     for j in range(KINDS):
         size[j] = max(size[j], bound[j])
     for i in range(KINDS):
@@ -3408,6 +3390,53 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     for i in range(kinds.size):
         sizes[i] = size[kinds[i]]
     return weight, is_scaled
+
+
+@njit(error_model="numpy")
+def find_sizes(
+    primal, inside, lower, upper, kinds, steps, h, nodes, parameters, rest, bound, between, size
+):  # fmt: skip
+    """Find what has no `size` yet, and return the tables of `measure_intervals` at the guess.
+
+    Each look measures derivatives somewhere: at the guess, inside its bounds, beside it while it says nothing of some,
+    and where all is less while it says something odd. `bound` becomes zero for what has a size of its own.
+    """
+    at_guess, looks_farther, tables = 1, False, np.zeros((3, KINDS, KINDS))
+    is_known, before, where = np.zeros(KINDS, np.bool_), zero_vector(KINDS), primal
+    for look in range(at_guess + ROUNDS + 1):
+        here = np.zeros((3, KINDS, KINDS))
+        measure_intervals(where, steps, h, nodes, parameters, here)  # once in this text: it takes long to compile
+        if look < at_guess:
+            tables = here if look == 0 else np.fmin(tables, here)
+            where = inside
+            if look + 1 < at_guess:
+                continue
+            drop_negligible_sizes(size, between, tables[1])
+            for j in range(KINDS):
+                if GIVEN[j] > 0.0:
+                    size[j] = GIVEN[j]
+                is_known[j] = size[j] > 0.0
+                bound[j] = 0.0 if is_known[j] else bound[j]
+            here = tables
+        elif not np.isfinite(here[1]).all():
+            break
+        if looks_farther:
+            for j in range(KINDS):
+                before[j] = size[j]
+                size[j] = size[j] if is_known[j] else 0.0
+        balance_sizes(size, rest, here[1])
+        limit_angles(size, is_known)
+        if looks_farther:
+            for j in range(KINDS):
+                size[j] = size[j] if size[j] > FAR_LARGER * before[j] else before[j]
+            break
+        if lacks_sizes(size, bound) and look < at_guess + ROUNDS - 1:
+            where = displaced(inside, lower, upper, kinds, size)
+        elif has_odd_sizes(size, is_known):
+            where, looks_farther = with_lessened_values(inside, lower, upper, kinds), True
+        else:
+            break
+    return tables
 
 
 @njit(error_model="numpy")
@@ -3524,7 +3553,10 @@ def limit_angles(size, is_known):
 @njit(error_model="numpy")
 def lacks_sizes(size, bound):
     """Whether there are unknowns without a size, and without a bound to stand for it."""
-    return ((size == 0.0) & (bound == 0.0) & ~KIND_IS_MULTIPLIER).any()
+    found = False
+    for j in range(KINDS):
+        found = found or (size[j] == bound[j] == 0.0 and not KIND_IS_MULTIPLIER[j])
+    return found
 
 
 @njit(error_model="numpy")
@@ -3543,8 +3575,11 @@ def displaced(primal, lower, upper, kinds, size):
 @njit(error_model="numpy")
 def has_odd_sizes(size, is_known):
     """Whether sizes that were found, and not known, are beyond those of ordinary numbers."""
-    is_odd = (size < 10.0**SMALL) | (size > 10.0**LARGE)
-    return (is_odd & (size > 0.0) & ~is_known).any()
+    found = False
+    for j in range(KINDS):
+        is_odd = size[j] > 0.0 and not 10.0**SMALL <= size[j] <= 10.0**LARGE
+        found = found or (is_odd and not is_known[j])
+    return found
 
 
 @njit(error_model="numpy")
@@ -4056,7 +4091,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_93330c5103187b17"
+_IDENTITY = "codegen_orbital_transfer_b2ad4d9384a519a2"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -122,8 +122,15 @@ def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters)
             interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
             largest[count] = np.abs(hessian).max()
             count += 1
-    median = np.sort(largest[:count])[(count - 1) // 2]
-    return median if count > 2 and median > 0.0 else np.inf
+    if count > 2:
+        for i in range(count):  # a sort would take as long to compile as all else here
+            lower = 0
+            for j in range(count):
+                if largest[j] < largest[i] or (largest[j] == largest[i] and j < i):
+                    lower += 1
+            if lower == (count - 1) // 2 and largest[i] > 0.0:
+                return largest[i]
+    return np.inf
 
 
 @njit(error_model="numpy")
