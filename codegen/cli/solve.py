@@ -146,7 +146,7 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         typer.echo(output.as_json(record))
         return
     console().print(result.title, style="bold", markup=False)
-    console().print(output.as_table(record, result.intervals))
+    console().print(output.as_table(record, result))
     if result.estimates:
         console().print(*output.estimates_tables(record["estimates"]))
     if result.sensitivity is not None and not result.sensitivity.reason:

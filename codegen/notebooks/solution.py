@@ -27,7 +27,7 @@ def html(result: Result) -> str:
         *([("cost", number(result.cost, 12))] if result.cost is not None else []),
         ("residual", number(result.residual)),
         ("iterations", f"{result.iterations} ({result.driver})"),
-        *((name.replace("_", " "), number(value)) for name, value in result.summary.items()),
+        *((result.label(name), number(value)) for name, value in result.summary.items()),
         ("seconds", number(result.seconds_solve, 3)),
     ]
     own = table(rows, caption=result.title)

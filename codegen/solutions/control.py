@@ -79,22 +79,26 @@ def control_result(
     verdict = control_verdict(module, driver, run, attempt, grid)
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
     estimates = _estimates(module, grid, unknowns) if verdict.status == "solved" else None
+    named = {
+        **_free_parameters(module, unknowns),
+        **_integral_multipliers(module, unknowns),
+        **_inner_conditions(module, grid, unknowns),
+    }
     summary = {
         **({"maximum": -verdict.cost} if metadata.get("maximised") else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": _final_state_miss(module, grid, unknowns),
         "largest_control": max_norm(u),
         "stationarity": verdict.stationarity,
-        **_free_parameters(module, unknowns),
-        **_integral_multipliers(module, unknowns),
+        **named,
         **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if "waypoints" in metadata else {}),
-        **_inner_conditions(module, grid, unknowns),
         **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
     }
     return Result(
         **origin(metadata, driver, run, attempt, seconds), **asdict(verdict), t=t, q=q, p=p, u=u,
         multipliers=multipliers, log=attempt.log, unknowns=unknowns, names=component_names(metadata),
         stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary, grid=run.grid, estimates=estimates,
+        labels={name: name for name in named},
     )  # fmt: skip
 
 

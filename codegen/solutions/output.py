@@ -98,8 +98,8 @@ def _finite(number: float | None) -> float | None:
     return float(number) if number is not None and math.isfinite(number) else None
 
 
-def as_table(record: Mapping[str, Any], intervals: str) -> Table:
-    """The same record for people to read, with the number of steps in words."""
+def as_table(record: Mapping[str, Any], result: Result) -> Table:
+    """The same record for people to read, with the number of steps and the summary in the words of the result."""
     from rich import box
     from rich.table import Table
 
@@ -107,7 +107,7 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
     table.add_column(style="cyan", no_wrap=True)
     table.add_column()
     table.add_row("problem", f"{record['problem']} ({record['task']})")
-    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {intervals}")
+    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {result.intervals}")
     style = "green" if record["status"] == "solved" else "bold red"
     table.add_row("status", f"[{style}]{record['status']}[/]")
     table.add_row("", _escaped(record["message"]))
@@ -127,7 +127,7 @@ def as_table(record: Mapping[str, Any], intervals: str) -> Table:
         largest = f"{_number(accuracy['estimate'])}, largest of {accuracy['largest']['quantity']}"
         table.add_row("estimated error", f"{largest} at t = {_number(accuracy['largest']['t'])}")
     for name, value in record["summary"].items():
-        table.add_row(name.replace("_", " "), _number(value))
+        table.add_row(_escaped(result.label(name)), _number(value))
     seconds = record["seconds"]
     table.add_row("time", ", ".join(f"{name} {_duration(value)}" for name, value in seconds.items()))
     return table

@@ -174,7 +174,8 @@ class Result(Display):
     intervals last where they are not equal, `accuracy` what came of a request for it, and `estimates` what measurements
     say of free parameters; `sensitivity` is what `sensitivities()` gives. `notes` are sentences on a solution whose
     equations hold, and whose motion violates conditions between its nodes. `by_segments` is the result of a problem
-    with delays as its module has it, with columns for every segment; `background` is what pictures need.
+    with delays as its module has it, with columns for every segment; `background` is what pictures need. `labels` are
+    entries of the summary as tables write them where an author's names are in them, which `label` looks up.
     """
 
     problem: str
@@ -200,6 +201,7 @@ class Result(Display):
     unknowns: Vector | None = field(default=None, repr=False)
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
+    labels: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
     seconds_solve: float = field(default=float("nan"), compare=False)
     seconds_first: float = field(default=float("nan"), compare=False)
     compiled: bool = field(default=False, compare=False)
@@ -223,6 +225,10 @@ class Result(Display):
         if self.sensitivity is None:
             raise ArgumentError("this result has no sensitivities", "solve with sensitivities=True")
         return self.sensitivity
+
+    def label(self, entry: str) -> str:
+        """An entry of the summary for people to read: an author's names as written, blanks between other words."""
+        return self.labels.get(entry, entry.replace("_", " "))
 
     @property
     def solved(self) -> bool:

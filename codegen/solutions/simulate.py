@@ -45,16 +45,17 @@ def simulate_result(
             status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {range_left}"
     names = component_names(metadata)
     drift = np.abs(attempt.energy - attempt.energy[0])
-    final = zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True)
+    final = dict(zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True))
     summary = {
         "duration": float(attempt.t[-1]),
-        **{f"final_{name}": float(value) for name, value in final},
+        **{f"final_{name}": float(value) for name, value in final.items()},
         "energy_drift": float(drift.max()),
         "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
     }
     return Result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, residual=float(residual),
         t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names, summary=summary,
+        labels={f"final_{name}": f"final {name}" for name in final},
     )  # fmt: skip
 
 

@@ -130,7 +130,7 @@ def test_a_jump_through_the_pivot_is_noted(swing):
     assert "more --steps, or --doublings" in note
     record = output.as_record(result, 0.0, 0.0)
     assert record["notes"] == [note]
-    cells = output.as_table(record, result.intervals).columns
+    cells = output.as_table(record, result).columns
     assert any("x**2 + y**2 - 1" in cell for cell in cells[1].cells)
 
 
