@@ -48,7 +48,7 @@ FAST = frozenset(
     " nonsmooth_costs path_modes damage damage_beyond_kernels phase_solutions newton filter import_graph batch solver"
     " refinement limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities"
     " sweep_cases sweep_continuation sweep_processes sweep_jumps sweep_figure sweep_sensitivities pareto"
-    " first_order tornado shift controller closed_loop refused_controllers site".split()
+    " first_order tornado shift controller closed_loop refused_controllers site warm_start barrier".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 

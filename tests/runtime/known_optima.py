@@ -139,3 +139,10 @@ TRAJECTORIES = {
     "van der Pol": (3.6841866347328, 13, lambda: transcribe(van_der_pol(), 25)),
     "Goddard": (-1.0128909814847, 22, lambda: transcribe(goddard(), 25)),
 }
+
+
+def double_integrator() -> Motion:
+    """Least time from rest to rest over a distance of one with |u| <= 1, which is 2."""
+    guess = {x1: (0.0, 1.0), T: 1.0}
+    bounds = {u: (-1.0, 1.0), T: (0.1, 10.0)}
+    return Motion([x1, v], [u], [v, u], T, 0, {x1: 0, v: 0}, {x1: 1, v: 0}, guess, bounds, [], T)

@@ -11,83 +11,31 @@ from typing import Any
 import dense_problem
 import numpy as np
 import pytest
-from dense_problem import INFINITY, Dense, Motion, Point, transcribe
-from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, T, nlp, u, v, x1, x2, x3
+from dense_problem import INFINITY, Dense, Motion, transcribe
+from dense_runtime import assert_optimal, dense_linear_algebra, leave_out_bounds, solve
+from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integrator, nlp, u, v, x1, x2, x3
 from sympy import exp, log, symbols
 
-from codegen.runtime.kkt import refinement
 from codegen.runtime.optimise import (
-    barrier,
     bounded,
     cascade,
-    exact_bounds,
     filter,
     line_search,
-    negative_curvature,
     newton,
-    newton_steps,
     restoration,
-    saddle_points,
-    unbounded,
-    warm_start,
 )
 from codegen.runtime.optimise.iteration_log import Log
 
-LINEAR_ALGEBRA = {
-    "allocate_system", "evaluate", "factor_kkt", "free_unknowns", "is_at_rounding_level", "is_solved", "bounds_of",
-    "linear_residual", "multiplier_unknowns", "sizes_of_terms", "solve_kkt", "views", "with_tied_values",
-}  # fmt: skip
-
 
 @pytest.fixture(scope="module", autouse=True)
-def dense_linear_algebra() -> Iterator[None]:
-    """Give the runtime the functions of `dense_problem` where a generated module has its own."""
-    with pytest.MonkeyPatch.context() as patch:
-        loop = cascade, newton, newton_steps, line_search, restoration, warm_start
-        others = barrier, bounded, unbounded, negative_curvature, exact_bounds, refinement, saddle_points
-        for module in (*loop, *others):
-            for name in set(vars(module)) & LINEAR_ALGEBRA:
-                patch.setattr(module, name, getattr(dense_problem, name))
-        patch.setattr(unbounded, "regularisation", lambda grid, up, down: np.where(grid.is_multiplier, -down, up))
-        for module in (line_search, restoration, exact_bounds):
-            patch.setattr(module, "moved", dense_problem.moved)
-        for module in (line_search, restoration, newton_steps):
-            patch.setattr(module, "step_along", dense_problem.step_along)
-        for module in loop:
-            patch.setattr(module, "INEQUALITIES", 1)
-        for module in (cascade, newton_steps):
-            patch.setattr(module, "UNBOUNDED", 0)
+def dense() -> Iterator[None]:
+    with dense_linear_algebra():
         yield
 
 
 @pytest.fixture
 def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop as a module has it where no unknown is bounded."""
-    for module in (cascade, newton, newton_steps, line_search, restoration, warm_start):
-        monkeypatch.setattr(module, "INEQUALITIES", 0)
-        monkeypatch.setattr(module, "UNBOUNDED", 0, raising=False)  # no search from nearby, which the barrier has not
-        for name in set(vars(module)) & set(vars(unbounded)) - LINEAR_ALGEBRA - {"np"}:
-            monkeypatch.setattr(module, name, getattr(unbounded, name))
-
-
-def solve(grid: Dense, limit: int = 300, warm: bool = False, guess: Any = None) -> tuple[str, Point, int]:
-    unknowns = grid.guess.copy() if guess is None else guess
-    status, point, iterations = cascade.minimise(grid, unknowns, 1e-10, limit, warm, Log())
-    assert iterations <= limit + restoration.RESTORATION_STEPS
-    return status, point, iterations
-
-
-def assert_optimal(grid: Dense, point: Point) -> None:
-    """First-order conditions from the definition: equations, bounds, and signs of the Lagrangian's own gradient."""
-    unknowns = point.unknowns
-    assert (unknowns >= grid.lower).all()
-    assert (unknowns <= grid.upper).all()
-    gradient = dense_problem.evaluate(grid, unknowns).gradient
-    assert np.abs(gradient[grid.is_multiplier]).max(initial=0.0) <= 1e-10
-    for i in np.flatnonzero(~grid.is_multiplier & grid.free):
-        room = max(0.0, gradient[i]) * (unknowns[i] - grid.lower[i] if grid.lower[i] > -INFINITY else 1.0)
-        room += max(0.0, -gradient[i]) * (grid.upper[i] - unknowns[i] if grid.upper[i] < INFINITY else 1.0)
-        assert room <= 2e-10 * max(1.0, np.abs(unknowns).max())
+    leave_out_bounds(monkeypatch)
 
 
 KNOWN = {**HOCK_SCHITTKOWSKI, **TRAJECTORIES}
@@ -114,13 +62,6 @@ def test_bounds_hold_exactly_and_the_optimality_conditions_there() -> None:
     assert point.unknowns[:2] == pytest.approx([1, 1], rel=1e-12)
     assert_optimal(grid, point)
     assert point.stationarity <= 1e-10  # as told
-
-
-def double_integrator() -> Motion:
-    """Least time from rest to rest over a distance of one with |u| <= 1, which is 2."""
-    guess = {x1: (0.0, 1.0), T: 1.0}
-    bounds = {u: (-1.0, 1.0), T: (0.1, 10.0)}
-    return Motion([x1, v], [u], [v, u], T, 0, {x1: 0, v: 0}, {x1: 1, v: 0}, guess, bounds, [], T)
 
 
 def test_fewest_seconds_from_rest_to_rest() -> None:
@@ -233,97 +174,6 @@ def test_rank_deficient() -> None:
     grid = nlp((1, 1), x1**2 + x2**2, [x1 - x2])
     broken = grid._replace(hessian=lambda unknowns: np.full((3, 3), np.nan))
     assert solve(broken)[0] == "rank-deficient"
-
-
-def test_warm_start_takes_fewer_iterations() -> None:
-    motion = double_integrator()
-    cold = solve(transcribe(motion, 20))
-    neighbour = transcribe(motion._replace(end={x1: 1.02, v: 0}), 20)
-    guess = np.where(neighbour.free, cold[1].unknowns, neighbour.guess)
-    status, point, iterations = solve(neighbour, warm=True, guess=guess)
-    assert status == "solved"
-    assert point.cost == pytest.approx(2.0 * np.sqrt(1.02), rel=1e-9)
-    assert iterations < cold[2]
-
-
-def test_a_solution_is_where_a_search_with_its_multipliers_ends() -> None:
-    """Its own multipliers leave nothing to do, but to move unknowns back onto their bounds."""
-    grid = transcribe(double_integrator(), 20)
-    _, point, _ = solve(grid)
-    status, same, iterations = solve(grid, warm=True, guess=point.unknowns)
-    bare = np.where(grid.is_multiplier, 0.0, point.unknowns)
-    assert status == "solved"
-    assert iterations <= 1 < solve(grid, warm=True, guess=bare)[2]
-    assert same.cost == pytest.approx(point.cost, rel=1e-9)
-
-
-@pytest.mark.usefixtures("without_bounds")
-def test_steps_that_change_rounding_alone_end_a_search_that_is_warm() -> None:
-    """Where the tolerance is out of reach; half of an error is progress, and what is no rounding has to go."""
-    grid = nlp((3, 3), (x1 - 1) ** 2 + exp(-x2), [exp(x1) * x2 - 1])
-    _, point, _ = solve(grid)
-    search = unbounded.search_on(grid)
-
-    def rests(stationarity: float, before: float) -> bool:
-        found = point._replace(residual=0.0, stationarity=stationarity, error=stationarity)
-        return newton.is_at_rest(search, unbounded.Iterate(found), before, 1e-30)
-
-    assert rests(1e-15, 1.5e-15)
-    assert not rests(1e-15, 1e-14)
-    assert not rests(1e-6, 1.5e-6)
-
-
-def test_duals_of_a_neighbour_are_slopes_towards_bounds_that_are_closer() -> None:
-    """min x1 + (x2 - 3)^2 with x1 >= 0 and x2 <= 2 has the slopes 1 and -2 at (0, 2), where x3 is free to be 5."""
-    grid = nlp((0, 2, 5), x1 + (x2 - 3) ** 2 + (x3 - 5) ** 2, [x1 + x2 + x3 - 7], [], {
-        x1: POSITIVE, x2: (-INFINITY, 2), x3: POSITIVE,
-    })  # fmt: skip
-    search = bounded.search_on(grid)
-    unknowns = grid.guess.copy()
-    unknowns[grid.is_multiplier] = 1e-9  # of an equation that is not worth anything
-    iterate = warm_start.begin_nearby(search, unknowns, 1e-8)
-    values = dict(zip(search.bounds.indices.tolist(), iterate.duals, strict=True))
-    first, second, third = np.flatnonzero(~grid.is_multiplier)[:3]
-    assert values[first] == pytest.approx(1.0, abs=1e-6)
-    assert values[second] == pytest.approx(2.0, abs=1e-6)
-    assert values[third] == pytest.approx(1e-9 / 5.0, rel=1e-6)  # on the central path
-
-
-def test_far_from_the_equations_a_search_estimates_multipliers() -> None:
-    """Beyond a residual of a tenth, or where there are none, those of a neighbour are not used."""
-    grid = transcribe(double_integrator(), 20)
-    _, point, _ = solve(grid)
-    search, primal = bounded.search_on(grid), np.flatnonzero(~grid.is_multiplier & grid.free)
-    assert warm_start.begin_nearby(search, point.unknowns, 1e-10) is not None
-    assert warm_start.begin_nearby(search, np.where(grid.is_multiplier, 0.0, point.unknowns), 1e-10) is None
-    away = point.unknowns.copy()
-    away[primal[:4]] += 1.0
-    assert warm_start.begin_nearby(search, away, 1e-10) is None
-    status, found, _ = solve(grid, warm=True, guess=away)
-    assert status == "solved"
-    assert found.cost == pytest.approx(point.cost, rel=1e-9)
-
-
-def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
-    indices, side = np.array([0, 0]), np.array([1.0, -1.0])
-    trial, distance = np.empty(1), np.empty(2)
-    for step in (-1.0, 1.0):  # from 2 to either bound, 1 or 3
-        barrier.move(np.array([2.0]), np.array([step]), 1.0, indices, side, np.ones(2), trial, distance)
-        assert trial[0] == 2.0 + step
-        assert (distance > 0.0).all()
-
-
-def test_distances_are_finer_than_the_rounding_of_unknowns() -> None:
-    """Half of the distance 1e-18 to the bound 1 remains where the unknown itself cannot be told from the bound."""
-    trial, distance = np.empty(1), np.empty(1)
-    barrier.move(np.ones(1), np.array([-1e-18]), 0.5, np.zeros(1, int), np.ones(1), np.array([1e-18]), trial, distance)
-    assert (trial[0], distance[0]) == (1.0, 5e-19)
-
-
-def test_start_is_pushed_inside() -> None:
-    grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
-    pushed = barrier.push_inside(*dense_problem.bounds_of(grid), grid.guess, 1e-2)
-    np.testing.assert_allclose(pushed, [0.01, 4 - 0.04, 0.5])
 
 
 def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
