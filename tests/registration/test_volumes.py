@@ -1,88 +1,24 @@
-"""`codegen warp` on volumes: kinds of files, landmarks of other programs, fields beside SimpleITK, refusals."""
+"""`codegen warp` on volumes: kinds of files, fields beside SimpleITK, labels, memory, places between nodes."""
 
-import gzip
 import json
-import struct
-import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from volume_samples import FIXED, MOVING, OBLIQUE, asked, filled, pairs_of, refused, run, table, volume
 
-from codegen.cli import main
-from codegen.errors import ExtraError
 from codegen.registration import LandmarkPairs, register
-from codegen.registration.formats import Frames, landmark_texts, parse_landmarks
 from codegen.registration.grid import Grid
-from codegen.registration.volumes.files import is_volume, read_volume, write_volume
+from codegen.registration.volumes.files import read_volume, write_volume
 from codegen.registration.volumes.nodes import Nodes
 
 itk = pytest.importorskip("SimpleITK")
 tifffile = pytest.importorskip("tifffile")
 pytestmark = pytest.mark.usefixtures("space_solver")
 
-C, S = np.cos(0.3), np.sin(0.3)
-OBLIQUE = ((C, -S, 0.0), (S, C, 0.0), (0.0, 0.0, 1.0))
-MOVING = Grid((30, 26, 20), (-12.0, 31.5, -40.0), (0.9, 0.9, 1.6), OBLIQUE, "mm")
-FIXED = Grid((28, 27, 22), (-10.0, 30.0, -41.0), (1.0, 0.9, 1.5), OBLIQUE, "mm")
-
-
-def waves(points):
-    """Where the place of a fixed voxel comes from: about a millimetre away."""
-    x, y, z = points.T
-    return points + np.stack([np.sin(y / 7), np.cos(z / 8), 1.2 * np.sin((x + z) / 9)], axis=1)
-
-
-def texture(points):
-    x, y, z = points.T
-    return 500 + 200 * np.sin(x / 2.5) * np.cos(y / 3) + 150 * np.sin(z / 3)
-
-
-def volume(grid, function=texture, kind="i2"):
-    return function(grid.samples(99)).reshape(grid.shape).astype(kind)
-
-
-def pairs_of(count=12):
-    fixed = FIXED.to_places(np.random.default_rng(0).uniform(0.15, 0.85, (count, 3)) * (np.array(FIXED.size) - 1))
-    return LandmarkPairs(waves(fixed), fixed)
-
-
-def table(path, pairs):
-    text = landmark_texts(pairs, "csv")[0]
-    path.write_text(text)
-    return path
-
 
 @pytest.fixture
 def files(tmp_path):
-    write_volume(tmp_path / "moving.nii.gz", volume(MOVING), MOVING)
-    write_volume(tmp_path / "fixed.mha", volume(FIXED, lambda p: texture(waves(p))), FIXED)
-    table(tmp_path / "pairs.csv", pairs_of())
-    return tmp_path
-
-
-def run(*arguments, expect=0):
-    done = CliRunner().invoke(main, ["warp", *map(str, arguments)])
-    assert done.exit_code == expect, (done.output, done.exception)
-    return done
-
-
-def refused(*arguments):
-    """The one line that says what is wrong with the input."""
-    done = run(*arguments, expect=2)
-    assert done.stdout == ""
-    (line,) = done.stderr.strip().splitlines()
-    assert line.startswith("codegen: error: ")
-    return line
-
-
-def asked(files, *more, moving="moving.nii.gz", landmarks="pairs.csv", fixed="fixed.mha", out="out.nii.gz"):
-    return [
-        files / moving, "--landmarks", files / landmarks, "--fixed", files / fixed, "--out", files / out, *more,
-    ]  # fmt: skip
-
-
-# ---- From files to files ----
+    return filled(tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["nii", "nii.gz", "mha", "mhd", "nrrd"])
@@ -239,9 +175,6 @@ def test_slices_are_named_by_the_axes_of_the_patient():
         np.testing.assert_array_equal(plane.shown(ramp), ramp[number, row, column].reshape(shape))
 
 
-# ---- Places between nodes ----
-
-
 @pytest.mark.parametrize("size", [(40, 36, 33), (70, 64, 5), (3, 50, 50)])
 def test_splines_between_nodes_are_as_near_as_they_say(size):
     grid = Grid(size, (3.0, -2.0, 1.0), (0.7, 0.7, 0.7 * 70 / size[2] / 2), OBLIQUE)
@@ -258,170 +191,3 @@ def test_splines_between_nodes_are_as_near_as_they_say(size):
     assert errors.max() <= 1e-3 * grid.pixel
     assert 0.0 < nodes.exact <= 1.0
     assert nodes.bound <= 5e-4 * grid.pixel
-
-
-# ---- Landmarks of other programs ----
-
-
-def frames():
-    return Frames(grids=(MOVING, FIXED))
-
-
-@pytest.mark.parametrize("form", ["csv", "bigwarp", "elastix", "slicer", "fcsv"])
-def test_landmarks_in_space_are_written_and_read(form):
-    pairs = pairs_of()
-    texts = landmark_texts(pairs, form, frames())
-    suffix = {"csv": "csv", "bigwarp": "csv", "elastix": "pts", "slicer": "mrk.json", "fcsv": "fcsv"}[form]
-    contents = [(f"{k}.{suffix}", text.encode()) for k, text in enumerate(texts)]
-    again = parse_landmarks(contents, frames=frames())
-    np.testing.assert_allclose(again.moving, pairs.moving, atol=1e-12)
-    np.testing.assert_allclose(again.fixed, pairs.fixed, atol=1e-12)
-
-
-def test_what_programs_mean_by_their_numbers():
-    """3D Slicer in RAS, elastix in indices, BigWarp in spacings from the first voxel."""
-    place = MOVING.to_places(np.array([[3.0, 5.0, 7.0]]))[0]
-    x, y, z = place
-    markup = {"markups": [{"coordinateSystem": "RAS", "controlPoints": [{"label": "a", "position": [-x, -y, z]}]}]}
-    both = [(name, json.dumps(markup).encode()) for name in ("a.mrk.json", "b.mrk.json")]
-    np.testing.assert_allclose(parse_landmarks(both, frames=frames()).moving, [place])
-    fcsv = f"# CoordinateSystem = 0\na,{-x!r},{-y!r},{z!r},0,0,0,1,1,1,0,a,,\n".replace("np.float64(", "").replace(
-        ")", ""
-    )
-    both = [(name, fcsv.encode()) for name in ("a.fcsv", "b.fcsv")]
-    np.testing.assert_allclose(parse_landmarks(both, frames=frames()).moving, [place])
-    index = [("a.pts", b"index\n1\n3 5 7\n"), ("b.pts", b"index\n1\n3 5 7\n")]
-    found = parse_landmarks(index, frames=frames())
-    np.testing.assert_allclose(found.moving, [place])
-    np.testing.assert_allclose(found.fixed, FIXED.to_places(np.array([[3.0, 5.0, 7.0]])))
-    row = f'"Pt-0","true","{3 * 0.9}","{5 * 0.9}","{7 * 1.6}","3.0","{5 * 0.9}","{7 * 1.5}"\n'
-    found = parse_landmarks([("a.csv", row.encode())], frames=frames())
-    np.testing.assert_allclose(found.moving, [place])
-    np.testing.assert_allclose(found.fixed, FIXED.to_places(np.array([[3.0, 5.0, 7.0]])))
-
-
-HEADER = "moving_x,moving_y,moving_z,fixed_x,fixed_y,fixed_z"
-
-
-# ---- Refusals: one line, status 2, nothing written ----
-
-
-def written(files):
-    return sorted(path.name for path in files.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("moving_x,moving_y,fixed_x,fixed_y\n1,2,3,4\n", "name the columns moving_x,moving_y,moving_z,fixed_x"),
-        ('"Pt-0","true","1","2","3","4"\n', "landmarks have x and y alone, and the images are volumes"),
-        (f"{HEADER}\n900,2,3,1,2,3\n", "moving landmark 1 at (900.0, 2.0, 3.0) lies outside the moving volume"),
-        (f"{HEADER}\n3,4,5,7,8,9\n", "they look like indices of voxels"),
-        ("x,y\n1,2\n", "moving_z"),
-    ],
-)  # fmt: skip
-def test_landmarks_that_do_not_fit_are_named(files, text, said):
-    (files / "bad.csv").write_text(text)
-    before = written(files)
-    assert said in refused(*asked(files, landmarks="bad.csv"))
-    assert written(files) == before
-
-
-def test_landmarks_with_the_signs_of_ras_are_told(files):
-    pairs = pairs_of()
-    turned = [-1.0, -1.0, 1.0]
-    table(files / "ras.csv", LandmarkPairs(pairs.moving * turned, pairs.fixed * turned))
-    assert "turn the signs of x and y: they are RAS" in refused(*asked(files, landmarks="ras.csv"))
-
-
-def changed(path, place, content, to):
-    data = bytearray(path.read_bytes())
-    data[place : place + len(content)] = content
-    to.write_bytes(data)
-
-
-def test_damaged_volumes_are_refused_in_one_line(files):
-    plain = files / "plain.nii"
-    write_volume(plain, volume(MOVING), MOVING)
-    code = struct.pack("<hh", 0, 1)  # of sform alone
-    data = bytearray(plain.read_bytes())
-    data[252:256] = code
-    data[280:296] = struct.pack("<4f", 1.0, 0.5, 0.0, 0.0)
-    (files / "shear.nii").write_bytes(data)
-    data[280:296] = struct.pack("<4f", 0.0, 0.0, 0.0, 0.0)
-    (files / "flat.nii").write_bytes(data)
-    changed(plain, 42, struct.pack("<hhh", 30000, 30000, 30000), files / "huge.nii")
-    (files / "cut.nii").write_bytes(plain.read_bytes()[:-100])
-    (files / "cut.nii.gz").write_bytes((files / "moving.nii.gz").read_bytes()[:-500])
-    (files / "short.nii.gz").write_bytes(gzip.compress(plain.read_bytes()[:-500]))
-    (files / "junk.nrrd").write_bytes(b"hello" * 40)
-    (files / "empty.mha").write_bytes(b"")
-    (files / "junk.tif").write_bytes(b"II*\0" + b"\0" * 40)
-    frames4 = itk.JoinSeries([itk.ReadImage(str(plain))] * 2)
-    itk.WriteImage(frames4, str(files / "times.nii"))
-    vectors = itk.Compose([itk.ReadImage(str(plain))] * 3)
-    itk.WriteImage(vectors, str(files / "vectors.mha"))
-    itk.WriteImage(itk.ReadImage(str(plain))[:, :, 3:4], str(files / "slice.nii"))
-    said = {
-        "shear.nii": "axes that are not orthogonal", "flat.nii": "axes that are not orthogonal",
-        "huge.nii": "30000 x 30000 x 30000 voxels, more than", "cut.nii": "is cut off", "cut.nii.gz": "is cut off",
-        "short.nii.gz": "is cut off", "junk.nrrd": "is damaged or no volume", "empty.mha": "is damaged or no volume",
-        "times.nii": "holds 2 volumes", "vectors.mha": "has 3 numbers in each voxel", "slice.nii": "is no volume",
-        "none.nii": "no such file", "pairs.csv": "unknown kind of volume", "junk.tif": "junk.tif",
-    }  # fmt: skip
-    before = written(files)
-    for name, finding in said.items():
-        assert finding in refused(*asked(files, fixed=name)), name
-        if name not in ("pairs.csv", "junk.tif"):
-            assert finding in refused(*asked(files, moving=name)), name
-    assert written(files) == before
-
-
-def test_outputs_that_cannot_be_are_refused(files):
-    before = written(files)
-    assert "let it end in .nii" in refused(*asked(files, out="out.png"))
-    assert "let it end in .nii" in refused(*asked(files, out="out.nhdr"))
-    assert "--field" in refused(*asked(files, "--field", files / "f.npz"))
-    assert "--flip mirrors pictures" in refused(*asked(files, "--flip"))
-    assert "two outputs have the same name" in refused(*asked(files, "--field", files / "out.nii.gz"))
-    assert "would be overwritten" in refused(*asked(files, out="moving.nii.gz"))
-    assert "no such file" in refused(*asked(files, fixed="x.nii")).lower()
-    whole = np.zeros(MOVING.shape, np.int64)
-    write_volume(files / "whole.mha", whole, MOVING)
-    assert "int64" in refused(*asked(files, moving="whole.mha", out="out.tif"))
-    (files / "whole.mha").unlink()
-    assert written(files) == before
-
-
-def test_volumes_and_pictures_do_not_go_together(files):
-    from codegen.registration.images import write_image
-
-    write_image(files / "flat.png", np.zeros((20, 20), np.uint8))
-    assert "unknown kind of volume" in refused(*asked(files, fixed="flat.png"))
-    assert "is a volume" in refused(*asked(files, moving="flat.png", fixed="moving.nii.gz", out="o.png"))
-
-
-def test_the_page_is_for_pictures_and_says_so(files):
-    done = CliRunner().invoke(main, ["app", str(files / "moving.nii.gz"), "--no-browser"])
-    assert done.exit_code == 2
-    (line,) = done.stderr.strip().splitlines()
-    assert "moving.nii.gz is a volume (30 x 26 x 20 voxels), and the page is for pictures" in line
-
-
-def test_units_must_be_the_same(files):
-    tifffile.imwrite(files / "stack.tif", volume(MOVING, kind="u2"), photometric="minisblack")
-    assert is_volume(files / "stack.tif")
-    assert "is in mm" in refused(*asked(files, fixed="stack.tif"))
-
-
-@pytest.mark.parametrize("missing", ["SimpleITK", "tifffile"])
-def test_what_is_missing_is_named_with_the_command_that_installs_it(files, monkeypatch, missing):
-    tifffile.imwrite(files / "stack.tif", volume(MOVING, kind="u2"), photometric="minisblack")
-    monkeypatch.setitem(sys.modules, missing, None)
-    before = written(files)
-    name = "moving.nii.gz" if missing == "SimpleITK" else "stack.tif"
-    with pytest.raises(ExtraError, match="pip install 'variational-codegen"):
-        read_volume(files / name)
-    if missing == "SimpleITK":
-        assert "pip install 'variational-codegen[volumes]'" in refused(*asked(files))
-    assert written(files) == before
