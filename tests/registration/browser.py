@@ -14,6 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from codegen.registration import LandmarkPairs
+from codegen.registration.formats import write_landmarks
+from codegen.registration.images import write_image
+
+START = np.array([[14.0, 10.0], [80.0, 12.0], [16.0, 60.0], [78.0, 58.0], [46.0, 36.0]])
+"""Landmarks of the moving image of `with_smooth_images`."""
+SHAPE = (72, 96)
+"""Height and width of both images."""
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -177,3 +185,32 @@ class Visit:
 
     def wait_for(self, text):
         self.page.get_by_text(text).first.wait_for()
+
+
+@contextmanager
+def visiting(chromium, address):
+    """A page without pairs, which in the end has had no error and no other server."""
+    made = Visit(chromium, address)
+    yield made
+    assert made.problems == []
+    assert made.outside == []
+    made.context.close()
+
+
+def with_pairs(visit, files):
+    """A page with the five pairs of `with_smooth_images`, registered."""
+    visit.upload("Open landmarks …", files / "pairs.csv")
+    visit.until(lambda v: len(v.pairs()) == 5)
+    visit.wait_for("no folding")
+    return visit
+
+
+def with_smooth_images(folder):
+    """The folder with two smooth images in colour and five pairs of landmarks."""
+    y, x = np.indices(SHAPE)
+    for name, phase in (("moving", 0.0), ("fixed", 0.7)):
+        layers = [127 + 120 * np.sin(x / a + phase) * np.cos(y / b) for a, b in ((5, 9), (11, 6), (8, 13))]
+        write_image(folder / f"{name}.png", np.stack(layers, axis=-1).astype(np.uint8))
+    moved = START + np.random.default_rng(3).normal(size=START.shape) * 3.0
+    write_landmarks(folder / "pairs.csv", pairs=LandmarkPairs(START, moved))
+    return folder

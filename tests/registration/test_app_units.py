@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser import Visit, browser, server
+from browser import START, Visit, browser, server
 
 from codegen.registration import LandmarkPairs
 from codegen.registration.formats import write_landmarks
@@ -11,7 +11,6 @@ from codegen.registration.images import write_image
 pytest.importorskip("tornado", reason="tornado is not installed")
 itk = pytest.importorskip("SimpleITK")
 
-START = np.array([[14.0, 10.0], [80.0, 12.0], [16.0, 60.0], [78.0, 58.0], [46.0, 36.0]])
 SIZES = {"moving": (0.5, 0.25), "fixed": (0.02, 0.02)}
 
 
