@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from importlib.util import find_spec
 
 import pytest
-from sympy import log, sqrt
+from sympy import log, sin, sqrt
 
 import codegen
 from codegen import Control, control, controls, state, states
@@ -49,3 +50,14 @@ def test_fewer_unknowns_than_equations():
     assert result.status == "rank-deficient"
     assert "fewer unknowns than equations, 6 unknowns for 8 equations" in result.message
     assert "is off by" not in result.message
+
+
+def test_a_time_limit_is_one_of_the_clock(monkeypatch):
+    """Which shows a minute more whenever it is read; a limit of the processor's time let IPOPT go on under a load."""
+    clock = itertools.count(step=60.0)
+    monkeypatch.setattr("codegen.drivers.ipopt.perf_counter", lambda: next(clock))
+    far = Control(dynamics={x: y, y: a - sin(x)}, cost=a**2, duration=3, start={x: 0, y: 0}, end={x: 3, y: 0}, steps=4)
+    assert codegen.solve(far, "ipopt").status == "solved"
+    result = codegen.solve(far, "ipopt", time_limit=150)
+    assert (result.status, result.iterations) == ("time limit", 2)
+    assert "raise time_limit" in result.message
