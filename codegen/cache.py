@@ -79,9 +79,9 @@ def kept_text(store: Path) -> str:
     return text if emit.is_whole(text) else ""
 
 
-_GENERATORS = (
-    "author", "model", "expressions", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",
-    "runtime", "compiler.py", "drawing.py", "mangling.py", "naming.py",
+GENERATORS = (
+    "author", "model", "expressions", "schemes", "tables", "discretise", "transcribe", "derive", "lower", "emit",
+    "verify", "runtime", "compiler.py", "drawing.py", "lettering.py", "mangling.py", "naming.py",
 )  # fmt: skip
 """Parts of this package on which generated texts depend; all others use them."""
 
@@ -92,6 +92,6 @@ def _own_digest() -> str:
     digest = hashlib.sha256()
     folder = Path(__file__).parent
     for file in sorted([*folder.rglob("*.py"), *folder.rglob("*.j2")]):
-        if file.relative_to(folder).parts[0] in _GENERATORS:
+        if file.relative_to(folder).parts[0] in GENERATORS:
             digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
