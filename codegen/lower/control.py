@@ -286,5 +286,5 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "termination",
         "messages",
         *(("unscaled_solve",) if derivatives.linear_quadratic
-          else ("derivative_magnitudes", "scaling_factors", "scaled_solve")),
+          else ("derivative_magnitudes", "measured_sizes", "scaling_factors", "scaled_solve")),
     )  # fmt: skip

@@ -13,6 +13,7 @@ machine code of those functions beside that of their callers (see `linking`).
 from __future__ import annotations
 
 import gc
+import inspect
 import io
 import os
 import sys
@@ -21,8 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba import typeof
 
-from codegen.loading import GeneratedModule, is_of_particles, load
+from codegen.loading import GeneratedModule, few_steps, is_of_particles, load
 from codegen.machine_code.processes import UNFINISHED
 from codegen.tasks import task_of
 
@@ -83,7 +85,8 @@ def main(share: str) -> int:
 
 def compile_in_two(module: Any) -> int:
     """Compile a module in this process and in a copy of it, each taking the next part that is left; the exit status."""
-    calls = task_of(module).parts(module)
+    first, *others = task_of(module).parts(module)
+    calls = [first, lambda: compile_substitution(module), *others]
     left, numbers = os.pipe()
     os.write(numbers, bytes(range(len(calls))))
     os.close(numbers)
@@ -102,6 +105,23 @@ def compile_in_two(module: Any) -> int:
     if status:
         return status
     return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or status_of(module)
+
+
+def compile_substitution(module: Any) -> None:
+    """Compile what a linear system calls last, if it is kept by itself, while another process compiles the rest of it.
+
+    The linear system is the longest part by far, and that process finds the substitution when it gets there.
+    """
+    if not hasattr(module, "substitute") or module.substitute.stats.cache_path is None:
+        return
+    grid = module.make_grid(few_steps(module, 2))
+    factors, _ = module.allocate_system(grid)
+    vector = np.zeros(grid.is_multiplier.size)
+    names = list(inspect.signature(module.solve_system.py_func).parameters)[-len(factors) - 1 :]
+    values = {**dict(zip(names, [*factors, vector], strict=True)), "gradient": vector, "carried": True}
+    values["steps"] = grid.steps
+    wanted = inspect.signature(module.substitute.py_func).parameters
+    module.substitute.compile(tuple(typeof(values[name]) for name in wanted))
 
 
 def compile_share(module: Any, share: str) -> int:

@@ -72,7 +72,7 @@ def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
     try:
         generator = _generator()
         found = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
-        found += [generator.set_env, generator._engine.is_symbol_defined, types.unliteral, types.IntegerLiteral]
+        found += [generator.set_env, generator._engine.is_symbol_defined, types.unliteral, types.Literal]
         things = [(generator.create_library("probe"), OF_CODE), *((function, OF_FUNCTIONS) for function in functions)]
         probed = [hasattr(thing, name) for thing, names in things for name in names]
         is_tried = TRIED[0] <= tuple(map(int, version.split(".")[:2])) <= TRIED[1]
@@ -97,7 +97,7 @@ def link_inner_functions(functions: Iterable[Any], long: Iterable[str] = ()) -> 
             continue  # prepared already, and its place on the disk is no sign any more
         function.targetoptions["no_cfunc_wrapper"] = True  # the entry by which C would call it
         function.targetoptions["no_cpython_wrapper"] = function.stats.cache_path is None
-        function.get_call_template = _for_any_number(function.get_call_template)
+        function.get_call_template = _for_any_value(function.get_call_template)
 
 
 def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
@@ -106,10 +106,10 @@ def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) 
     return lambda name, environment: set_environment(name, environment) if defined(name) else None
 
 
-def _for_any_number(template_for: Callable[..., Any]) -> Callable[..., Any]:
+def _for_any_value(template_for: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function for the types of its arguments, whether or not a caller knows their values."""
     return lambda arguments, keywords: template_for(
-        tuple(types.unliteral(a) if isinstance(a, types.IntegerLiteral) else a for a in arguments), keywords
+        tuple(types.unliteral(a) if isinstance(a, types.Literal) else a for a in arguments), keywords
     )
 
 

@@ -13,13 +13,16 @@ Calls = list[Callable[[], Any]]
 
 
 def control_parts(module: Any) -> Calls:
-    """Calls for a module that optimises; the linear system comes first, and what needs its parts after it."""
+    """Calls for a module that optimises; the linear system comes first, and what needs its parts after it.
+
+    Nothing is called before, not even for a guess: slacks have theirs from an evaluation, which is a part of its own.
+    """
     grid = module.make_grid(few_steps(module, 2))
-    unknowns = module.initial_guess(grid)
+    unknowns = np.ones(grid.is_multiplier.size)
     step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
     calls = [
         lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
-        lambda: module.evaluate(grid, unknowns),
+        lambda: module.evaluate(grid, module.initial_guess(grid)),
     ]
     if hasattr(module, "fill_sizes"):
         calls.append(lambda: module.scaled_grid(grid, unknowns))

@@ -84,7 +84,7 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
-            if np.abs(hessian).max() > steepest:
+            if largest_modulus(hessian) > steepest:
                 continue
             part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
@@ -120,7 +120,7 @@ def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters)
         if k % intervals % stride == 0:
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
-            largest[count] = np.abs(hessian).max()
+            largest[count] = largest_modulus(hessian)
             count += 1
     if count > 2:
         for i in range(count):  # a sort would take as long to compile as all else here
@@ -131,6 +131,17 @@ def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters)
             if lower == (count - 1) // 2 and largest[i] > 0.0:
                 return largest[i]
     return np.inf
+
+
+@njit(error_model="numpy")
+def largest_modulus(entries):
+    """The largest modulus of a vector's entries (n,); NaN where one is none. A loop is soon compiled."""
+    largest = 0.0
+    for i in range(entries.size):
+        if np.isnan(entries[i]):
+            return np.nan
+        largest = max(largest, abs(entries[i]))
+    return largest
 
 
 @njit(error_model="numpy")

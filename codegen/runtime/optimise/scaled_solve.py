@@ -30,7 +30,8 @@ from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.unknowns.tied import with_tied_values
 from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.optimise.forward_motion import forward_motion
-from codegen.runtime.optimise.scaling_factors import IS_SLACK, fill_sizes
+from codegen.runtime.optimise.measured_sizes import IS_SLACK
+from codegen.runtime.optimise.scaling_factors import fill_sizes
 from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
 
 # How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
