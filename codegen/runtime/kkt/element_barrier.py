@@ -25,7 +25,7 @@ def allocate_condensed(grid):
 
 @njit(error_model="numpy", inline="always")
 def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
-    """True: blocks are inverted interval by interval."""
+    """True: blocks are inverted interval by interval; arrays as in `eliminate_body`."""
     return True
 
 

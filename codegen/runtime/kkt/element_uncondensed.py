@@ -20,7 +20,7 @@ def allocate_condensed(grid):
 
 @njit(error_model="numpy", inline="always")
 def prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
-    """True: there is no block that could be indefinite."""
+    """True: there is no block that could be indefinite; arrays as in `eliminate_body`."""
     return True
 
 

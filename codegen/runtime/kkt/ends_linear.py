@@ -17,16 +17,16 @@ if SCALED:
 
     @njit(error_model="numpy")
     def note_ends(unknowns, body, steps, h, parameters, tables):
-        """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+        """Put derivatives of the ends' own shares into `tables` (3, KINDS, KINDS): there are none."""
 
     @njit(error_model="numpy", inline="always")
     def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
-        """Add to a product what the ends' own second derivatives make of a vector: there are none."""
+        """Add to `product` (n,) what the ends' own second derivatives make of `vector` (n,): there are none."""
 
 
 @njit(error_model="numpy", inline="always")
 def add_end_terms(unknowns, body, steps, h, parameters, sums):
-    """Add the absolute terms of the ends' own shares: there are none."""
+    """Add the absolute terms of the ends' own shares to `sums` (n,): there are none."""
 
 
 def end_entries(grid, unknowns):

@@ -39,7 +39,10 @@ def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, 
 
 @njit(error_model="numpy")
 def add_end_hessian(entries, rows, columns, first, weight, parts, element):
-    """Add `entries` of an end's Hessian, at as many `rows` and `columns`, mirrored; its node begins at row `first`."""
+    """Add `entries` (m,) of an end's Hessian, at `rows` (m,) and `columns` (m,), to `element` (ROWS, WIDTH), mirrored.
+
+    The end's node begins at row `first`; `parts` (ELEMENT + SHARED,).
+    """
     for j in range(entries.size):
         value = entries[j]
         if not (END_IS_MULTIPLIER[rows[j]] and rows[j] == columns[j]):  # it makes up for the one of `IS_LACKING`
@@ -127,7 +130,7 @@ if SCALED:
 
     @njit(error_model="numpy")
     def multiply_entries(entries, rows, columns, first, body, vector, product):
-        """The same for the entries of one end, whose node begins at the unknown `first`."""
+        """The same for one end, whose node begins at the unknown `first`; `vector` and `product` are (n,)."""
         for j in range(entries.size):
             row, column = first + rows[j], first + columns[j]
             if SHARED:

@@ -53,7 +53,8 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
+    Arrays as in `forward`; `right` holds what is left of the right-hand side, zeros where that is a column of the
+    factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     if CARRIED:

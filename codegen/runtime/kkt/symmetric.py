@@ -120,7 +120,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
+    """Subtract a multiple of row p of `source` (r, width) from row i of `target` (r, width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]

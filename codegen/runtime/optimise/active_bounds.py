@@ -67,8 +67,9 @@ def prescribed_beyond(grid, unknowns):
 def first_beyond(unknowns, units, lower, upper, steps, unsure):
     """Indices of the first unknown at an end that is beyond the bounds farther inside, and of its neighbour there.
 
-    Values that are given have no bounds themselves, and are known but for what is `unsure`; slacks of what is
-    prescribed have no least value. Both indices are -1 where there is no such unknown.
+    `unknowns`, `units`, `lower`, `upper` and `unsure` are (n,). Values that are given have no bounds themselves, and
+    are known but for what is `unsure`; slacks of what is prescribed have no least value. Both indices are -1 where
+    there is no such unknown.
     """
     for body in range(BODIES):
         for i in range(STRIDE):

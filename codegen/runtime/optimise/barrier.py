@@ -7,6 +7,10 @@ z / d on the diagonal and gradient - mu s / d on the right; see equations (11) a
 Distances are moved along with the unknowns instead of being computed anew, because close to a bound rounding would
 leave nothing of a difference. Bounds are relaxed, so that equations may force unknowns onto them: by little, which goes
 to rounding level with the weight of the barrier.
+
+Of n unknowns with m finite bounds, `unknowns`, `gradient`, `right`, `step`, `slopes`, `diagonal`, `is_multiplier`,
+`trial` and `sizes`, which may be empty, are (n,), and `indices`, `side`, `distance`, `duals`, `dual_step`, `moved` and
+`moved_duals` (m,).
 """
 
 from typing import NamedTuple

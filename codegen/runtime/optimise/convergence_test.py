@@ -29,6 +29,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
+    `unknowns`, `sizes`, `is_multiplier` (n,), `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     Terms only add up: once the former has reached `enough` and the latter `as_many`, no more intervals are looked at.

@@ -59,10 +59,11 @@ def add_entry(row, column, value, tables):
 
 @njit(error_model="numpy")
 def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
-    """Fill three tables by kinds from some intervals.
+    """Fill three `tables` (3, KINDS, KINDS) from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
-    quadratic in time, of size one, the third the sums of the cost's curvatures.
+    quadratic in time, of size one, the third the sums of the cost's curvatures. `unknowns` are (n,), `nodes` (N + 1,),
+    `parameters` (BODIES, P + SHARED).
     """
     intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT + SHARED, KINDS, 4))
     if PHASES:
@@ -108,7 +109,7 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
 
 @njit(error_model="numpy")
 def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters):
-    """The median of the largest derivatives on the sampled intervals of the first body.
+    """The median of the largest derivatives on the sampled intervals of the first body; arrays as there.
 
     Between phases, or across what a straight line passes, a guess may be where exponentials leave all measure: a
     straight line through a planet's atmosphere made one of four samples 1e18 times as steep as the others.

@@ -213,7 +213,7 @@ def cost_not_finite(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def interval_costs(unknowns, steps, h, nodes, parameters, costs):
-    """Fill in the discrete cost of each interval of each body."""
+    """Fill in the discrete cost of each interval of each body: `costs` (BODIES, N), `unknowns` (n,)."""
     part = np.empty(ELEMENT + SHARED)
     for body in range(BODIES):
         if SHARED:

@@ -60,7 +60,7 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
 
 @njit(cache=True, error_model="numpy")
 def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """The same by Newton's method from an explicit Euler step."""
+    """The same by Newton's method from an explicit Euler step; arrays (2, n, d)."""
     size = before.size
     hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
     wanted, right = np.empty(before.shape), np.empty(size)

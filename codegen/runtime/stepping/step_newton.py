@@ -74,7 +74,10 @@ def advance(state, t, h, given, work, interval):
 
 @njit(error_model="numpy", forceinline=True)
 def correct(state, t, h, parameters, unknowns, residual, jacobian, pivots):
-    """Make a Newton correction of the unknowns, which `residual` holds afterwards; return 1, or why there is none."""
+    """Make a Newton correction, which `residual` holds afterwards; return 1, or why there is none.
+
+    `state` has shape (STATE,), the other arrays those of `allocate_work`; `jacobian` then holds factors.
+    """
     if CONSTANT:
         step_residual(unknowns, state, t, h, parameters, residual)
     else:

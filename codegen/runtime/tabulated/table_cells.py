@@ -20,7 +20,7 @@ def cell_of(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def cubic(f, df, f1, df1, x, length):
-    """Value and three derivatives, at x from its beginning, of the cubic with given values and slopes at its ends."""
+    """Value and three derivatives, at x from its beginning, of the cubic with these values and slopes at its ends."""
     s, slope, slope1, rise = x / length, df * length, df1 * length, f1 - f
     second, third = 3.0 * rise - 2.0 * slope - slope1, slope + slope1 - 2.0 * rise
     return (

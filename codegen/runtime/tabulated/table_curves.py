@@ -36,5 +36,5 @@ def steps_curve(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def clamped_curve(inside, f, f_1, f_11, f_111):
-    """The same where `inside` is 1; where it is 0, the value alone."""
+    """The same where `inside` is 1; where it is 0, the value alone; scalars all."""
     return f, inside * f_1, inside * f_11, inside * f_111

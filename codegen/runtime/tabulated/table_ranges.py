@@ -36,9 +36,10 @@ def tables_beyond(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def farthest_outside(unknowns, steps, h, nodes, parameters, index, found):
-    """Note in `index` body, interval and input that is farthest outside, in `found` its value and by how much.
+    """Note in `index` (3,) body, interval and input farthest outside, in `found` (2,) its value and by how much.
 
-    That is in parts of the range. The interval is -1 at the start, N + 1 at the end.
+    `unknowns` (n,), `nodes` (N + 1,), `parameters` (BODIES, P + SHARED). By how much is told in
+    parts of the range. The interval is -1 at the start, N + 1 at the end.
     """
     inputs, chain = np.empty((RANGED, 2)), steps * STRIDE + NODE
     found[1] = 0.0
@@ -62,7 +63,7 @@ def farthest_outside(unknowns, steps, h, nodes, parameters, index, found):
 
 @njit(error_model="numpy")
 def note_outside(inputs, parameters, body, k, index, found):
-    """Keep the input that is farther outside than what was found before."""
+    """Keep what is farther outside than before of `inputs` (RANGED, 2), least and greatest; else as above."""
     for j in range(RANGED):
         least, greatest = parameters[RANGES[j, 0]], parameters[RANGES[j, 1]]
         for value, excess in ((inputs[j, 0], least - inputs[j, 0]), (inputs[j, 1], inputs[j, 1] - greatest)):

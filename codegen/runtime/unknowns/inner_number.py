@@ -7,7 +7,7 @@ from numba import njit
 def inner_number(parameters, first, count, number, t, h):
     """Of the node at time t, before an interval of length h, the number of the given index.
 
-    From `first` on `parameters` hold the `count` inner times, then for every number its values at these.
+    From `first` on `parameters` (P + SHARED,) hold the `count` inner times, then for every number its values at these.
     """
     found = 0.0
     for i in range(first, first + count):
