@@ -3754,10 +3754,7 @@ def find_sizes(
         here = np.zeros((3, KINDS, KINDS))
         measure_intervals(where, steps, h, nodes, parameters, here)  # once in this text: it takes long to compile
         if look < at_guess:
-            if look == 0:
-                tables = here
-            else:
-                lessen(tables, here)
+            tables = here
             where = inside
             if look + 1 < at_guess:
                 continue
@@ -3919,15 +3916,6 @@ def with_lessened_values(primal, lower, upper, kinds):
 
 
 @njit(error_model="numpy")
-def differ(one, other):
-    """Whether two vectors (n,) differ; with `is_finite` and `lessen` a loop, which numba compiles ten times as fast."""
-    found = False
-    for i in range(one.size):
-        found = found or one[i] != other[i]
-    return found
-
-
-@njit(error_model="numpy")
 def is_finite(matrix):
     """Whether all entries of a matrix (K, K) are numbers."""
     found = True
@@ -3935,16 +3923,6 @@ def is_finite(matrix):
         for j in range(KINDS):
             found = found and abs(matrix[i, j]) < np.inf
     return found
-
-
-@njit(error_model="numpy")
-def lessen(tables, others):
-    """Give the entries of `tables` (3, K, K) the lesser value of both, or the one that is a number."""
-    for i in range(3):
-        for j in range(KINDS):
-            for k in range(KINDS):
-                if others[i, j, k] < tables[i, j, k] or np.isnan(tables[i, j, k]):
-                    tables[i, j, k] = others[i, j, k]
 
 
 # How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
@@ -4598,7 +4576,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_5d94c975dd8bb2e5"
+_IDENTITY = "codegen_hovercraft_02667fdccd01cd38"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -57,10 +57,10 @@ def find_sizes(
         here = np.zeros((3, KINDS, KINDS))
         measure_intervals(where, steps, h, nodes, parameters, here)  # once in this text: it takes long to compile
         if look < at_guess:
-            if look == 0:
-                tables = here
-            else:
+            if INEQUALITIES and look == 1:
                 lessen(tables, here)
+            else:
+                tables = here
             where = inside
             if look + 1 < at_guess:
                 continue
@@ -224,13 +224,24 @@ def with_lessened_values(primal, lower, upper, kinds):
     return lessened
 
 
-@njit(error_model="numpy")
-def differ(one, other):
-    """Whether two vectors (n,) differ; with `is_finite` and `lessen` a loop, which numba compiles ten times as fast."""
-    found = False
-    for i in range(one.size):
-        found = found or one[i] != other[i]
-    return found
+if INEQUALITIES:
+
+    @njit(error_model="numpy")
+    def differ(one, other):
+        """Whether two vectors (n,) differ. This and the next two are loops, which are compiled ten times as fast."""
+        found = False
+        for i in range(one.size):
+            found = found or one[i] != other[i]
+        return found
+
+    @njit(error_model="numpy")
+    def lessen(tables, others):
+        """Give the entries of `tables` (3, K, K) the lesser value of both, or the one that is a number."""
+        for i in range(3):
+            for j in range(KINDS):
+                for k in range(KINDS):
+                    if others[i, j, k] < tables[i, j, k] or np.isnan(tables[i, j, k]):
+                        tables[i, j, k] = others[i, j, k]
 
 
 @njit(error_model="numpy")
@@ -241,13 +252,3 @@ def is_finite(matrix):
         for j in range(KINDS):
             found = found and abs(matrix[i, j]) < np.inf
     return found
-
-
-@njit(error_model="numpy")
-def lessen(tables, others):
-    """Give the entries of `tables` (3, K, K) the lesser value of both, or the one that is a number."""
-    for i in range(3):
-        for j in range(KINDS):
-            for k in range(KINDS):
-                if others[i, j, k] < tables[i, j, k] or np.isnan(tables[i, j, k]):
-                    tables[i, j, k] = others[i, j, k]
