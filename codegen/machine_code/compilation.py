@@ -121,7 +121,7 @@ def compile_substitution(module: Any) -> None:
     values = {**dict(zip(names, [*factors, vector], strict=True)), "gradient": vector, "carried": True}
     values["steps"] = grid.steps
     wanted = inspect.signature(module.substitute.py_func).parameters
-    module.substitute.compile(tuple(typeof(values[name]) for name in wanted))
+    module.substitute.compile(tuple(typeof(values[name]) for name in wanted))  # type: ignore[no-untyped-call]
 
 
 def compile_share(module: Any, share: str) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.loading import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solutions.finer_grids import carried, cut
 
 PARTS = 8
 """In how many parts an interval is cut."""
@@ -169,52 +170,13 @@ def _peaks(row: _Row, values: Matrix) -> Vector | None:
     return np.where(height[body, every, triple] > 0.0, np.clip(shares, 1e-6, 1.0 - 1e-6), 0.5)
 
 
-def _cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
-    """The grid on which every interval is cut in the parts (intervals, parts) of it."""
-    phases = module.metadata.get("phases", 1)
-    parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
-    parts /= parts.sum(axis=1, keepdims=True)
-    return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
-
-
-def _carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int) -> Vector:
-    """The unknowns on the finer grid: states interpolated, what intervals have as it is, no slacks nor multipliers."""
-    result = np.zeros(fine.is_multiplier.size)
-    nodes, intervals = module.views(coarse, unknowns)
-    new_nodes, new_intervals = module.views(fine, result)
-    phases, old, new = module.metadata.get("phases", 1), coarse.nodes / coarse.steps, fine.nodes / fine.steps
-    for phase in range(phases):
-        count = intervals.shape[1] // phases
-        here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
-        new_nodes[:, there] = _interpolated(module, old[here], nodes[:, here], new[there])
-    new_intervals[:] = np.repeat(intervals, parts, axis=1)
-    new_intervals[:, :, np.asarray(getattr(module, "SLACKS", ()), dtype=int) - nodes.shape[2]] = 0.0
-    if module.ROOT:
-        result[-module.ROOT :] = unknowns[-module.ROOT :]
-    result[fine.is_multiplier] = 0.0
-    return result
-
-
-def _interpolated(module: Any, t: Vector, values: Matrix, at: Vector) -> Matrix:
-    if module.metadata["order"] > 2 and t.size > 2:
-        from scipy.interpolate import PchipInterpolator  # which takes long to import
-
-        with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
-            return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
-    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(0, t.size - 2))
-    right = np.minimum(left + 1, t.size - 1)
-    width = np.where(right > left, t[right] - t[left], 1.0)
-    share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
-    return np.asarray((1.0 - share) * values[:, left] + share * values[:, right])
-
-
 class _Sampled:
     """Values of conditions where every interval is cut in some parts of it (intervals, parts), and sizes of terms."""
 
     def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
-        self.module, self.grid = module, _cut(module, coarse, cuts)
+        self.module, self.grid = module, cut(module, coarse, cuts)
         self.intervals, self.parts = cuts.shape
-        self._unknowns = _carried(module, coarse, self.grid, unknowns, self.parts)
+        self._unknowns = carried(module, coarse, self.grid, unknowns, self.parts)
         self._gradient = self._gradient_at(self._unknowns)
         self._moved: dict[int, Vector] = {}
         self.times = np.asarray(module.unpack(self.grid, self._unknowns)[0])

@@ -21,6 +21,7 @@ from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
+from codegen.solutions.poles import poles
 from codegen.solutions.result import Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
 from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
@@ -104,8 +105,9 @@ def _notes(module: GeneratedModule, result: Result) -> tuple[str, ...]:
     """What is to be said of the motion of a solution between its nodes."""
     if not (is_control(module) and result.solved and result.unknowns is not None):
         return ()
-    found = excursions(module, result.unknowns, result.steps, result.grid)
-    return tuple(one.note for one in found if one.is_gross)
+    where = module, result.unknowns, result.steps, result.grid
+    gross = [one.note for one in excursions(*where) if one.is_gross]
+    return (*gross, *(pole.note for pole in poles(*where)))
 
 
 def _background(request: Request, module: Any) -> Background:

@@ -1,0 +1,172 @@
+"""Poles of the equations of motion that a solution leaps over between two nodes.
+
+A thrust over a mass that falls through zero, say: the discrete equations hold, since they are evaluated on either side,
+and no motion goes on beyond the pole. Where the solution is a straight line between nodes, what the equations give for
+its states is read off the gradient of the Lagrangian on a finer grid, and looked at ever more closely around its
+largest change. Near a pole that grows without end; a smooth right-hand side, however steep, comes to rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from codegen.loading import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solutions.finer_grids import carried, cut
+
+PARTS = 8
+"""In how many parts an interval is cut, and then what surrounds the largest change."""
+LEVELS = 8
+"""How often one looks more closely, each time at three eighths of the distance."""
+BESIDE = 1.5
+"""Parts to either side of the largest change that are looked at: nodes tell nothing of what is next to an end."""
+CONSPICUOUS = 5.0
+"""Largest change from part to part on an interval, in units of what is usual there, that is worth a closer look."""
+WITHOUT_END = 1e3
+"""The same at the end: at a simple pole it is some 2.7^LEVELS, and less than one where a right-hand side is smooth."""
+GROWTH = 16.0
+"""How many times as large it has become on the last levels: at a pole some hundred, at a jump it stays the same."""
+SHORTEST = 1e-5
+"""Part of an interval that is left where nothing has to be looked at: grids have no intervals without a length."""
+NEGLIGIBLE, ROUNDING = 1e-6, 1e-9
+"""Parts of the largest value on all intervals, and of the largest terms of equations, below which a change is none."""
+
+_EQUATION = re.compile(r"multiplier of the (?:step|equation of motion) of (?P<name>.*)")
+_STAGE = re.compile(r"(?P<name>.*)_stage\d+")
+
+
+@dataclass(frozen=True)
+class Pole:
+    """Where the equation of a state grows without end inside an interval: its name, when, and the body, of several."""
+
+    state: str
+    time: float
+    body: int | None = None
+
+    @property
+    def note(self) -> str:
+        """What is to be said of it, and what helps."""
+        of_body = "" if self.body is None else f" of body {self.body}"
+        return (
+            f"between nodes, at t = {self.time:.4g}, the equation of {self.state}{of_body} grows without end: what was "
+            "found leaps over a pole, and may be no motion beyond it; keep what is divided by away from zero by bounds"
+        )
+
+
+@dataclass(frozen=True)
+class _Equation:
+    """The equation of a state, and its index among the unknowns of a node, or else of an interval."""
+
+    state: str
+    place: int
+    at_nodes: bool
+
+
+def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Pole]:
+    """The poles that a solution leaps over, one at most of each equation of motion.
+
+    `unknowns` (n,) are those of `steps` intervals in each phase, equal ones or those of `fractions`. The first interval
+    behind a switch is left out, since a state may jump there.
+    """
+    coarse, found = time_grid(module, steps, fractions), []
+    evenly = np.full((module.metadata.get("phases", 1) * steps, PARTS), 1.0 / PARTS)
+    first = _Looked(module, coarse, unknowns, evenly)
+    # What is rounding of terms, by their size per length of an interval.
+    least = ROUNDING * float(module.sizes_of_terms(coarse, unknowns)[0]) / np.diff(coarse.nodes)
+    for equation in _equations(module):
+        changes, usual = first.changes(equation), np.maximum(first.usual(equation), least)
+        changes[:, np.flatnonzero(np.arange(len(evenly)) % steps == 0)[1:]] = 0.0
+        body, interval, part = map(int, np.unravel_index(int(np.argmax(changes / usual[..., None])), changes.shape))
+        ordinary = usual[body, interval]
+        if changes[body, interval, part] < CONSPICUOUS * ordinary:
+            continue
+        middle, width, largest = first.middle(equation, part), BESIDE / PARTS, list[float]()
+        for _ in range(LEVELS):
+            # An interval alone would do, but modules know no part of a grid.
+            closer = _Looked(module, coarse, unknowns, np.tile(_around(middle, width), (len(evenly), 1)))
+            here = closer.changes(equation)[body, interval]
+            part = int(np.argmax(here))
+            middle, width = closer.middle(equation, part), BESIDE * 2.0 * width / PARTS
+            largest.append(float(here[part]))
+        if largest[-1] > max(WITHOUT_END * ordinary, GROWTH * min(largest[: LEVELS // 2])):
+            time = first.time(interval, middle)
+            found.append(Pole(equation.state, time, body if module.metadata["bodies"] > 1 else None))
+    return found
+
+
+def _equations(module: Any) -> Iterator[_Equation]:
+    """The equations of motion of a module's states, without those of stages."""
+    metadata = module.metadata
+    nodes = list(metadata["node"])
+    for at_nodes, names in ((True, nodes), (False, metadata["interval"])):
+        for place, name in enumerate(names):
+            met = _EQUATION.fullmatch(metadata["meanings"].get(name, ""))
+            if met and met["name"] in nodes:
+                yield _Equation(met["name"], place, at_nodes)
+
+
+def _around(middle: float, width: float) -> Vector:
+    """Parts of an interval: those before and behind what is looked at, `width` to either side of its middle, inside."""
+    begin, end = max(0.0, middle - width), min(1.0, middle + width)
+    parts = np.diff(np.concatenate([[0.0], np.linspace(begin, end, PARTS + 1), [1.0]]))
+    return np.maximum(parts, SHORTEST)
+
+
+class _Looked:
+    """The equations of motion on a finer grid, on which a solution is straight inside every interval."""
+
+    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
+        self.module, self.cuts, self.grid = module, cuts, cut(module, coarse, cuts)
+        self._unknowns = carried(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
+        self._give_stages()
+        self._gradient = module.evaluate(self.grid, self._unknowns).gradient
+
+    def _give_stages(self) -> None:
+        """Have stages lie between the nodes of the finer grid."""
+        nodes, intervals = self.module.views(self.grid, self._unknowns)
+        names = list(self.module.metadata["node"])
+        for place, name in enumerate(self.module.metadata["interval"]):
+            met = _STAGE.fullmatch(name)
+            if met and met["name"] in names and not self.module.IS_MULTIPLIER[nodes.shape[2] + place]:
+                state = nodes[:, :, names.index(met["name"])]
+                intervals[:, :, place] = 0.5 * (state[:, :-1] + state[:, 1:])
+
+    def changes(self, equation: _Equation) -> Matrix:
+        """How much what an equation gives changes from part to part of intervals: (bodies, intervals, parts - 1).
+
+        At nodes those inside intervals count alone, of which there is one less. What is no number counts as zero.
+        """
+        return np.abs(np.diff(self._values(equation), axis=2))
+
+    def usual(self, equation: _Equation) -> Matrix:
+        """The median of these changes on each interval (bodies, intervals), or what is negligible, if that is more."""
+        largest = float(np.abs(self._values(equation)).max())
+        usual: Matrix = np.median(self.changes(equation), axis=2)
+        return np.maximum(usual, max(NEGLIGIBLE * largest, 1e-300))
+
+    def middle(self, equation: _Equation, part: int) -> float:
+        """Where a change is, in parts of an interval, all of which are cut alike."""
+        ends = np.concatenate([[0.0], np.cumsum(self.cuts[0])])
+        looked = ends[1:-1] if equation.at_nodes else 0.5 * (ends[:-1] + ends[1:])
+        return float(0.5 * (looked[part] + looked[part + 1]))
+
+    def _values(self, equation: _Equation) -> Matrix:
+        """What an equation gives per length of an interval, in every part of it or at the nodes between the parts."""
+        nodes, intervals = self.module.views(self.grid, self._gradient)
+        lengths = np.diff(self.grid.nodes).reshape(self.cuts.shape)
+        if equation.at_nodes:
+            rows = nodes[:, :-1, equation.place].reshape(-1, *self.cuts.shape)[:, :, 1:]
+            lengths = 0.5 * (lengths[:, :-1] + lengths[:, 1:])
+        else:
+            rows = intervals[:, :, equation.place].reshape(-1, *self.cuts.shape)
+        return np.asarray(np.nan_to_num(rows / lengths, nan=0.0, posinf=0.0, neginf=0.0))
+
+    def time(self, interval: int, share: float) -> float:
+        """The time at a part of an interval."""
+        times = np.asarray(self.module.unpack(self.grid, self._unknowns)[0])
+        begin, end = times[interval * self.cuts.shape[1]], times[(interval + 1) * self.cuts.shape[1]]
+        return float(begin + share * (end - begin))
