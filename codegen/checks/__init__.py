@@ -197,12 +197,13 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
 def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
     """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
     from codegen import derive, lower, transcribe
+    from codegen.derive.mixed import control_sensitivities
 
     with recorded_files() as files:
         model = load_problem(source, arguments)
     assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
-    by_data = compiler.derivatives_by_data(program) if choices.sensitivities else None
+    by_data = control_sensitivities(program) if choices.sensitivities else None
     fresh = lower.lower(program, derive.derivatives(program), by_data)
     text = emit.render(fresh, naming.origin_of(source, arguments, choices, files))
     scheme = schemes.find(program.scheme, program.method)
