@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import keyword
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from codegen.author import problem_file
+from codegen.author.author_object import AuthorObject
 from codegen.errors import ArgumentError, clause
 
 UNNAMED = "problem"
@@ -113,7 +113,7 @@ def source_of(problem: Any, name: str | None = None, title: str | None = None) -
         if name is not None or title is not None:
             raise ArgumentError("a name or title beside a file", "leave it out; a file is named by itself")
         return problem if isinstance(problem, ProblemFile | ProblemObject) else ProblemFile(Path(problem))
-    if not is_author_object(problem):
+    if not isinstance(problem, AuthorObject):
         remedy = "give the path of a problem file, or a Control, Simulate, Phases or Connect"
         raise ArgumentError(f"a problem is no {type(problem).__name__}", remedy)
     from codegen.author.description import described
@@ -125,12 +125,6 @@ def source_of(problem: Any, name: str | None = None, title: str | None = None) -
     if not isinstance(title, str) or not title.strip() or not title.isprintable():
         raise ArgumentError(f"title {clause(repr(title))}", "give one line of text")
     return ProblemObject(name, title.strip(), f"{title.strip()}\n{described(problem, name)}", problem, Path.cwd())
-
-
-def is_author_object(problem: Any) -> bool:
-    """Whether this is what a problem file returns, told without importing sympy."""
-    home: Any = sys.modules.get("codegen.author.problem")  # whoever has made one has imported it
-    return home is not None and isinstance(problem, (home.Problem, home.Phases))
 
 
 def argument_names(problem: Source | Path | str) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen.author.sources import ProblemFile, ProblemObject, Source, is_author_object, source_of
+from codegen.author.author_object import AuthorObject
+from codegen.author.sources import ProblemFile, ProblemObject, Source, source_of
 from codegen.drivers import DRIVERS, Driver, find
 from codegen.errors import ArgumentError, NumericsError
 from codegen.tasks import TASKS, Task, task_of
@@ -108,7 +109,7 @@ class Request:
                 raise ArgumentError(finding, "leave it out, or compile the problem with it")
             for name, value in made.items():
                 object.__setattr__(self, name, value)
-        elif is_author_object(self.problem):
+        elif isinstance(self.problem, AuthorObject):
             object.__setattr__(self, "problem", source_of(self.problem))
 
     def _require_problem(self) -> None:
