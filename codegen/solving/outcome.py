@@ -86,7 +86,7 @@ def outcome_of(
     if request.sensitivities:
         require_sensitive(module)
     said: list[str] = []
-    if path is not None and driver.name == "newton":
+    if path is not None and driver.generated:
         seconds, said = ahead_of_time.require(path, module, is_new, working)
         build_seconds += seconds
     said = [*said, *_rounded(request, module)]

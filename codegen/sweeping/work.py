@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen import loading
+from codegen.drivers import DRIVERS
 from codegen.engines.tally import LOST, Tally
 from codegen.engines.work import Abandoned, Done
 from codegen.errors import ArgumentError
@@ -168,7 +169,7 @@ class Work:
         """A solve of a case by some module, from the problem's own guess, of which nothing is kept."""
         varied = self._varied(variant)
         assert varied is not None, "what is solved has a module"
-        if self.driver != "newton":  # the others call what this one does not
+        if not DRIVERS[self.driver].generated:  # the others call what this one does not
             varied.task.touch(varied.module, varied.run.steps)
         return solve_case(varied, self._given(self.cases.values(np.array([index]))[0]), None)
 
