@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from codegen import cache, emit
 from codegen.author.data_files import recorded_files
-from codegen.author.sources import Source, source_of, split_points
+from codegen.author.sources import Source, settings_of, source_of
 from codegen.deadline import BUILD, Stages, described, extent, rare_collections
 from codegen.errors import ArgumentError
 from codegen.naming import Choices, chosen, origin_of
@@ -64,7 +64,7 @@ def build(
     """
     begin = time.perf_counter()
     source, choices = source_of(problem), chosen(scheme, method, controls, general, sensitivities)
-    settings = split_points(source, arguments or {})[0]
+    settings = settings_of(source, arguments)
     for key, value in settings.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")

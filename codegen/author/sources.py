@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import keyword
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -146,14 +146,34 @@ def input_digest(problem: Source | Path | str, arguments: Mapping[str, str], *ex
     return digest.hexdigest()
 
 
-def split_points(problem: Source | Path | str, arguments: Mapping[str, object]) -> tuple[dict[str, str], str | None]:
-    """The arguments that shape a module, as text, and the file of points, if one is given, which is read for a solve.
+@dataclass(frozen=True)
+class Settings(Mapping[str, str]):
+    """The arguments that shape a module, as text, and beside them the file of points, if any, which a solve reads."""
+
+    shaping: Mapping[str, str]
+    points: str | None = None
+
+    def __getitem__(self, name: str) -> str:
+        return self.shaping[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.shaping)
+
+    def __len__(self) -> int:
+        return len(self.shaping)
+
+
+def settings_of(problem: Source | Path | str, arguments: Mapping[str, object] | None) -> Settings:
+    """What arguments of problem() say, as values or as the text that `--set` takes; settings are what they are.
 
     Raises ProblemFileError when the problem file cannot be read, and ArgumentError when two files of points are given.
     """
+    if isinstance(arguments, Settings):
+        return arguments
+    arguments = arguments or {}
     names = source_of(problem).point_arguments
     given = [name for name in arguments if name in names]
     if len(given) > 1:
         raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
     others = {name: str(value) for name, value in arguments.items() if name not in names}
-    return others, str(arguments[given[0]]) if given else None
+    return Settings(others, str(arguments[given[0]]) if given else None)
