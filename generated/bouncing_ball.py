@@ -2099,13 +2099,13 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def follow(
+def take_step(
     is_new, unknowns, right, step, length, indices, side, distance, duals, dual_step, dual_length, mu, sizes, weight,
     steps, h, nodes, parameters, is_multiplier, trial, moved, moved_duals, gradient,
 ):  # fmt: skip
     """Move unknowns and duals by parts of their steps, and evaluate and measure there what belongs to an iterate.
 
-    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is followed
+    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is taken
     for its longest lengths in place of those given. Fills `trial`, its distances `moved`, `moved_duals` and the
     `gradient`; returns what `measure_step` does, the sum of logarithms of distances, what a Point holds beside unknowns
     and gradient, with these duals in its stationarity, and what `measure_optimality` does. It is one function, because
@@ -2119,8 +2119,8 @@ def follow(
     cost, residual, violation, _, error = measured_gradient(
         trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient
     )
-    places = is_multiplier, indices, side, moved
-    measured = move_duals(gradient, trial, *places, duals, dual_step, dual_length, mu, moved_duals)
+    bounds = is_multiplier, indices, side, moved
+    measured = move_duals(gradient, trial, *bounds, duals, dual_step, dual_length, mu, moved_duals)
     stationarity = measured[0]
     if error < np.inf:
         error = stationarity if stationarity > residual else residual
@@ -2500,7 +2500,7 @@ def corrected_inertia(before, delta_w, least, singular):
 def step_along(search, iterate, gradient, primal, inertia):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope, longest lengths and end."""
     dual = np.empty(iterate.duals.size)
-    measured, end = followed(search, iterate, gradient, primal, dual)
+    measured, end = stepped(search, iterate, gradient, primal, dual)
     return Step(primal, dual, gradient, *measured, inertia, end)
 
 
@@ -2529,10 +2529,10 @@ def moved(search, iterate, step, length):
     """The iterate after a length of a step's primal part and the longest of its dual part, measured there."""
     if length == step.longest and step.end is not None:
         return step.end
-    return followed(search, iterate, step.gradient, step.primal, step.dual, False, length, step.dual_length)[1]
+    return stepped(search, iterate, step.gradient, step.primal, step.dual, False, length, step.dual_length)[1]
 
 
-def followed(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_length=0.0):
+def stepped(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_length=0.0):
     """What `measure_step` says of a step that `is_new`, and the iterate after the longest of it, or after a length."""
     # Taking tuples apart takes a quarter of the time of looking each field up by its name.
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = search.grid
@@ -2540,7 +2540,7 @@ def followed(search, iterate, right, primal, dual, is_new=True, length=0.0, dual
     indices, _, side, _ = search.bounds
     trial, gradient = np.empty(primal.size), np.empty(primal.size)
     apart, pushes = np.empty(side.size), np.empty(side.size)
-    of_step, logarithms, evaluated, measured = follow(
+    of_step, logarithms, evaluated, measured = take_step(
         is_new, point.unknowns, right, primal, length, indices, side, distance, duals, dual, dual_length, mu, sizes,
         weight, steps, h, nodes, parameters, is_multiplier, trial, apart, pushes, gradient,
     )  # fmt: skip
@@ -5130,7 +5130,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_3e058981d2936e74"
+_IDENTITY = "codegen_bouncing_ball_dfebe1e8fd263d11"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -387,7 +387,7 @@ class Grid(NamedTuple):
     given: tuple[object, ...]
 
 
-def checked_grid(steps, duration, parameters, start, *own):
+def checked_step_grid(steps, duration, parameters, start, *own):
     """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
     steps, duration = checked_times(steps, duration)
     parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
@@ -571,7 +571,7 @@ def make_grid(
     state = initial_state(
         start=start,
     )
-    return checked_grid(steps, duration, [], state)
+    return checked_step_grid(steps, duration, [], state)
 
 
 def initial_state(
@@ -694,7 +694,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_33fa19445888d367"
+_IDENTITY = "codegen_pendulum_8ea30924c1c4ea26"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

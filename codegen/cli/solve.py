@@ -110,8 +110,8 @@ def solve(
     wanted.save(outcome.module, outcome.result)
     _tell(outcome, json, log)
     if not outcome.result.solved:
-        told = one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}")
-        typer.echo(told + on_statuses(outcome.result.status), err=True)
+        message = one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}")
+        typer.echo(message + on_statuses(outcome.result.status), err=True)
         raise typer.Exit(1)
 
 
@@ -139,8 +139,8 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    told = [note for found in (result.estimates, result.sensitivity) if found is not None for note in found.notes]
-    for note in (*notes.notes(outcome.module.metadata), *told, *result.notes):
+    found = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
+    for note in (*notes.notes(outcome.module.metadata), *found, *result.notes):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))

@@ -170,5 +170,5 @@ def _tell(outcome: Any, json: bool) -> None:
         typer.echo(f"{tally.jumps} jumps of the cost remain: where jump is 1, a neighbour is better", err=True)
     if tally.failed:
         number = tally.cases - tally.solved
-        told = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
-        typer.echo(told + on_statuses(*tally.failed), err=True)
+        message = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
+        typer.echo(message + on_statuses(*tally.failed), err=True)
