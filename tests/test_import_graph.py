@@ -55,7 +55,7 @@ BY_STRING = {
     ("__init__", "solving"): "public names",
     ("__init__", "sweeping"): "public names",
     ("tasks", "solutions"): "a row names what does what is special to a task, imported when it is called first",
-    ("tasks", "machine_code"): "the same; only a process that compiles ever loads it",
+    ("tasks", "machine_code"): "the same: what of a module is compiled before it is called",
     ("author", "notebooks"): "how a problem shows itself: a notebook asks the object, and nobody could register before",
     ("solutions", "notebooks"): "how a solution shows itself, with figures",
     ("checks", "notebooks"): "how findings show themselves",
