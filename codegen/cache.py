@@ -6,14 +6,82 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
+from importlib.util import cache_from_source
 from pathlib import Path
 
 from codegen import emit
 from codegen.author.data_files import digest_of
 from codegen.author.sources import Source, input_digest, source_of
-from codegen.naming import Choices, choice_texts, module_name, versions
+from codegen.errors import FileError
+from codegen.naming import Choices, choice_texts, chosen, module_name, versions
+from codegen.runtime.machine_code_cache import remove_partial_bytecode
+
+GENERATED = Path("generated")
+"""The folder, below the current one, in which modules are kept that someone wants to read."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The text of a module, where the cache keeps it, and whether it has just been derived."""
+
+    path: Path
+    text: str
+    is_new: bool
+
+    def as_found(self) -> Path:
+        """The file in ./generated that holds the very same text, else the one in the cache."""
+        kept = GENERATED / self.path.name
+        return kept if kept.is_file() and kept.read_bytes() == self.text.encode() else self.path
+
+    def written_to(self, folder: Path) -> tuple[Path, bool]:
+        """The file in a folder that was asked for, and whether it had to be written."""
+        target = folder / self.path.name
+        written = emit.write(target, self.text)
+        with suppress(OSError):  # where it may not be removed, Python may not have written it either
+            remove_partial_bytecode(cache_from_source(target))  # type: ignore[no-untyped-call]
+        return target, written
+
+
+_DERIVING = threading.Lock()
+"""Problem files are run with their folder on the path and their output redirected, which threads cannot do at once."""
+
+
+def entry_of(source: Source, settings: Mapping[str, str], choices: Choices, derived: Callable[[], str]) -> Entry:
+    """What the cache holds for a problem; where it holds nothing, what is `derived` now, and kept from then on.
+
+    Raises FileError where a text cannot be kept, and what `derived` raises.
+    """
+    path = path_of(source, settings, choices)
+    text = kept_text(path)
+    if text:
+        return Entry(path, text, is_new=False)
+    with _DERIVING:
+        path = path_of(source, settings, choices)  # another thread may have derived it meanwhile
+        text = kept_text(path)
+        if text:
+            return Entry(path, text, is_new=False)
+        text = derived()
+        return Entry(_keep(source, settings, choices, text), text, is_new=True)
+
+
+def _keep(source: Source, settings: Mapping[str, str], choices: Choices, text: str) -> Path:
+    """Write a text into the cache, and say where."""
+    try:
+        path = path_of_text(source, settings, choices, text)
+        emit.write(path, text)
+        return path
+    except FileError as error:
+        raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
+
+
+def stored(problem: Source | Path | str, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
+    """Where the cache keeps the module of a problem once it has been built."""
+    return path_of(problem, arguments, chosen(scheme))
 
 
 def cache_folder() -> Path:

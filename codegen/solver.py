@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen import compiler
-from codegen.author.sources import ProblemObject, Source, source_of, split_points
+from codegen.author.sources import ProblemObject, Settings, Source, settings_of, source_of
 from codegen.deadline import BUILD, CHECK
 from codegen.naming import Choices, chosen
 
@@ -124,9 +124,9 @@ class Solver:
 
         return Controller(self, **options)
 
-    @property
-    def _settings(self) -> dict[str, str]:
-        return split_points(self.problem, self.arguments)[0]
+    @cached_property
+    def _settings(self) -> Settings:
+        return settings_of(self.problem, self.arguments)
 
     def __repr__(self) -> str:
         return f"Solver({self.name!r}, {str(self.build.path)!r})"

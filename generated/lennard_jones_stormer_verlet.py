@@ -349,7 +349,7 @@ class Grid(NamedTuple):
     given: tuple[object, ...]
 
 
-def checked_grid(steps, duration, parameters, start, *own):
+def checked_step_grid(steps, duration, parameters, start, *own):
     """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
     steps, duration = checked_times(steps, duration)
     parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
@@ -510,7 +510,7 @@ def make_grid(
     if duration is None:
         duration = 0.2
     own = []
-    return checked_grid(steps, duration, [m, eps, sigma], start, own)
+    return checked_step_grid(steps, duration, [m, eps, sigma], start, own)
 
 
 @packed_operations()
@@ -639,7 +639,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_lennard_jones_4b8ace06662dbf14"
+_IDENTITY = "codegen_lennard_jones_389952b3a55d12d7"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

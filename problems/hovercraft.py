@@ -3,11 +3,13 @@
 Each craft (mass m, moment of inertia J) has a place (x, y) and a heading theta; the forces f1, along the heading, and
 f2, across it, act at the distance r from the centre of mass. The craft start at rest side by side on the x axis. After
 one unit of time they are to be at rest, heading upwards, at the corners of a regular polygon with sides R and centre
-(Mx, My), the first at the height of the centre. The cost is the integral of all squared forces. Source: thesis,
-appendix A; after Junge, Marsden and Ober-Bloebaum (2005). All quantities are nondimensional.
+(Mx, My), the first at the height of the centre. The cost is the integral of all squared forces. Source: after Junge,
+Marsden and Ober-Bloebaum (2005), Discrete mechanics and optimal control, IFAC Proceedings 38. All quantities are
+nondimensional.
 
-`minimal` gives each of the polygon's degrees of freedom one condition; `thesis` prescribes all interior angles as well
-and is redundant for more than 3 craft. Reference values, N = 20: 1053.518828 for 3 craft, 1821.353364 for 5.
+`minimal` gives each of the polygon's degrees of freedom one condition; `redundant` prescribes all interior angles as
+well, of which some follow from others for more than 3 craft. Reference values, N = 20: 1053.518828 for 3 craft,
+1821.353364 for 5.
 """
 
 from typing import Literal
@@ -18,7 +20,7 @@ from codegen import Control, body_number, controls, coordinates, parameters, tim
 from codegen.drawing import Arrow, Circle, Mark, Mass, Trail
 
 
-def problem(craft: int = 3, conditions: Literal["minimal", "thesis"] = "minimal") -> Control:
+def problem(craft: int = 3, conditions: Literal["minimal", "redundant"] = "minimal") -> Control:
     (x, y, theta), (dx, dy, dtheta) = coordinates("x y theta")
     f1, f2 = controls("f1 f2")
     body, t = body_number(), time()
@@ -39,7 +41,7 @@ def problem(craft: int = 3, conditions: Literal["minimal", "thesis"] = "minimal"
     sides = [squared_distance(corner(i), corner(i + 1)) - R**2 for i in range(craft)]
     centre = [sum(x.of(i) for i in range(craft)) / craft - Mx, sum(y.of(i) for i in range(craft)) / craft - My]
     shape = [squared_distance(corner(i), (Mx, My)) - radius**2 for i in range(craft - 3)]
-    if conditions == "thesis" and craft > 3:
+    if conditions == "redundant" and craft > 3:
         shape = [angle(i) - pi * (craft - 2) / craft for i in range(craft)]
 
     start_x, corner_angle = 1 + 2 * body / (craft - 1), pi + 2 * pi * body / craft

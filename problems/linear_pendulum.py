@@ -1,8 +1,8 @@
 """Swing a linearised pendulum to a given angle and to rest with the least effort.
 
 Unit mass, length and gravity; the pendulum starts at rest at 3 pi/5 and ends at rest at 2 pi/5 after a quarter
-period. Source: thesis, section 3.2. All quantities are nondimensional. The optimum is known in closed form,
-J* = 4.530760981081599.
+period. All quantities are nondimensional. The problem is linear-quadratic (Bryson and Ho, 1975, Applied optimal
+control, chapter 5), and its optimum is known in closed form, J* = 4.530760981081599.
 """
 
 from sympy import cos, pi, sin

@@ -2,8 +2,9 @@
 
 The satellite (mass m) circles the Earth (gravitational parameter GM) at radius r0 and is to circle it at radius r1
 after the given number of revolutions. Its engine acts along the direction of increasing angle; the cost is the
-integral of the squared thrust. Source: thesis, section 3.3; after Junge, Marsden and Ober-Bloebaum (2005). All
-quantities are nondimensional.
+integral of the squared thrust. Source: after Junge, Marsden and Ober-Bloebaum (2005), Discrete mechanics and optimal
+control, IFAC Proceedings 38; Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control: an
+analysis, ESAIM: COCV 17. All quantities are nondimensional.
 """
 
 from sympy import cos, pi, sin, sqrt

@@ -1,7 +1,7 @@
 """Let a simple pendulum swing.
 
-Unit mass, length and gravity: H = p^2/2 - cos q, or L = dq^2/2 + cos q. Source: thesis, example 1.0.1, whose phase
-portraits (Figure 1.3) start from the states in its text. All quantities are nondimensional.
+Unit mass, length and gravity: H = p^2/2 - cos q, or L = dq^2/2 + cos q. Source: Hairer, Lubich and Wanner (2006),
+Geometric numerical integration, section I.1. All quantities are nondimensional.
 """
 
 from typing import Literal

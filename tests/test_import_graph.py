@@ -2,9 +2,11 @@
 
 import ast
 import graphlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
@@ -45,6 +47,32 @@ SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "deri
             "naming", "cache", "compiler")  # fmt: skip
 """What may import it, or what leads there; of the author's files that of points is about numbers alone."""
 
+BY_STRING = {
+    ("__init__", "author"): "public names, imported when they are asked for first",
+    ("__init__", "compiler"): "public names",
+    ("__init__", "errors"): "public names",
+    ("__init__", "horizons"): "public names",
+    ("__init__", "loading"): "public names",
+    ("__init__", "solver"): "public names",
+    ("__init__", "solving"): "public names",
+    ("__init__", "sweeping"): "public names",
+    ("tasks", "solutions"): "a row names what does what is special to a task, imported when it is called first",
+    ("tasks", "machine_code"): "the same: what of a module is compiled before it is called",
+    ("author", "notebooks"): "how a problem shows itself: a notebook asks the object, and nobody could register before",
+    ("solutions", "notebooks"): "how a solution shows itself, with figures",
+    ("checks", "notebooks"): "how findings show themselves",
+    ("mangling", "emit"): "the text of templates is read for the names in it; nothing is imported",
+}
+"""Arrows that run back, by strings which name modules, and why each does: the only ones."""
+
+COMPUTED = {
+    "__init__": "the table of public names, whose strings are read here",
+    "tasks": "the file of a Home, whose strings are read here",
+    "loading": "a generated module",
+    "registration": "libraries that read and write images, which are extras",
+}
+"""Parts that import by names which are no literals, and what these are."""
+
 
 def imported(path: Path, with_types: bool = False) -> frozenset[str]:
     """Absolute names of the codegen modules that a file imports at run time, or for annotations as well."""
@@ -73,6 +101,51 @@ def names_in(nodes: Iterable[ast.AST]) -> frozenset[str]:
     return frozenset(names)
 
 
+def literals(path: Path) -> tuple[list[str], list[str]]:
+    """The strings of a file that may name modules, `*` for what is filled in; and the calls whose names are computed.
+
+    Such are a whole string `codegen.part.file`, and the first arguments of Home and import_module.
+    """
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    texts = [node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    names, computed = [text for text in texts if re.fullmatch(r"codegen(\.\w+)+", text)], []
+    for node in nodes:
+        called = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
+        if called in ("Home", "import_module", "__import__"):
+            name = pattern(node.args[0])
+            if name in ("", "codegen.*"):
+                computed.append(ast.unparse(node))
+            else:
+                names.append(f"codegen.{name}" if called == "Home" else name)
+    return names, computed
+
+
+def pattern(node: ast.expr) -> str:
+    """A string as it is written, with `*` where something is filled in; nothing where it is no string."""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(part.value if isinstance(part, ast.Constant) else "*" for part in node.values)
+    return ""
+
+
+@cache
+def named() -> dict[str, set[str]]:
+    """The modules that each module of the package names by strings."""
+    edges: dict[str, set[str]] = {}
+    for name, path in paths().items():
+        patterns = literals(path)[0]
+        edges[name] = {other for other in paths() if any(fnmatchcase(other, p) for p in patterns)} - {name}
+    return edges
+
+
+@cache
+def paths() -> dict[str, Path]:
+    """The files of the package by the names of their modules."""
+    found = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
+    return {name.removesuffix(".__init__"): path for name, path in found.items()}
+
+
 def files(part: str) -> list[Path]:
     return [PACKAGE / f"{part}.py"] if (PACKAGE / f"{part}.py").exists() else sorted((PACKAGE / part).rglob("*.py"))
 
@@ -85,11 +158,9 @@ def part_of(name: str) -> str:
 @cache
 def graph(with_types: bool = False) -> dict[str, set[str]]:
     """The modules that each module of the package imports."""
-    paths = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
-    modules = {name.removesuffix(".__init__"): path for name, path in paths.items()}
     edges = {}
-    for name, path in modules.items():
-        seen = {n for n in imported(path, with_types) if n in modules} - {name}
+    for name, path in paths().items():
+        seen = {n for n in imported(path, with_types) if n in paths()} - {name}
         # `from package import module` names both; what is meant is the module.
         edges[name] = {n for n in seen if not any(other.startswith(f"{n}.") for other in seen)}
     return edges
@@ -118,6 +189,18 @@ def test_no_arrow_runs_back(floor):
         if part_of(name) in FLOORS[floor]:
             back = {other for other in others if part_of(other) not in {part_of(name), *below}}
             assert not back, f"{name} imports {', '.join(sorted(back))}"
+
+
+def test_strings_name_modules_of_lower_floors_but_for_some():
+    """Imports by strings, with which a part could use one of a higher floor unseen."""
+    floor = {part: number for number, parts in enumerate(FLOORS) for part in parts}
+    arrows = {(part_of(name), part_of(other)) for name, others in named().items() for other in others}
+    back = {(part, other) for part, other in arrows if part != other and floor[other] >= floor[part]}
+    assert back == set(BY_STRING)
+
+
+def test_names_of_modules_are_literals_but_for_some():
+    assert {part_of(name) for name, path in paths().items() if literals(path)[1]} == set(COMPUTED)
 
 
 @pytest.mark.parametrize("part", NUMERIC)

@@ -44,19 +44,7 @@ def together(
     alone are solved faster as one Control with `bodies=H`.
     """
     form = _common_form(bodies)
-    _require_same("duration", [body.duration for body in bodies])
-    _require_same("steps", [body.steps for body in bodies])
-    _require_single(bodies)
-    for index, body in enumerate(bodies):
-        if body.waypoints:
-            raise ExpressionError(f"body {index} has waypoints", "give those of all bodies, in order, to together(...)")
-    _require_own_coordinates(bodies, form)
-    if form == "dynamics":
-        if interaction != 0:
-            raise ExpressionError("interaction beside dynamics", "add what acts between bodies to their dynamics")
-        motion: Any = _merged("dynamics", [body.dynamics for body in bodies])
-    else:
-        motion = _sum(form, [*(getattr(body, form) for body in bodies), interaction])
+    _require_fitting(bodies, form)
 
     def listed(what: str, further: Relations) -> list[Any]:
         given = [*(getattr(body, what) for body in bodies), further]
@@ -65,7 +53,7 @@ def together(
     mappings = ("force", "start", "end", "bounds", "history", "guess", "scale")
     merged: Any = {what: _merged(what, [getattr(body, what) for body in bodies]) for what in mappings}
     return Control(
-        **{form: motion},
+        **{form: _motion(bodies, form, interaction)},
         cost=_sum("cost", [*(body.cost for body in bodies), cost]),
         terminal_cost=_sum("terminal_cost", [*(body.terminal_cost for body in bodies), terminal_cost]),
         maximise=_sum("maximise", [*(body.maximise for body in bodies), maximise]),
@@ -99,6 +87,26 @@ def _common_form(bodies: Sequence[Any]) -> str:
                 f"body 0 is given by {forms[0]}, body {index} by {form}", "give all bodies in the same way"
             )
     return forms[0]
+
+
+def _require_fitting(bodies: Sequence[Control], form: str) -> None:
+    """Refuse bodies that cannot be put together."""
+    _require_same("duration", [body.duration for body in bodies])
+    _require_same("steps", [body.steps for body in bodies])
+    _require_single(bodies)
+    for index, body in enumerate(bodies):
+        if body.waypoints:
+            raise ExpressionError(f"body {index} has waypoints", "give those of all bodies, in order, to together(...)")
+    _require_own_coordinates(bodies, form)
+
+
+def _motion(bodies: Sequence[Control], form: str, interaction: Expression) -> Any:
+    """What says how all bodies move, and act on each other."""
+    if form != "dynamics":
+        return _sum(form, [*(getattr(body, form) for body in bodies), interaction])
+    if interaction != 0:
+        raise ExpressionError("interaction beside dynamics", "add what acts between bodies to their dynamics")
+    return _merged("dynamics", [body.dynamics for body in bodies])
 
 
 def _require_same(what: str, values: Sequence[Any]) -> None:

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar
 
+from codegen.author.author_object import AuthorObject
 from codegen.author.measurements import Measurements
 from codegen.author.tables import Trajectory
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
-from codegen.tasks import Home
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
 """The arguments that may say how a system moves, and the form that each makes of a model."""
@@ -27,8 +27,6 @@ SAME_AT_BOTH_ENDS = (
     "start_conditions of the first phase and into the end_conditions of the last"
 )
 """How a motion of several phases is made periodic."""
-
-_LATEX = Home("notebooks.mathematics", "displayed")
 
 Relation = Any
 """A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
@@ -50,7 +48,7 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(AuthorObject):
     """A system and the time interval [0, T] on which it moves.
 
     Exactly one of these says how: a Lagrangian L(q, dq, t), a Hamiltonian H(q, p, t), or `dynamics`, which maps each
@@ -72,9 +70,6 @@ class Problem:
     start: Mapping[Any, Expression] = field(default_factory=dict)
     steps: int = 100
     drawing: Sequence[Item] = ()
-
-    def _repr_latex_(self) -> str:
-        return str(_LATEX(self))
 
 
 @dataclass(frozen=True)
@@ -147,7 +142,7 @@ class Control(Problem):
 
 
 @dataclass(frozen=True, init=False)
-class Phases:
+class Phases(AuthorObject):
     """Control problems that follow each other in time, where dynamics, bounds and cost may change from one to the next.
 
     All phases are given in the same way (Lagrangian, Hamiltonian or dynamics) and have the same coordinates or states;
@@ -172,9 +167,6 @@ class Phases:
             )
         object.__setattr__(self, "phases", phases)
         object.__setattr__(self, "jumps", jumps)
-
-    def _repr_latex_(self) -> str:
-        return str(_LATEX(self))
 
 
 def form_of(problem: Problem) -> str:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import keyword
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from codegen.author import problem_file
+from codegen.author.author_object import AuthorObject
 from codegen.errors import ArgumentError, clause
 
 UNNAMED = "problem"
@@ -113,7 +113,7 @@ def source_of(problem: Any, name: str | None = None, title: str | None = None) -
         if name is not None or title is not None:
             raise ArgumentError("a name or title beside a file", "leave it out; a file is named by itself")
         return problem if isinstance(problem, ProblemFile | ProblemObject) else ProblemFile(Path(problem))
-    if not is_author_object(problem):
+    if not isinstance(problem, AuthorObject):
         remedy = "give the path of a problem file, or a Control, Simulate, Phases or Connect"
         raise ArgumentError(f"a problem is no {type(problem).__name__}", remedy)
     from codegen.author.description import described
@@ -125,12 +125,6 @@ def source_of(problem: Any, name: str | None = None, title: str | None = None) -
     if not isinstance(title, str) or not title.strip() or not title.isprintable():
         raise ArgumentError(f"title {clause(repr(title))}", "give one line of text")
     return ProblemObject(name, title.strip(), f"{title.strip()}\n{described(problem, name)}", problem, Path.cwd())
-
-
-def is_author_object(problem: Any) -> bool:
-    """Whether this is what a problem file returns, told without importing sympy."""
-    home: Any = sys.modules.get("codegen.author.problem")  # whoever has made one has imported it
-    return home is not None and isinstance(problem, (home.Problem, home.Phases))
 
 
 def argument_names(problem: Source | Path | str) -> tuple[str, ...]:
@@ -152,14 +146,34 @@ def input_digest(problem: Source | Path | str, arguments: Mapping[str, str], *ex
     return digest.hexdigest()
 
 
-def split_points(problem: Source | Path | str, arguments: Mapping[str, object]) -> tuple[dict[str, str], str | None]:
-    """The arguments that shape a module, as text, and the file of points, if one is given, which is read for a solve.
+@dataclass(frozen=True)
+class Settings(Mapping[str, str]):
+    """The arguments that shape a module, as text, and beside them the file of points, if any, which a solve reads."""
+
+    shaping: Mapping[str, str]
+    points: str | None = None
+
+    def __getitem__(self, name: str) -> str:
+        return self.shaping[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.shaping)
+
+    def __len__(self) -> int:
+        return len(self.shaping)
+
+
+def settings_of(problem: Source | Path | str, arguments: Mapping[str, object] | None) -> Settings:
+    """What arguments of problem() say, as values or as the text that `--set` takes; settings are what they are.
 
     Raises ProblemFileError when the problem file cannot be read, and ArgumentError when two files of points are given.
     """
+    if isinstance(arguments, Settings):
+        return arguments
+    arguments = arguments or {}
     names = source_of(problem).point_arguments
     given = [name for name in arguments if name in names]
     if len(given) > 1:
         raise ArgumentError(f"--set gives files of points as {' and '.join(given)}", "give one of them")
     others = {name: str(value) for name, value in arguments.items() if name not in names}
-    return others, str(arguments[given[0]]) if given else None
+    return Settings(others, str(arguments[given[0]]) if given else None)

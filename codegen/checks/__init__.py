@@ -10,7 +10,7 @@ from pathlib import Path
 
 from codegen import compiler, emit, naming, schemes
 from codegen.author.data_files import recorded_files
-from codegen.author.sources import Source, source_of, split_points
+from codegen.author.sources import Source, settings_of, source_of
 from codegen.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
 from codegen.checks.derivation import (
     area_preservation,
@@ -132,16 +132,16 @@ def run(
     """
     end = time.process_time() + time_limit
     source = source_of(problem)
-    arguments = split_points(source, arguments or {})[0]
+    settings = settings_of(source, arguments)
     choices = naming.chosen(scheme, method, controls, sensitivities=sensitivities)
     if module is None:
         module = compiler.build(
-            source, arguments, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
+            source, settings, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
         ).path
     if is_of_particles(load(module)):
-        return Findings(pairwise.findings(source, arguments, choices, module))
-    context, text = _prepared(source, arguments, choices, module)
-    inputs = naming.origin_of(source, arguments, choices).inputs
+        return Findings(pairwise.findings(source, settings, choices, module))
+    context, text = _prepared(source, settings, choices, module)
+    inputs = naming.origin_of(source, settings, choices).inputs
     findings = list(provenance.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
@@ -197,12 +197,13 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
 def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
     """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
     from codegen import derive, lower, transcribe
+    from codegen.derive.mixed import control_sensitivities
 
     with recorded_files() as files:
         model = load_problem(source, arguments)
     assert isinstance(model, Model), "particles have checks of their own"
     program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
-    by_data = compiler.derivatives_by_data(program) if choices.sensitivities else None
+    by_data = control_sensitivities(program) if choices.sensitivities else None
     fresh = lower.lower(program, derive.derivatives(program), by_data)
     text = emit.render(fresh, naming.origin_of(source, arguments, choices, files))
     scheme = schemes.find(program.scheme, program.method)

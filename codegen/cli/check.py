@@ -58,11 +58,11 @@ def check(
 
 def _module(problem: Path, arguments: Mapping[str, str], choices: Choices, out: Path | None) -> Path:
     """The module that someone keeps, as it stands, since it may have been changed by hand; else one of the cache."""
-    from codegen import compiler, naming
+    from codegen import cache, compiler, naming
     from codegen.loading import load
     from codegen.machine_code import ahead_of_time
 
-    kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
+    kept = (out or cache.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
     if kept.is_file():
         return kept
     made = compiler.build(

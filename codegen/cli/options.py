@@ -42,3 +42,4 @@ Repeat = Annotated[int, typer.Option(parser=positive, metavar="N", help="Time th
 Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver (newton).")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")]

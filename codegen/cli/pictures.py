@@ -69,14 +69,13 @@ def requested(request: Request, plot: Path | None, animation: Path | None) -> Pi
             raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
     if plot is None and animation is None:
         return Pictures()
-    from codegen.author.sources import split_points
     from codegen.model.from_file import load_problem
     from codegen.pictures import unit_of
 
     model: Model | PairwiseModel | None = None
     unit = ""
     if not request.is_built:
-        model = load_problem(request.source, split_points(request.source, request.arguments)[0])
+        model = load_problem(request.source, request.settings)
         unit = unit_of(request.source)
     if animation is not None and not (model and model.drawing):
         finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"

@@ -18,6 +18,7 @@ from codegen.cli.options import (
     Log,
     Method,
     Out,
+    Plot,
     Problem,
     Repeat,
     Scheme,
@@ -35,54 +36,62 @@ if TYPE_CHECKING:
     from codegen.solving.outcome import Outcome
 
 
+DriverName = Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
+]
+MaxIterations = Annotated[
+    int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
+]
+TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")]
+Scaling = Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")]
+Warm = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")]
+Doublings = Annotated[int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")]
+Accuracy = Annotated[
+    float | None,
+    typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
+]
+Tables = Annotated[
+    list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
+]
+Observations = Annotated[
+    list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
+]
+Guesses = Annotated[int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")]
+Sensitivities = Annotated[
+    bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
+]
+Animate = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")]
+Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")]
+
+
 def solve(
     problem: Problem,
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
     method: Method = None,
     controls: ControlSites = Controls.INTERVAL,
-    driver: Annotated[
-        str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")
-    ] = "newton",
+    driver: DriverName = "newton",
     steps: Steps = None,
     every: Every = 1,
     repeat: Repeat = 1,
     json: Json = False,
     log: Log = False,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(metavar="E", help="Largest error of an equation (newton, ipopt), or of an adaptive step."),
-    ] = None,
-    max_iterations: Annotated[
-        int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of an optimiser.")
-    ] = None,
-    time_limit: Annotated[
-        float | None, typer.Option(metavar="S", help="Most seconds of a search (newton, ipopt).")
-    ] = None,
-    scaling: Annotated[str, typer.Option(help="auto, or none to work in the problem's own units (newton).")] = "auto",
-    warm: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Start from a saved result.")] = None,
-    doublings: Annotated[
-        int, typer.Option(min=0, max=12, help="Solve again on twice as many intervals, so often.")
-    ] = 0,
-    accuracy: Annotated[
-        float | None,
-        typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
-    ] = None,
-    table: Annotated[
-        list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
-    ] = [],  # noqa: B006
-    observations: Annotated[
-        list[Path], typer.Option(metavar="FILE.csv", help="Other measurements; of several bodies one file for each.")
-    ] = [],  # noqa: B006
-    guesses: Annotated[
-        int, typer.Option(min=1, max=10000, help="Optimise from so many first guesses and keep the best.")
-    ] = 1,
-    sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
-    ] = False,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
-    animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
+    tolerance: Tolerance = None,
+    max_iterations: MaxIterations = None,
+    time_limit: TimeLimit = None,
+    scaling: Scaling = "auto",
+    warm: Warm = None,
+    doublings: Doublings = 0,
+    accuracy: Accuracy = None,
+    table: Tables = [],  # noqa: B006
+    observations: Observations = [],  # noqa: B006
+    guesses: Guesses = 1,
+    sensitivities: Sensitivities = False,
+    plot: Plot = None,
+    animate: Animate = None,
+    save: Save = None,
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
@@ -110,8 +119,8 @@ def solve(
     wanted.save(outcome.module, outcome.result)
     _tell(outcome, json, log)
     if not outcome.result.solved:
-        told = one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}")
-        typer.echo(told + on_statuses(outcome.result.status), err=True)
+        message = one_line(f"codegen: {outcome.result.message}{_hint(outcome.result, guesses)}")
+        typer.echo(message + on_statuses(outcome.result.status), err=True)
         raise typer.Exit(1)
 
 
@@ -139,8 +148,8 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
         console(stderr=json).print(output.log_table(result))
     for attempt in result.attempts:
         typer.echo(attempt, err=True)
-    told = [note for found in (result.estimates, result.sensitivity) if found is not None for note in found.notes]
-    for note in (*notes.notes(outcome.module.metadata), *told, *result.notes):
+    found = [note for part in (result.estimates, result.sensitivity) if part is not None for note in part.notes]
+    for note in (*notes.notes(outcome.module.metadata), *found, *result.notes):
         typer.echo(f"codegen: note: {note}", err=True)
     if json:
         typer.echo(output.as_json(record))

@@ -9,97 +9,105 @@ from typing import Annotated, Any
 
 import typer
 
-from codegen.cli.options import Controls, ControlSites, Every, Json, Problem, Scheme, Set, Steps, positive
+from codegen.cli.options import Controls, ControlSites, Every, Json, Plot, Problem, Scheme, Set, Steps, positive
 from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
+Vary = Annotated[
+    list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
+]
+Together = Annotated[
+    list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
+]
+Samples = Annotated[
+    list[str],
+    typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
+]
+CasesOf = Annotated[
+    str | None, typer.Option(metavar="FILE.csv or N", help="A table with a row for each case; of samples how many.")
+]
+Sampling = Annotated[str, typer.Option(help="Of samples: random, latin or sobol.")]
+Seed = Annotated[int, typer.Option(min=0, help="Of samples.")]
+Store = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Where results go: .zarr, as they come, or .nc, at the end.")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with a store that was begun by the same sweep.")]
+Keep = Annotated[
+    str,
+    typer.Option(
+        metavar="NAMES",
+        help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: t,q,u]",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
+]
+Cluster = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to begin one.")
+]
+WarmStarts = Annotated[
+    bool, typer.Option("--warm-starts", help="Begin from solved neighbours, not only where the own guess fails.")
+]
+Chunk = Annotated[
+    int | None,
+    typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
+]
+Formulation = Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")]
+DriverName = Annotated[str, typer.Option(help="As for codegen solve.")]
+Tolerance = Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")]
+MaxIterations = Annotated[int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of a solve.")]
+TimeLimit = Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")]
+Scaling = Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")]
+Sensitivities = Annotated[
+    bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
+]
+Pareto = Annotated[
+    str | None,
+    typer.Option(metavar="A,B", help="The picture is the Pareto front of two numbers of each case; -A: large."),
+]
+
 
 def sweep(
     problem: Problem,
-    vary: Annotated[
-        list[str], typer.Option(metavar="NAME=VALUES", help="first:last:count or a,b,c; all combinations are cases.")
-    ] = [],  # noqa: B006
-    zip_: Annotated[
-        list[str], typer.Option("--zip", metavar="NAME,NAME", help="Vary these together instead of combined.")
-    ] = [],  # noqa: B006
-    sample: Annotated[
-        list[str],
-        typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
-    ] = [],  # noqa: B006
-    cases: Annotated[
-        str | None, typer.Option(metavar="FILE.csv or N", help="A table with a row for each case; of samples how many.")
-    ] = None,
-    method: Annotated[str, typer.Option(help="Of samples: random, latin or sobol.")] = "random",
-    seed: Annotated[int, typer.Option(min=0, help="Of samples.")] = 0,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where results go: .zarr, as they come, or .nc, at the end.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a store that was begun by the same sweep.")
-    ] = False,
-    keep: Annotated[
-        str,
-        typer.Option(
-            metavar="NAMES",
-            help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: t,q,u]",
-            show_default=False,
-        ),
-    ] = "",
-    workers: Annotated[
-        int | None, typer.Option(parser=positive, metavar="N", help="Processes. [default: one for each processor]")
-    ] = None,
-    cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="The scheduler of a cluster of dask; or local, to begin one.")
-    ] = None,
-    warm_starts: Annotated[
-        bool, typer.Option("--warm-starts", help="Begin from solved neighbours, not only where the own guess fails.")
-    ] = False,
-    chunk: Annotated[
-        int | None,
-        typer.Option(parser=positive, metavar="N", help="Cases written together. [default: about a second of work]"),
-    ] = None,
+    vary: Vary = [],  # noqa: B006
+    zip_: Together = [],  # noqa: B006
+    sample: Samples = [],  # noqa: B006
+    cases: CasesOf = None,
+    method: Sampling = "random",
+    seed: Seed = 0,
+    out: Store = None,
+    resume: Resume = False,
+    keep: Keep = "",
+    workers: Workers = None,
+    cluster: Cluster = None,
+    warm_starts: WarmStarts = False,
+    chunk: Chunk = None,
     set_: Set = [],  # noqa: B006
     scheme: Scheme = None,
-    formulation: Annotated[str | None, typer.Option(help="variational, hamiltonian or one-step.")] = None,
+    formulation: Formulation = None,
     controls: ControlSites = Controls.INTERVAL,
-    driver: Annotated[str, typer.Option(help="As for codegen solve.")] = "newton",
+    driver: DriverName = "newton",
     steps: Steps = None,
     every: Every = 1,
-    tolerance: Annotated[float | None, typer.Option(metavar="E", help="Largest error of an equation.")] = None,
-    max_iterations: Annotated[
-        int | None, typer.Option(parser=positive, metavar="N", help="Most iterations of a solve.")
-    ] = None,
-    time_limit: Annotated[float | None, typer.Option(metavar="S", help="Most seconds of a solve.")] = None,
-    scaling: Annotated[str, typer.Option(help="auto or none, as for codegen solve (newton).")] = "auto",
-    sensitivities: Annotated[
-        bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
-    ] = False,
-    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
-    pareto: Annotated[
-        str | None,
-        typer.Option(metavar="A,B", help="The picture is the Pareto front of two numbers of each case; -A: large."),
-    ] = None,
+    tolerance: Tolerance = None,
+    max_iterations: MaxIterations = None,
+    time_limit: TimeLimit = None,
+    scaling: Scaling = "auto",
+    sensitivities: Sensitivities = False,
+    plot: Plot = None,
+    pareto: Pareto = None,
     json: Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.author.problem_file import parse_arguments
-    from codegen.cli.pictures import PLOTS
-    from codegen.plots.objectives import objectives_of
-    from codegen.solutions.output import require_writable
     from codegen.sweeping.cases import assigned, axis_of
     from codegen.sweeping.layout import KEPT
     from codegen.sweeping.outcome import outcome_of
     from codegen.sweeping.request import sweep_request
 
-    if out is None:
-        raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
-    if plot is not None:
-        require_writable(plot, PLOTS, "--plot")
-    elif pareto is not None:
-        raise ArgumentError("--pareto without --plot", "name the file of the picture, as --plot front.png")
-    if pareto is not None:
-        objectives_of(pareto)
+    _require_outputs(out, plot, pareto)
     request = sweep_request(
         problem,
         _once("--vary", [axis_of(item) for item in vary]),
@@ -119,6 +127,22 @@ def sweep(
     _tell(outcome, json)
     if outcome.tally.failed:
         raise typer.Exit(1)
+
+
+def _require_outputs(out: Path | None, plot: Path | None, pareto: str | None) -> None:
+    """Refuse, before anything else, what cannot be written."""
+    from codegen.cli.pictures import PLOTS
+    from codegen.plots.objectives import objectives_of
+    from codegen.solutions.output import require_writable
+
+    if out is None:
+        raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
+    if plot is not None:
+        require_writable(plot, PLOTS, "--plot")
+    elif pareto is not None:
+        raise ArgumentError("--pareto without --plot", "name the file of the picture, as --plot front.png")
+    if pareto is not None:
+        objectives_of(pareto)
 
 
 def _require_front(pareto: str | None, outlined: Any) -> None:
@@ -170,5 +194,5 @@ def _tell(outcome: Any, json: bool) -> None:
         typer.echo(f"{tally.jumps} jumps of the cost remain: where jump is 1, a neighbour is better", err=True)
     if tally.failed:
         number = tally.cases - tally.solved
-        told = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
-        typer.echo(told + on_statuses(*tally.failed), err=True)
+        message = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
+        typer.echo(message + on_statuses(*tally.failed), err=True)

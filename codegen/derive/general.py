@@ -17,15 +17,37 @@ from dataclasses import replace
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.derive import ControlDerivatives, ElementDerivatives
+from codegen.derive import (
+    ControlDerivatives,
+    ElementDerivatives,
+    StepDerivatives,
+    control_derivatives,
+    step_derivatives,
+)
 from codegen.discretise import STEP
+from codegen.errors import ArgumentError
 from codegen.model import Model, legendre
 from codegen.model.definitions import FreeParameter
+from codegen.model.pairwise import PairwiseModel
+from codegen.transcribe import transcribe
 from codegen.transcribe.program import ControlProgram, StepProgram
 from codegen.transcribe.simulate import rates_of_change
 
 IDLE = "idle"
 """The name of the free parameter that nothing reads."""
+
+
+def general_form(
+    model: Model | PairwiseModel, scheme: str | None, method: str | None, controls: str
+) -> tuple[ControlProgram | StepProgram, ControlDerivatives | StepDerivatives]:
+    """The program of a problem and its derivatives; ArgumentError for particles, which have no such form."""
+    if not isinstance(model, Model):
+        raise ArgumentError("particles have no general form", "measure another problem")
+    program = transcribe(general_model(model), scheme, method, controls)
+    if isinstance(program, ControlProgram):
+        return program, general_derivatives(program, control_derivatives(program))
+    program = general_step(program)
+    return program, step_derivatives(program)
 
 
 def general_model(model: Model) -> Model:

@@ -14,9 +14,14 @@ from sympy import Expr, Symbol
 
 from codegen.derive import LONG, Entry
 from codegen.discretise import STEP
+from codegen.errors import ArgumentError
 from codegen.expressions import Assignment, mixed_derivatives
 from codegen.expressions.zeros import identically_zero
-from codegen.transcribe.program import ControlProgram, EndElement
+from codegen.model import Model
+from codegen.model.pairwise import PairwiseModel
+from codegen.tasks import TASKS
+from codegen.transcribe.connect import PairwiseProgram
+from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,21 @@ class ControlSensitivities:
     sample: DataDerivatives | None = None
 
 
+def require_sensitive(model: Model | PairwiseModel) -> None:
+    """ArgumentError for a problem whose solutions have no sensitivities: samples lie at times, not in parts of any."""
+    if model.task != "control":
+        noun = TASKS[model.task].noun
+        raise ArgumentError(f"sensitivities are those of an optimisation, not of {noun}", "leave them out")
+    assert isinstance(model, Model), "particles are no optimisation"
+    parts = model.phases or (model,)
+    times = [part.duration for part in parts] + [
+        i.time for part in parts for i in part.inner_times if i.time is not None
+    ]
+    if any(part.measurements for part in parts) and any(time.free_symbols & {*model.parameters} for time in times):
+        finding = "sensitivities of measurements need times that follow no parameters"
+        raise ArgumentError(finding, "give the duration and inner times as numbers, or leave sensitivities out")
+
+
 def data_of(program: ControlProgram) -> tuple[Symbol, ...]:
     """Data in their order: what stands among the parameters, time and length of an interval, numbers of its left node.
 
@@ -54,8 +74,9 @@ def data_of(program: ControlProgram) -> tuple[Symbol, ...]:
     return (*given, model.time, STEP, *inner.symbols)
 
 
-def control_sensitivities(program: ControlProgram) -> ControlSensitivities:
+def control_sensitivities(program: ControlProgram | StepProgram | PairwiseProgram) -> ControlSensitivities:
     """Differentiate the shares of intervals, samples and ends by data, and by unknowns and data."""
+    assert isinstance(program, ControlProgram), "sensitivities are those of an optimisation"
     unknowns, data = program.element_symbols, data_of(program)
     own = [_derivatives(share.element, unknowns, data) for share in program.interval_elements]
     samples = [_derivatives(s.element, unknowns, data) for s in (program.sample,) if s is not None]

@@ -17,12 +17,16 @@ from codegen.errors import ArgumentError
 
 @dataclass(frozen=True)
 class Driver:
-    """Name, summary, and by task the options of a request that it takes; its file has a function named after each."""
+    """Name, summary, and by task the options of a request that it takes; its file has a function named after each.
+
+    The one that is `generated` is the module's own solver: it calls nothing of a module but that, and explains itself.
+    """
 
     name: str
     file: str
     summary: str
     options: Mapping[str, tuple[str, ...]]
+    generated: bool = False
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -46,6 +50,7 @@ _ROWS = (
             "simulate": ("max_iterations",),
             "connect": ("tolerance",),
         },
+        generated=True,
     ),
     Driver(
         "slsqp", "slsqp", "scipy's sequential least-squares programming, dense",

@@ -73,7 +73,7 @@ def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
     status = "solved" if error <= max(1e-10, tolerance) else "stalled"
     text = f"{code} at tolerance {tolerance:g} arrives within {error:.1e} after {evaluations} evaluations of the field"
     message = text if status == "solved" else f"stalled: {text}; try a smaller tolerance"
-    return ConnectAttempt(status, message, iterations, path, max(1e-10, tolerance), begin.attempts)
+    return ConnectAttempt(status, message, iterations, path, max(1e-10, tolerance), begin.attempts, generated=True)
 
 
 def _error(module: ConnectModule, case: Any, path: Any) -> float:

@@ -12,13 +12,21 @@ from typing import Any, TypeGuard
 import numpy as np
 from scipy.optimize import fsolve
 
-from codegen.drivers.connect import fsolve as connect
+from codegen.drivers.particles import DENSE_LIMIT, finite, require_at_most, require_method, verdict
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
-from codegen.loading import ControlModule, ImplicitModule, Matrix, SimulateModule, StepGrid, Vector, is_implicit
-from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt, max_norm
-
-__all__ = ["connect", "control", "simulate"]
+from codegen.loading import (
+    ConnectModule,
+    ControlModule,
+    ImplicitModule,
+    Matrix,
+    SimulateModule,
+    StepGrid,
+    Vector,
+    is_implicit,
+)
+from codegen.solutions.connect import case_of
+from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
 TOLERANCE = 1e-8
 LIMIT = 3000
@@ -94,6 +102,28 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
         residual=module.path_residual(grid, path) if steps else float("nan"),
         tolerance=TOLERANCE,
     )
+
+
+def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
+    """Solve the module's equations, of the initial momenta or of all nodes, with their generated Jacobian."""
+    require_method(module, "fsolve", ("stepping", "full"))
+    case = case_of(module, run)
+    shooting = module.metadata["method"] == "stepping"
+    size = case.start.size if shooting else 2 * case.start.size * case.steps
+    require_at_most(size, DENSE_LIMIT, "fsolve")
+    equations = module.residual if shooting else module.all_equations
+    derivative = module.jacobian if shooting else module.all_equations_jacobian
+    start = module.first_momenta(case).ravel() if shooting else module.first_unknowns(case)
+    with quiet_single_thread():
+        found, details, _, reason = fsolve(
+            lambda y: finite(equations(case, y)),
+            start,
+            fprime=lambda y: finite(derivative(case, y)),
+            full_output=True,
+            xtol=1e-13,
+        )
+    path = module.trajectory(case, found)[1] if shooting else module.path_of(case, found)
+    return verdict(module, "fsolve", case, path, int(details["nfev"]), 1e-8, reason)
 
 
 def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:

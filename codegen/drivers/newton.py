@@ -6,14 +6,17 @@ import math
 from dataclasses import fields
 from typing import Any
 
-from codegen.drivers.connect import newton as connect
-from codegen.loading import ControlModule, SimulateModule
-from codegen.solutions.result import ControlAttempt, Run, SimulateAttempt
+import numpy as np
 
-__all__ = ["connect", "control", "simulate"]
+from codegen.drivers.adaptive import adaptive
+from codegen.drivers.scaled import quiet_single_thread
+from codegen.loading import ConnectModule, ControlModule, SimulateModule
+from codegen.solutions.connect import case_of
+from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt
 
 TOLERANCE = 1e-10
-_OWN = ("tolerance", "trajectories", "scaled", "is_explained")
+_ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of positions come near to this
+_OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated")
 """What an attempt has beside what a module's solution calls the same, or modules of earlier versions do not have."""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
@@ -29,14 +32,30 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     trajectories = (solution.t, solution.q, solution.p, solution.u, solution.multipliers)
     scaled = getattr(solution, "scaled", None)
     return ControlAttempt(
-        **_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories, scaled=scaled
-    )
+        **_claimed(ControlAttempt, solution), tolerance=tolerance, trajectories=trajectories, scaled=scaled,
+        generated=True,
+    )  # fmt: skip
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     """Call the module's `solve`."""
     solution = module.solve(steps=run.steps, every=run.every, **_stops(run))
-    return SimulateAttempt(**_claimed(SimulateAttempt, solution), tolerance=TOLERANCE)
+    return SimulateAttempt(**_claimed(SimulateAttempt, solution), tolerance=TOLERANCE, generated=True)
+
+
+def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
+    """Call the module's `solve_case`, or integrate adaptively where the scheme says so."""
+    case = case_of(module, run)
+    if module.metadata["adaptive"]:
+        return adaptive(module, case, run)
+    with quiet_single_thread():
+        solution = module.solve_case(case)
+    path = np.stack([solution.q, solution.p], axis=1)
+    tolerance = max(case.tolerance, _ROUNDED)
+    return ConnectAttempt(
+        solution.status, solution.message, solution.iterations, path, tolerance, solution.attempts, solution.tangents,
+        generated=True,
+    )  # fmt: skip
 
 
 def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:

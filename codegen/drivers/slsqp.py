@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import minimize
 
-from codegen.drivers.connect import slsqp as connect
+from codegen.drivers.particles import minimised
 from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
-from codegen.loading import ControlModule
-from codegen.solutions.result import ControlAttempt, Run
-
-__all__ = ["connect", "control"]
+from codegen.loading import ConnectModule, ControlModule, Vector
+from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
 LIMIT = 3000
@@ -41,3 +41,24 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")
     status = status if np.isfinite(found.fun) else "non-finite"
     return claim("SLSQP", status, int(found.nit), unknowns, TOLERANCE, f" ({found.message}); try driver newton")
+
+
+def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
+    """Minimise the discrete action of particles."""
+    return minimised(module, run, "slsqp", _action)
+
+
+def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
+    equations = {
+        "type": "eq",
+        "fun": lambda x: module.action_constraints(case, x),
+        "jac": lambda x: module.action_jacobian(case, x),
+    }
+    return minimize(
+        lambda x: module.action_cost(case, x),
+        start,
+        jac=lambda x: module.action_cost_gradient(case, x),
+        constraints=[equations],
+        method="SLSQP",
+        options={"maxiter": 1000, "ftol": 1e-14 * max(1.0, abs(module.action_cost(case, start)))},
+    )

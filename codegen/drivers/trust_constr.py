@@ -5,15 +5,15 @@ Source: Byrd, Hribar and Nocedal (1999); Conn, Gould and Toint (2000), section 1
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
-from codegen.drivers.connect import trust_constr as connect
+from codegen.drivers.particles import minimised
 from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
-from codegen.loading import ControlModule
-from codegen.solutions.result import ControlAttempt, Run
-
-__all__ = ["connect", "control"]
+from codegen.loading import ConnectModule, ControlModule, Vector
+from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
 MAX_ITERATIONS = 1000
@@ -55,3 +55,28 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     status = "solved" if found.status in (_GRADIENT_SMALL, _STEP_SMALL) else "iteration limit"
     status = status if np.isfinite(found.fun) else "non-finite"
     return claim("trust-constr", status, int(found.nit), unknowns, TOLERANCE)
+
+
+def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
+    """Minimise the discrete action of particles, with exact second derivatives."""
+    return minimised(module, run, "trust-constr", _action)
+
+
+def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
+    none = np.zeros(case.steps * case.start.size)
+    equations = NonlinearConstraint(
+        lambda x: module.action_constraints(case, x),
+        0.0,
+        0.0,
+        jac=lambda x: module.action_jacobian(case, x),
+        hess=lambda x, v: module.action_hessian(case, x, v) - module.action_hessian(case, x, none),
+    )
+    return minimize(
+        lambda x: module.action_cost(case, x),
+        start,
+        jac=lambda x: module.action_cost_gradient(case, x),
+        hess=lambda x: module.action_hessian(case, x, none),
+        constraints=[equations],
+        method="trust-constr",
+        options={"maxiter": 1000, "gtol": 1e-9, "xtol": 1e-13},
+    )

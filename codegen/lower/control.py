@@ -59,7 +59,7 @@ def lower_control(
     parts = (control_guesses.guesses, layout.duration, layout.bounds)
     if program.phases:
         parts = (phases.guesses, phases.duration, phases.bounds)
-    told = {name: value for part in parts for name, value in part(program).items()}
+    code = {name: value for part in parts for name, value in part(program).items()}
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -99,7 +99,7 @@ def lower_control(
             ("SAMPLED", len(model.measurements)),
         ),
         arguments=arguments_of(model),
-        **data_arguments(program, tables, inner_times.grid_code(program, told["grid_duration"])),
+        **data_arguments(program, tables, inner_times.grid_code(program, code["grid_duration"])),
         steps=model.steps,
         boundary_values=tuple(
             Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
@@ -111,7 +111,7 @@ def lower_control(
         **layout.pins(program),
         **layout.views(program),
         sensitivities=added.text,
-        **told,
+        **code,
     )
 
 

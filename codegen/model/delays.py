@@ -71,7 +71,7 @@ def require_history(entries: Sequence[Entry], delayed: Sequence[Delayed]) -> Non
     """Every value of the past needs a history; that of a control which nothing reads is a mistake."""
     given = [entry.key for entry in entries if entry.role == "history"]
     for value in delayed:
-        x = _told_by(value.partner, given)
+        x = _with_history(value.partner, given)
         if x is None:
             name = value.partner.partner if isinstance(value.partner, Velocity) else value.partner
             raise BoundaryError(
@@ -84,8 +84,8 @@ def require_history(entries: Sequence[Entry], delayed: Sequence[Delayed]) -> Non
             raise SymbolError(f"history gives {x}, which is never delayed", "leave it out, or write .delayed(...)")
 
 
-def _told_by(x: Quantity, given: Sequence[Any]) -> Quantity | None:
-    """Whose history tells that of a quantity: its own, or a velocity's that of its coordinate."""
+def _with_history(x: Quantity, given: Sequence[Any]) -> Quantity | None:
+    """The quantity whose history is that of another: its own, or a velocity's that of its coordinate."""
     if x in given:
         return x
     return x.partner if isinstance(x, Velocity) and x.partner in given else None

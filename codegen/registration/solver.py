@@ -35,7 +35,8 @@ def problem_file() -> Path:
 
 def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
     """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
-    from codegen.compiler import build, stored
+    from codegen.cache import stored
+    from codegen.compiler import build
 
     if not stored(problem_file(), arguments_of(dimension), scheme=scheme).is_file():
         return False

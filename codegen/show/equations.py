@@ -10,7 +10,7 @@ import sympy
 from sympy import Add, Expr, Symbol, expand_mul
 
 from codegen import schemes, transcribe
-from codegen.author.sources import Source, source_of, split_points
+from codegen.author.sources import Source, settings_of, source_of
 from codegen.discretise import (
     STEP,
     OneStepInterval,
@@ -67,7 +67,7 @@ def equations(
     unusable.
     """
     source = source_of(problem)
-    model = load_problem(source, split_points(source, arguments or {})[0])
+    model = load_problem(source, settings_of(source, arguments))
     if isinstance(model, PairwiseModel):
         return pairwise_equations(model, scheme, method, latex)
     program = transcribe.transcribe(model, scheme, method, controls)

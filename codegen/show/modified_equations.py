@@ -11,7 +11,7 @@ from sympy import Expr, Symbol
 
 from codegen import schemes, transcribe
 from codegen.analysis.modified_equations import ModifiedEquations, modified_equations
-from codegen.author.sources import split_points
+from codegen.author.sources import settings_of
 from codegen.errors import ArgumentError
 from codegen.model import Model, legendre
 from codegen.model.from_file import load_problem
@@ -46,7 +46,7 @@ def analysis(
     """
     if not 1 <= order <= LARGEST_ORDER:
         raise ArgumentError(f"--order {order}", f"give a power of h from 1 to {LARGEST_ORDER}")
-    model = _analysable(load_problem(Path(path), split_points(path, arguments or {})[0]))
+    model = _analysable(load_problem(Path(path), settings_of(path, arguments)))
     found = _scheme(model, scheme or transcribe.DEFAULT_SCHEME, method)
     result = modified_equations(model, found, order)
     side = legendre.hamiltonian_form(model.with_free_ends)

@@ -75,10 +75,10 @@ class Excursion:
 
 @dataclass(frozen=True)
 class _Row:
-    """A condition in the gradient: the place of its multiplier in a node or in an interval, and of states in a node."""
+    """A condition in the gradient: the index of its multiplier in a node or in an interval, and of states in a node."""
 
     name: str
-    place: int
+    index: int
     equality: bool
     states: tuple[int, ...]
     phases: tuple[int, ...]
@@ -140,7 +140,7 @@ def _rows(module: Any) -> Iterator[_Row]:
 
 
 def _partners(module: Any) -> dict[int, set[int]]:
-    """For every place in an interval with both its nodes those with which the Hessian of the Lagrangian couples it."""
+    """For every index of an interval with both its nodes those with which the Hessian of the Lagrangian couples it."""
     found: dict[int, set[int]] = {}
     for i, j in zip(module.HESSIAN_ROWS.tolist(), module.HESSIAN_COLUMNS.tolist(), strict=True):
         found.setdefault(i, set()).add(j)
@@ -185,7 +185,7 @@ class _Sampled:
         """The condition's values (bodies, intervals, parts + 1), from the left node of an interval to its right one."""
         nodes, intervals = self.module.views(self.grid, self._gradient if gradient is None else gradient)
         width = nodes.shape[2]
-        at_nodes = nodes[:, :, row.place] if row.equality else self._behind(intervals[:, :, row.place - width])
+        at_nodes = nodes[:, :, row.index] if row.equality else self._behind(intervals[:, :, row.index - width])
         index = self.parts * np.arange(self.intervals)[:, None] + np.arange(self.parts + 1)
         return np.asarray(at_nodes[:, index])
 

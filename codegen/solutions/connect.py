@@ -25,7 +25,7 @@ def connect_result(
     residual, cost, arrival = _measured(module, case, path, energy)
     status, message = attempt.status, attempt.message
     if status == "solved" and not residual <= 10.0 * attempt.tolerance:
-        status, message = contradicted(driver, f"the equations have residual {residual:.1e}", other_driver(driver))
+        status, message = contradicted(driver, f"the equations have residual {residual:.1e}", other_driver(attempt))
     crossed = intersecting_paths(case.start, case.target)
     if status != "solved" and crossed:
         one, other = crossed[0]

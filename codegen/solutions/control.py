@@ -56,7 +56,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
     status, message = attempt.status, attempt.message
     if status == "solved" and not _is_accurate(module, scaled, attempt, conditions, (residual, stationarity)):
         found = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
-        status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(driver))
+        status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(attempt))
     elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
@@ -64,7 +64,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
         message = (
             f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
         )
-    elif status != "solved" and driver != "newton" and not attempt.is_explained:
+    elif status != "solved" and not attempt.generated and not attempt.is_explained:
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
     cost = _cost(module, scaled, conditions.point) if status == "solved" else float(module.cost(grid, unknowns))

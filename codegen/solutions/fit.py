@@ -17,20 +17,20 @@ class Fit:
         self._module, self._unknowns = module, unknowns
         nodes = grid.nodes * grid.h
         self._chain = grid.steps * module.STRIDE + module.NODE
-        self._places = [
-            (body, int(np.searchsorted(nodes, row[sample])) - 1, sample, row, nodes)
+        self._samples = [
+            (body, int(np.searchsorted(nodes, row[begin])) - 1, begin, row, nodes)
             for body, row in enumerate(self._rows(grid))
-            for sample in range(module.FIRST_SAMPLE, row.size, module.SAMPLE)
-            if np.isfinite(row[sample])
+            for begin in range(module.FIRST_SAMPLE, row.size, module.SAMPLE)
+            if np.isfinite(row[begin])
         ]
         columns = (module.SAMPLE - 2) // 2
-        numbers = np.array([row[s + 1 : s + module.SAMPLE] for _, _, s, row, _ in self._places])
-        self.bodies = np.array([body for body, *_ in self._places])
-        self.times = np.array([nodes[k] for _, k, *_ in self._places])
-        self.times += numbers[:, 0] * np.array([nodes[k + 1] - nodes[k] for _, k, *_ in self._places])
+        numbers = np.array([row[s + 1 : s + module.SAMPLE] for _, _, s, row, _ in self._samples])
+        self.bodies = np.array([body for body, *_ in self._samples])
+        self.times = np.array([nodes[k] for _, k, *_ in self._samples])
+        self.times += numbers[:, 0] * np.array([nodes[k + 1] - nodes[k] for _, k, *_ in self._samples])
         self.weights = numbers[:, 1 + columns :]
         self.measured = np.where(self.weights > 0.0, numbers[:, 1 : 1 + columns], np.nan)
-        self.fitted = np.array([self._value(place, columns) for place in self._places])
+        self.fitted = np.array([self._value(sample, columns) for sample in self._samples])
 
     def _rows(self, grid: Grid) -> Matrix:
         """The parameters of each body, with the shared unknowns of the solution."""
@@ -40,17 +40,17 @@ class Fit:
                 plain(module.read_shared)(self._unknowns, body, rows)
         return rows
 
-    def _value(self, place: Any, columns: int) -> Vector:
-        _, values = self._given(place), np.empty(columns)
-        plain(self._module.sample_values)(*self._given(place), values)
+    def _value(self, sample: Any, columns: int) -> Vector:
+        _, values = self._given(sample), np.empty(columns)
+        plain(self._module.sample_values)(*self._given(sample), values)
         return values
 
-    def _given(self, place: Any) -> tuple[Any, ...]:
+    def _given(self, sample: Any) -> tuple[Any, ...]:
         """What a kernel is called with for a sample."""
-        body, k, sample, row, nodes = place
+        body, k, begin, row, nodes = sample
         first = body * self._chain + k * self._module.STRIDE
         local = self._unknowns[first : first + self._module.ELEMENT]
-        return local, nodes[k], nodes[k + 1] - nodes[k], row, sample
+        return local, nodes[k], nodes[k + 1] - nodes[k], row, begin
 
     @property
     def errors(self) -> Matrix:
@@ -73,14 +73,14 @@ class Fit:
         `following` (n, p) says how all unknowns follow them.
         """
         module, size = self._module, len(following)
-        found = np.zeros((len(self._places), following.shape[1]))
-        for i, place in enumerate(self._places):
+        found = np.zeros((len(self._samples), following.shape[1]))
+        for i, sample in enumerate(self._samples):
             local = np.zeros(module.ELEMENT + module.SHARED)
-            plain(module.sample_gradient)(*self._given(place), local)
-            first = place[0] * self._chain + place[1] * module.STRIDE
+            plain(module.sample_gradient)(*self._given(sample), local)
+            first = sample[0] * self._chain + sample[1] * module.STRIDE
             found[i] = local[: module.ELEMENT] @ following[first : first + module.ELEMENT]
             for j in range(module.SHARED):
-                index = size - module.ROOT + plain(module.root_index)(place[0], j)
+                index = size - module.ROOT + plain(module.root_index)(sample[0], j)
                 found[i] += local[module.ELEMENT + j] * following[index]
         return found
 

@@ -67,7 +67,10 @@ class Run:
 
 @dataclass(frozen=True)
 class ConnectAttempt:
-    """What a driver claims about a connect problem: states at the nodes, shape (N + 1, 2, n, d)."""
+    """What a driver claims about a connect problem: states at the nodes, shape (N + 1, 2, n, d).
+
+    `generated` says, here and below, that the module's own solver claims it.
+    """
 
     status: str
     message: str
@@ -76,6 +79,7 @@ class ConnectAttempt:
     tolerance: float
     attempts: tuple[str, ...] = ()
     tangents: int = 0
+    generated: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,7 @@ class ControlAttempt:
     trajectories: tuple[Matrix, ...] = ()
     scaled: Grid | None = None
     is_explained: bool = False
+    generated: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,6 +117,7 @@ class SimulateAttempt:
     steps: int
     residual: float
     tolerance: float
+    generated: bool = False
 
 
 @dataclass(frozen=True)
@@ -286,9 +292,9 @@ def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:
     return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 
 
-def other_driver(driver: str) -> str:
+def other_driver(attempt: Attempt) -> str:
     """What to try where a driver claims what is not so: another one, or other numbers."""
-    return "try more steps, or another guess" if driver == "newton" else "try more steps, or driver newton"
+    return "try more steps, or another guess" if attempt.generated else "try more steps, or driver newton"
 
 
 def max_norm(values: Vector) -> float:

@@ -55,7 +55,7 @@ class Segments:
         met = rf"(the continuity of (?:the momentum of )?)({named})\b"
         text = re.sub(met, lambda found: self._met(found, duration), text)
         pattern = rf"(?:\b((?:{_STEM})*(?:{named})(?:_stage\d+)?)\b| in segment (\d+))([^,;]*?{place})?"
-        text = re.sub(pattern, lambda found: self._told(found, steps, duration), text)
+        text = re.sub(pattern, lambda found: self._in_own_names(found, steps, duration), text)
         active = r"(?<=bounds active on )[^;]+"
         return re.sub(active, lambda found: ", ".join(dict.fromkeys(found[0].split(", "))), text)
 
@@ -63,7 +63,7 @@ class Segments:
         own, segment = self.names[found[2]]
         return f"{found[1]}{own} at t = {segment * duration:.3g}"
 
-    def _told(self, found: re.Match[str], steps: int, duration: float) -> str:
+    def _in_own_names(self, found: re.Match[str], steps: int, duration: float) -> str:
         name, segment = self.split(found[1]) if found[1] else ("", int(found[2]))
         name, rest = name.removeprefix("joined_"), found[3] or ""
         rest = re.sub(r"( in segment \d+)", "", rest)

@@ -29,13 +29,13 @@ def require_sensitive(module: Any) -> None:
 
 @dataclass(frozen=True)
 class Rates:
-    """What a module finds of sensitivities at the unknowns (n,) of a solution, on a grid; `told` has no arrays yet."""
+    """What a module finds at the unknowns (n,) of a solution, on a grid; its `sensitivities` have no arrays yet."""
 
     module: Any
     grid: Grid
     unknowns: Vector
     found: Any
-    told: Sensitivities
+    sensitivities: Sensitivities
 
     @property
     def free(self) -> dict[str, Vector]:
@@ -47,7 +47,7 @@ class Rates:
     def derivatives(self, result: Result) -> list[Derivatives]:
         """Those of a result, not yet put together of segments, by each quantity."""
         there = replace(result, unknowns=self.unknowns)
-        return [_derivatives(there, self, i) for i, _ in enumerate(self.told.names)]
+        return [_derivatives(there, self, i) for i, _ in enumerate(self.sensitivities.names)]
 
 
 def rates_at(
@@ -77,11 +77,11 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
         missing = Sensitivities(names, np.full(len(names), np.nan), UNSOLVED, (), np.nan, {})
         return replace(result, sensitivity=missing)
     rates = rates_at(module, result.steps, result.unknowns, given, result.grid)
-    told = rates.told
-    if told.reason:
-        return replace(result, sensitivity=told)
-    by_name = dict(zip(told.names, rates.derivatives(result), strict=True))
-    whole = Sensitivities(told.names, told.costs, "", told.doubtful, told.inaccuracy, by_name)
+    found = rates.sensitivities
+    if found.reason:
+        return replace(result, sensitivity=found)
+    by_name = dict(zip(found.names, rates.derivatives(result), strict=True))
+    whole = Sensitivities(found.names, found.costs, "", found.doubtful, found.inaccuracy, by_name)
     return replace(result, sensitivity=whole)
 
 

@@ -39,7 +39,7 @@ def simulate_result(
     if status == "solved" and not residual <= max(attempt.tolerance, rounding):
         finding = f"the scheme's equations have residual {residual:.1e}"
         status, message = contradicted(driver, finding, "try more steps")
-    if status == "solved" and driver != "newton" and (first_outside := getattr(module, "first_outside", None)):
+    if status == "solved" and not attempt.generated and (first_outside := getattr(module, "first_outside", None)):
         number, range_left = first_outside(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
         if number and run.every == 1:
             status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {range_left}"

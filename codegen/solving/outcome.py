@@ -13,7 +13,6 @@ from typing import Any, TypeAlias
 
 from codegen import compiler, loading
 from codegen.author.points import PointSet, read_points
-from codegen.author.sources import split_points
 from codegen.drivers import Driver
 from codegen.errors import SchemeError
 from codegen.loading import GeneratedModule, Matrix, Vector, is_control
@@ -87,7 +86,7 @@ def outcome_of(
     if request.sensitivities:
         require_sensitive(module)
     said: list[str] = []
-    if path is not None and driver.name == "newton":
+    if path is not None and driver.generated:
         seconds, said = ahead_of_time.require(path, module, is_new, working)
         build_seconds += seconds
     said = [*said, *_rounded(request, module)]
@@ -116,7 +115,7 @@ def _background(request: Request, module: Any) -> Background:
     path = None if file is None else Path(file)
     if request.is_built:
         return Background(module, path)
-    return Background(module, path, request.source, split_points(request.source, request.arguments)[0])
+    return Background(module, path, request.source, request.settings)
 
 
 def _built(request: Request, working: Working) -> tuple[Path | None, bool, float]:
@@ -131,7 +130,7 @@ def _built(request: Request, working: Working) -> tuple[Path | None, bool, float
 def _made(request: Request) -> compiler.Build:
     """The module by the scheme that is asked for; where accuracy is, by one of order four if the problem allows it."""
     build = partial(
-        compiler.build, request.source, request.arguments, method=request.method, controls=request.controls,
+        compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
         out=request.out, sensitivities=request.sensitivities,
     )  # fmt: skip
     if request.accuracy is not None and request.scheme is None:
@@ -178,7 +177,7 @@ def _points(request: Request, module: GeneratedModule) -> PointSet | None:
     """The points that are given, or those of the problem file, where there are any."""
     file, own = request.points, module.metadata.get("points")
     if file is None and own and not request.is_built:
-        file = split_points(request.source, request.arguments)[1] or request.source.folder / own
+        file = request.settings.points or request.source.folder / own
     if isinstance(file, Path | str):
         return read_points(Path(file), len(module.metadata["coordinates"]))
     return file

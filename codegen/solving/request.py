@@ -5,11 +5,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
+from functools import cached_property
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen.author.sources import ProblemFile, ProblemObject, Source, is_author_object, source_of
+from codegen.author.author_object import AuthorObject
+from codegen.author.sources import ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
 from codegen.drivers import DRIVERS, Driver, find
 from codegen.errors import ArgumentError, NumericsError
 from codegen.tasks import TASKS, Task, task_of
@@ -108,7 +110,7 @@ class Request:
                 raise ArgumentError(finding, "leave it out, or compile the problem with it")
             for name, value in made.items():
                 object.__setattr__(self, name, value)
-        elif is_author_object(self.problem):
+        elif isinstance(self.problem, AuthorObject):
             object.__setattr__(self, "problem", source_of(self.problem))
 
     def _require_problem(self) -> None:
@@ -128,6 +130,11 @@ class Request:
         """Where the problem comes from, which is no module."""
         assert not self.is_built, "a module has been made already"
         return source_of(self.problem)
+
+    @cached_property
+    def settings(self) -> Settings:
+        """What the arguments of a problem that is no module say, taken apart once."""
+        return settings_of(self.source, self.arguments)
 
     @property
     def is_built(self) -> bool:

@@ -59,9 +59,9 @@ def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[t
     if not is_connect(module):
         return ()
     from codegen.author.points import read_points
-    from codegen.author.sources import split_points
+    from codegen.author.sources import settings_of
 
-    given = split_points(problem, dict(arguments))[1]
+    given = settings_of(problem, arguments).points
     file = Path(given) if given is not None else problem.parent / module.metadata["points"]
     read = read_points(file, len(module.metadata["coordinates"]))
     return tuple((*map(float, a), *map(float, b)) for a, b in zip(read.start, read.target, strict=True))

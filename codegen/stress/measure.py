@@ -10,6 +10,7 @@ import numpy as np
 
 from codegen import solving
 from codegen.author.points import PointSet
+from codegen.drivers import DRIVERS
 from codegen.solutions.result import Result
 from codegen.solutions.simulate import rounding_level
 from codegen.stress.cases import Case, Measurement, Values
@@ -117,7 +118,7 @@ def _tolerance(module: Any, case: Case, result: Result) -> float:
         scale = max(1.0, float(np.abs(module.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
         return max(1e-7 * scale, 1e3 * eps * _largest(result.unknowns, result.multipliers) * result.steps)
     if result.task == "connect":
-        return 1e-5 if case.driver != "newton" else max(1e-9, 1e3 * eps * _largest(result.q, result.p))
+        return max(1e-9, 1e3 * eps * _largest(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
     h = result.t[-1] / max(result.steps, 1)
     size = _largest(result.q, result.p)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0

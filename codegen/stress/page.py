@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from codegen.drivers import DRIVERS
 from codegen.files import replacing, write_text
 from codegen.machine import versions
 from codegen.stress.cases import DEFECTS, OUTCOMES, Row
@@ -67,7 +68,7 @@ def stable(value: float) -> str:
 def line(row: Row) -> Line:
     """A row as text."""
     case, seen = row.case, row.measurement
-    scheme = case.setup.label if case.driver == "newton" else f"{case.setup.label}, {case.driver}"
+    scheme = case.setup.label if DRIVERS[case.driver].generated else f"{case.setup.label}, {case.driver}"
     cells = (
         case.name, scheme, number(case.h_omega), number(seen.error), number(case.bound), number(seen.drift),
         stable(seen.stable_below), str(seen.failures or ""), row.outcome,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.drivers import DRIVERS
 from codegen.loading import GeneratedModule
 from codegen.solutions.result import Run
 from codegen.tasks import task_of
@@ -109,4 +110,4 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
         seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
     else:
         seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata["coordinates"])
-    return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if driver == "newton" else SLOWER)))))
+    return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))

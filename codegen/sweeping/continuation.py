@@ -72,46 +72,46 @@ class Continuation(Generic[Found]):
         self._solved: dict[int, Found] = {}
         self._path: dict[int, list[int]] = {}
 
-    def solve(self, place: int, attempt: Callable[[Start[Found] | None], Found]) -> list[Found]:
+    def solve(self, index: int, attempt: Callable[[Start[Found] | None], Found]) -> list[Found]:
         """The attempts at a case, the last of which is its outcome: the first that is solved, else from its own guess.
 
         `attempt` is given what to start from, or None for the problem's own guess.
         """
         attempts: list[Found] = []
         own: Found | None = None
-        for start in self._starts(place):
+        for start in self._starts(index):
             found = attempt(start)
             attempts.append(found)
             if found.is_start:
-                path = self._path.setdefault(int(self._families[place]), [])
+                path = self._path.setdefault(int(self._families[index]), [])
                 if path:
                     self._solved[path[-1]] = self._solved[path[-1]].without_tangent()
-                path.append(place)
-                self._solved[place] = found
+                path.append(index)
+                self._solved[index] = found
                 return [*attempts[:-1], found.without_tangent()]
             own = found if start is None else own
         assert own is not None, "a case is tried from its own guess in any case"
         return [*(found for found in attempts if found is not own), own]
 
-    def _starts(self, place: int) -> Iterator[Start[Found] | None]:
-        family = int(self._families[place])
+    def _starts(self, index: int) -> Iterator[Start[Found] | None]:
+        family = int(self._families[index])
         path = self._path.get(family, [])
-        first = self._first(place, path) if self._warm else None
+        first = self._first(index, path) if self._warm else None
         if first is not None:
             yield first
         yield None
         others = path[:-1] if first is not None and not first.is_moved else path
-        for other in self._nearest(place, others):
+        for other in self._nearest(index, others):
             yield Start(self._solved[other])
 
-    def _first(self, place: int, path: Sequence[int]) -> Start[Found] | None:
+    def _first(self, index: int, path: Sequence[int]) -> Start[Found] | None:
         """The last solution, moved along its tangent, and by the secant through the last two if the case lies there."""
         if not path:
             return None
         last = self._solved[path[-1]]
         if len(path) == 1:
             return Start(last, is_along_tangent=last.has_tangent)
-        began, ended, wanted = (self._coordinates[k] for k in (path[-2], path[-1], place))
+        began, ended, wanted = (self._coordinates[k] for k in (path[-2], path[-1], index))
         one = [b - a for a, b in zip(began, ended, strict=True)]
         two = [b - a for a, b in zip(ended, wanted, strict=True)]
         square = sum(a * a for a in one)
@@ -121,8 +121,8 @@ class Continuation(Generic[Found]):
             return Start(last, is_along_tangent=last.has_tangent)
         return Start(last, self._solved[path[-2]], factor, last.has_tangent)
 
-    def _nearest(self, place: int, others: Sequence[int]) -> list[int]:
+    def _nearest(self, index: int, others: Sequence[int]) -> list[int]:
         if not others:
             return []
-        distances = ((self._points[others] - self._points[place]) ** 2).sum(axis=1)
+        distances = ((self._points[others] - self._points[index]) ** 2).sum(axis=1)
         return [others[k] for k in np.argsort(distances, kind="stable")[:OTHERS]]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen import compiler, loading
+from codegen.drivers import DRIVERS
 from codegen.engines.team import Working
 from codegen.errors import ArgumentError, CodegenError
 from codegen.machine_code import ahead_of_time
@@ -77,7 +78,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
         raise next(iter(errors.values()))
     said: list[str] = []
     for module, made in derived.values():
-        if request.driver == "newton":
+        if DRIVERS[request.driver].generated:
             said += ahead_of_time.require(made.path, module, made.written, working)[1]
     variants = {
         key: Variant(derived[key][1].path, shapes_of(derived[key][0], request.every, request.sensitivities))

@@ -65,11 +65,11 @@ class Wanted:
             rates = rates_at(module, run.steps, attempt.unknowns, given)
         except (ValueError, ArithmeticError) as error:  # a derivative that is infinite where the solution is not
             return CaseRates(f"no sensitivities: {error.args[-1] if error.args else type(error).__name__}")
-        message = "; ".join(rates.told.notes)
-        if rates.told.reason:
+        message = "; ".join(rates.sensitivities.notes)
+        if rates.sensitivities.reason:
             return CaseRates(message)
         arrays = {
-            f"{RATE}cost": rates.told.costs,
+            f"{RATE}cost": rates.sensitivities.costs,
             **{f"{RATE}{free_label(name)}": by for name, by in rates.free.items()},
         }
         if self.arrays:

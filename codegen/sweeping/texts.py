@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from codegen import loading
+from codegen.drivers import DRIVERS
 from codegen.engines.machines import Target, alone, compiled_note, target, workers_folder
 from codegen.files import write_text
 from codegen.machine_code import ahead_of_time
@@ -67,7 +68,7 @@ def _compiled(path: Path, text: str, driver: str) -> bool:
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, text)
-        if driver != "newton":
+        if not DRIVERS[driver].generated:
             return False
         seconds, _ = ahead_of_time.require(path, loading.load(path), False, lambda what: nullcontext())
         return seconds > 0.0

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen import loading
+from codegen.drivers import DRIVERS
 from codegen.engines.tally import LOST, Tally
 from codegen.engines.work import Abandoned, Done
 from codegen.errors import ArgumentError
@@ -104,31 +105,31 @@ class Work:
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
         given = [self._given(of_case) for of_case in values]
 
-        def attempt(place: int, start: Start[Attempt] | None) -> Attempt:
+        def attempt(index: int, start: Start[Attempt] | None) -> Attempt:
             if not is_wanted():
                 raise Abandoned
-            module = modules[keys[place]]
-            return not_built(self.variants[keys[place]]) if module is None else solve_case(module, given[place], start)
+            module = modules[keys[index]]
+            return not_built(self.variants[keys[index]]) if module is None else solve_case(module, given[index], start)
 
-        def noted(place: int, start: Start[Attempt] | None) -> Attempt:
+        def noted(index: int, start: Start[Attempt] | None) -> Attempt:
             # What is solved is the outcome. Rows have its arrays at once, and others may start from its unknowns alone:
             # thousands of arrays that are kept take longer to get than to compute.
-            found = attempt(place, start)
-            self._place(rows, place, self.variants[keys[place]], found)
+            found = attempt(index, start)
+            self._place(rows, index, self.variants[keys[index]], found)
             return found.without_arrays()
 
         rows = self._empty_rows(len(values))
         attempts: list[list[Attempt]] = [[]] * len(values)
-        for place in self._order(piece, families).tolist():
-            if modules[keys[place]] is None:
-                attempts[place] = [attempt(place, None)]
+        for index in self._order(piece, families).tolist():
+            if modules[keys[index]] is None:
+                attempts[index] = [attempt(index, None)]
             else:
-                attempts[place] = continuation.solve(place, partial(noted, place))
+                attempts[index] = continuation.solve(index, partial(noted, index))
         if self.layout.has_jumps and len(modules) == 1:
-            for place in self._improve(piece, attempts, rows, attempt):
-                self._place(rows, place, self.variants[keys[place]], attempts[place][-1])
-        for place, own in enumerate(attempts):
-            self._tell(rows, place, own)
+            for index in self._improve(piece, attempts, rows, attempt):
+                self._place(rows, index, self.variants[keys[index]], attempts[index][-1])
+        for index, own in enumerate(attempts):
+            self._tell(rows, index, own)
         return self._finished(piece.region, rows)
 
     def _improve(
@@ -141,16 +142,16 @@ class Work:
         """Begin what is on the worse side of a jump from the better one, and say what it won; the cases that did."""
         outcomes = [own[-1] for own in attempts]
         places = along_dimensions(piece.points, piece.extent)
-        found = improved(outcomes, piece.extent, places, lambda place, solution: attempt(place, Start(solution)))
-        for place, more in found.items():
-            kept = min((*more, outcomes[place]), key=lambda one: one.cost if one.is_start else np.inf)
-            rest = [own for own in (*attempts[place], *more) if own is not kept]
-            attempts[place] = [*rest, kept]
+        found = improved(outcomes, piece.extent, places, lambda index, solution: attempt(index, Start(solution)))
+        for index, more in found.items():
+            kept = min((*more, outcomes[index]), key=lambda one: one.cost if one.is_start else np.inf)
+            rest = [own for own in (*attempts[index], *more) if own is not kept]
+            attempts[index] = [*rest, kept]
         costs = np.array([own[-1].cost for own in attempts])
         rows["improvement"][:] = np.array([outcome.cost for outcome in outcomes]) - costs
         rows["jump"][:] = 0
         rows["jump"][[worse for worse, _ in jumps_of(costs.reshape(piece.extent), places, certain=True)]] = 1
-        return [place for place in found if attempts[place][-1] is not outcomes[place]]
+        return [index for index in found if attempts[index][-1] is not outcomes[index]]
 
     def lost(self, number: int, reason: str) -> Done:
         """A chunk of which nothing came."""
@@ -168,7 +169,7 @@ class Work:
         """A solve of a case by some module, from the problem's own guess, of which nothing is kept."""
         varied = self._varied(variant)
         assert varied is not None, "what is solved has a module"
-        if self.driver != "newton":  # the others call what this one does not
+        if not DRIVERS[self.driver].generated:  # the others call what this one does not
             varied.task.touch(varied.module, varied.run.steps)
         return solve_case(varied, self._given(self.cases.values(np.array([index]))[0]), None)
 
@@ -200,18 +201,18 @@ class Work:
             return serpentine(piece.extent)
         return nearest_chain(np.column_stack([piece.points, APART * families]))
 
-    def _tell(self, rows: Rows, place: int, attempts: Sequence[Attempt]) -> None:
+    def _tell(self, rows: Rows, index: int, attempts: Sequence[Attempt]) -> None:
         """Put how a case ended, the last attempt, into its row; iterations and seconds are those of all."""
         outcome = attempts[-1]
         outline = outcome.outline
-        rows["status"][place], rows["message"][place] = outline.status, outline.message
-        rows["residual"][place] = outline.residual
-        rows["iterations"][place] = sum(attempt.iterations for attempt in attempts)
-        rows["seconds"][place] = sum(attempt.seconds for attempt in attempts)
+        rows["status"][index], rows["message"][index] = outline.status, outline.message
+        rows["residual"][index] = outline.residual
+        rows["iterations"][index] = sum(attempt.iterations for attempt in attempts)
+        rows["seconds"][index] = sum(attempt.seconds for attempt in attempts)
         if outcome.is_solved:
-            rows["cost"][place] = np.nan if outline.cost is None else outline.cost
+            rows["cost"][index] = np.nan if outline.cost is None else outline.cost
 
-    def _place(self, rows: Rows, place: int, variant: Variant, outcome: Attempt) -> None:
+    def _place(self, rows: Rows, index: int, variant: Variant, outcome: Attempt) -> None:
         """Put the arrays of a solution into its row."""
         if not outcome.is_solved:
             return
@@ -219,19 +220,19 @@ class Work:
         assert shapes is not None, "what is solved has a module"
         for name in self.layout.dims:
             if name in outline.arrays:
-                rows[name][place] = self.layout.placed(name, outline.arrays[name], shapes.columns.get(name, ()))
+                rows[name][index] = self.layout.placed(name, outline.arrays[name], shapes.columns.get(name, ()))
         for name, value in outline.free.items():
-            rows[free_label(name)][place] = value
+            rows[free_label(name)][index] = value
         if outcome.rates is not None:
-            self._place_rates(rows, place, shapes, outcome.rates)
+            self._place_rates(rows, index, shapes, outcome.rates)
 
-    def _place_rates(self, rows: Rows, place: int, shapes: Shapes, found: CaseRates) -> None:
+    def _place_rates(self, rows: Rows, index: int, shapes: Shapes, found: CaseRates) -> None:
         """Put the derivatives of a solution into its row, where there are some, and what is to be said of them."""
-        rows[f"{RATE}message"][place] = found.message
+        rows[f"{RATE}message"][index] = found.message
         for name in self.layout.dims:
             if name.startswith(RATE):
                 array = found.arrays.get(name)
-                rows[name][place] = np.nan if array is None else self.layout.placed_rates(name, array, shapes)
+                rows[name][index] = np.nan if array is None else self.layout.placed_rates(name, array, shapes)
 
     def _finished(self, region: tuple[slice, ...], rows: Rows) -> Done:
         """A chunk whose rows are where they belong."""

@@ -36,7 +36,7 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
     """
     data = [datum for datum in columns.values() if datum not in share.unknowns]
     unknowns = (*share.unknowns, *data)
-    places = {column: unknowns.index(datum) for column, datum in columns.items()}
+    indices = {column: unknowns.index(datum) for column, datum in columns.items()}
     pairs = tuple(pattern)
     width = 1 + max((*columns, *(column for _, column in pairs)))
 
@@ -44,8 +44,8 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
         slopes: list[Any] = [0] * width
         mixed: list[Any] = [0] * len(pairs)
         share.call_gradient(lambda *given: called(*given[:-1], slopes, mixed), values, [])
-        for column, place in places.items():
-            filled[place] = slopes[column] + filled[place]
+        for column, index in indices.items():
+            filled[index] = slopes[column] + filled[index]
         return 0
 
     def call_mixed(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> None:
@@ -53,13 +53,13 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
         share.call_gradient(lambda *given: called(*given[:-1], slopes, given[-1]), values, filled)
 
     of_slopes = replace(
-        share, beside=S.Zero, unknowns=unknowns, indices=tuple(places.values()), pattern=(), pairs=(), gradient=kernel,
+        share, beside=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
         hessian=kernel, call_gradient=call_slopes,
     )  # fmt: skip
-    every = tuple((row, place) for row in share.indices for place in places.values() if place not in share.indices)
+    every = tuple((row, index) for row in share.indices for index in indices.values() if index not in share.indices)
     of_mixed = replace(
-        share, unknowns=unknowns, pattern=tuple((row, places[column]) for row, column in pairs if column in places),
-        pairs=every, hessian=kernel, call_hessian=_picked(call_mixed, [column in places for _, column in pairs]),
+        share, unknowns=unknowns, pattern=tuple((row, indices[column]) for row, column in pairs if column in indices),
+        pairs=every, hessian=kernel, call_hessian=_picked(call_mixed, [column in indices for _, column in pairs]),
     )  # fmt: skip
     return [of_slopes, of_mixed]
 

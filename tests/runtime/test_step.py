@@ -176,7 +176,7 @@ def test_energies() -> None:
 
 
 def test_callbacks_describe_one_step() -> None:
-    grid = motion.checked_grid(10, 3.0, [], START)
+    grid = motion.checked_step_grid(10, 3.0, [], START)
     unknowns = step_callbacks.predict(grid, START)
     derivative = step_callbacks.jacobian(grid, unknowns, START)
     shift = 1e-6
@@ -203,8 +203,8 @@ def test_unusable_arguments_are_named() -> None:
         ((5, 1.0, [], [np.nan, 0.0]), "start"),
     ):
         with pytest.raises(ValueError, match=f"^{name}"):
-            motion.checked_grid(*arguments)
-    grid = motion.checked_grid(5, 1.0, [], START)
+            motion.checked_step_grid(*arguments)
+    grid = motion.checked_step_grid(5, 1.0, [], START)
     with pytest.raises(ValueError, match=r"^every"):
         motion.integrate(grid, 0)
     with pytest.raises(ValueError, match=r"^tolerance"):
@@ -214,7 +214,7 @@ def test_unusable_arguments_are_named() -> None:
 
 
 def test_messages_name_step_and_time() -> None:
-    grid = motion.checked_grid(10, 3.0, [], START)
+    grid = motion.checked_step_grid(10, 3.0, [], START)
     status, message = motion.integrate(body_motion.with_settings(grid, 1e-13, 1), 1)[:2]
     assert status == "newton failed"
     assert message.startswith("newton failed in step 1 of 10, from t = 0 to 0.3: ")

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from codegen.drivers import DRIVERS
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, STYLE
 from codegen.report.measure import accuracy, sweeps
 from codegen.report.settings import Settings, few_landmarks
@@ -74,7 +75,7 @@ def routes(settings: Settings, store: Store, scheme: str) -> Figure:
             solved = [(n, v) for n, v in rows if v["status"] == "solved"]
             failed = [(n, v) for n, v in rows if v["status"] != "solved"]
             colour, width = COLOURS[route.label], 2.6 if route.label == "stepping, newton" else 1.2
-            style = "-" if route.driver == "newton" else "--"
+            style = "-" if DRIVERS[route.driver].generated else "--"
             if exact is not None:
                 cost_axes.semilogy(
                     [n for n, _ in solved],

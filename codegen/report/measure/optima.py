@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from codegen import solving
+from codegen import drivers, solving
 from codegen.errors import CodegenError
 from codegen.loading import ControlModule, GeneratedModule, is_control
 from codegen.report.building import SURVEYS, Variant, Workshop
@@ -150,4 +150,4 @@ def limit(values: Values) -> Limit | None:
 
 def _by_driver(module: ControlModule, driver: str, steps: int, repeat: int) -> Values:
     """A solution by one of scipy's methods; what does not apply is recorded with its reason."""
-    return solved(module, steps, repeat if driver == "newton" else 1, driver)
+    return solved(module, steps, repeat if drivers.DRIVERS[driver].generated else 1, driver)

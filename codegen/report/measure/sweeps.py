@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from codegen import solving
+from codegen.drivers import DRIVERS
 from codegen.report.settings import Settings, few_landmarks
 from codegen.report.store import Case, Store, Values
 
@@ -69,7 +70,7 @@ def case_name(scheme: str, route: str, count: int, steps: int) -> str:
 
 def _solved(settings: Settings, scheme: str, route: Route, count: int, steps: int) -> Values:
     module = settings.module(scheme, None if route.method == "stepping" else route.method)
-    repeat = 5 if route.driver == "newton" or (route.method, route.driver) == ("stepping", "fsolve") else 1
+    repeat = 5 if DRIVERS[route.driver].generated or (route.method, route.driver) == ("stepping", "fsolve") else 1
     result = solving.solve(module, route.driver, points=few_landmarks(count), steps=steps, repeat=repeat)
     found: dict[str, object] = {
         "status": result.status,

@@ -72,13 +72,13 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def follow(
+def take_step(
     is_new, unknowns, right, step, length, indices, side, distance, duals, dual_step, dual_length, mu, sizes, weight,
     steps, h, nodes, parameters, is_multiplier, trial, moved, moved_duals, gradient,
 ):  # fmt: skip
     """Move unknowns and duals by parts of their steps, and evaluate and measure there what belongs to an iterate.
 
-    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is followed
+    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is taken
     for its longest lengths in place of those given. Fills `trial`, its distances `moved`, `moved_duals` and the
     `gradient`; returns what `measure_step` does, the sum of logarithms of distances, what a Point holds beside unknowns
     and gradient, with these duals in its stationarity, and what `measure_optimality` does. It is one function, because
@@ -92,8 +92,8 @@ def follow(
     cost, residual, violation, _, error = measured_gradient(
         trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient
     )
-    places = is_multiplier, indices, side, moved
-    measured = move_duals(gradient, trial, *places, duals, dual_step, dual_length, mu, moved_duals)
+    bounds = is_multiplier, indices, side, moved
+    measured = move_duals(gradient, trial, *bounds, duals, dual_step, dual_length, mu, moved_duals)
     stationarity = measured[0]
     if error < np.inf:
         error = stationarity if stationarity > residual else residual

@@ -17,7 +17,7 @@ from codegen.runtime.optimise.barrier import (
     add_barrier,
     approach,
     finite_bounds,
-    follow,
+    take_step,
     measure_optimality,
     push_inside,
     relaxation,
@@ -282,7 +282,7 @@ def corrected_inertia(before, delta_w, least, singular):
 def step_along(search, iterate, gradient, primal, inertia):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope, longest lengths and end."""
     dual = np.empty(iterate.duals.size)
-    measured, end = followed(search, iterate, gradient, primal, dual)
+    measured, end = stepped(search, iterate, gradient, primal, dual)
     return Step(primal, dual, gradient, *measured, inertia, end)
 
 
@@ -311,10 +311,10 @@ def moved(search, iterate, step, length):
     """The iterate after a length of a step's primal part and the longest of its dual part, measured there."""
     if length == step.longest and step.end is not None:
         return step.end
-    return followed(search, iterate, step.gradient, step.primal, step.dual, False, length, step.dual_length)[1]
+    return stepped(search, iterate, step.gradient, step.primal, step.dual, False, length, step.dual_length)[1]
 
 
-def followed(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_length=0.0):
+def stepped(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_length=0.0):
     """What `measure_step` says of a step that `is_new`, and the iterate after the longest of it, or after a length."""
     # Taking tuples apart takes a quarter of the time of looking each field up by its name.
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = search.grid
@@ -322,7 +322,7 @@ def followed(search, iterate, right, primal, dual, is_new=True, length=0.0, dual
     indices, _, side, _ = search.bounds
     trial, gradient = np.empty(primal.size), np.empty(primal.size)
     apart, pushes = np.empty(side.size), np.empty(side.size)
-    of_step, logarithms, evaluated, measured = follow(
+    of_step, logarithms, evaluated, measured = take_step(
         is_new, point.unknowns, right, primal, length, indices, side, distance, duals, dual, dual_length, mu, sizes,
         weight, steps, h, nodes, parameters, is_multiplier, trial, apart, pushes, gradient,
     )  # fmt: skip

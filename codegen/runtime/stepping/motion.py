@@ -29,7 +29,7 @@ class Grid(NamedTuple):
     given: tuple[object, ...]
 
 
-def checked_grid(steps, duration, parameters, start, *own):
+def checked_step_grid(steps, duration, parameters, start, *own):
     """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
     steps, duration = checked_times(steps, duration)
     parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)

@@ -17,13 +17,13 @@ def range_left(grid, state, t):
         for length in lengths:
             advance(here, t, length, grid.given, work, interval)
             if left_tables(here, interval, t, length, grid.parameters, inputs) >= 0:
-                return told_range(grid.parameters, inputs)
+                return range_message(grid.parameters, inputs)
             here, t = interval[STAGES:].copy(), t + length.sum()
         return ""
     else:
         advance(here, t, grid.h, grid.given, allocate_work(grid.h, grid.given), interval)
         is_left = left_tables(here, interval, t, grid.h, grid.parameters, inputs) >= 0
-        return told_range(grid.parameters, inputs) if is_left else ""
+        return range_message(grid.parameters, inputs) if is_left else ""
 
 
 def first_outside(grid, path):
@@ -32,13 +32,13 @@ def first_outside(grid, path):
     Zero and nothing where none does. Inner stages are those of the steps that the scheme itself makes.
     """
     for k in range(len(path) - 1):
-        told = range_left(grid, path[k], k * grid.h)
-        if told:
-            return k + 1, told
+        message = range_left(grid, path[k], k * grid.h)
+        if message:
+            return k + 1, message
     return 0, ""
 
 
-def told_range(parameters, inputs):
+def range_message(parameters, inputs):
     """The input that is farthest outside, in words."""
     ends = parameters[RANGES]
     excess = np.maximum(ends[:, 0] - inputs[:, 0], inputs[:, 1] - ends[:, 1]) / (ends[:, 1] - ends[:, 0])
