@@ -22,7 +22,7 @@ from codegen.discretise import STEP
 from codegen.model import Model, legendre
 from codegen.model.definitions import FreeParameter
 from codegen.transcribe.program import ControlProgram, StepProgram
-from codegen.transcribe.simulate import rates_of_change
+from codegen.transcribe.simulation.simulate import rates_of_change
 
 IDLE = "idle"
 """The name of the free parameter that nothing reads."""

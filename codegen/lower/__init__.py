@@ -5,9 +5,9 @@ from __future__ import annotations
 from codegen.derive import ControlDerivatives, StepDerivatives
 from codegen.derive.mixed import ControlSensitivities
 from codegen.derive.pairwise import PairDerivatives
-from codegen.lower.connect import lower_connect, lower_particles
-from codegen.lower.control import lower_control
+from codegen.lower.control.module import lower_control
 from codegen.lower.module import Module
+from codegen.lower.particles.module import lower_connect, lower_particles
 from codegen.lower.simulate import lower_step
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram, StepProgram

@@ -19,8 +19,8 @@ from jinja2 import meta
 from codegen import emit, mangling
 from codegen.compiler import build
 from codegen.errors import FileError
-from codegen.lower.connect import ConnectModule, ParticlesModule
 from codegen.lower.module import ControlModule, Origin, SimulateModule
+from codegen.lower.particles.module import ConnectModule, ParticlesModule
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"

@@ -11,7 +11,7 @@ from interpreted import without_compilation
 from simulation_systems import SYSTEMS, chain, coupled, model_of, module_of, rough_plane, text_of
 
 from codegen.discretise import STEP
-from codegen.transcribe.elimination import eliminate
+from codegen.transcribe.simulation.elimination import eliminate
 
 NEWTON_UNKNOWNS = {
     #                                    pendulum  double pendulum  Kepler  coupled

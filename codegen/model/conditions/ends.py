@@ -1,6 +1,6 @@
 """Conditions on coordinates and rates at one end, beside values that are given there; at the end, also between bodies.
 
-`codegen.transcribe.ends` imposes them, those between bodies `codegen.transcribe.shared`.
+`transcribe.conditions.ends` imposes them, those between bodies `transcribe.conditions.shared`.
 """
 
 from __future__ import annotations

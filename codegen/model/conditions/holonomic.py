@@ -1,4 +1,4 @@
-"""Holonomic constraints c(q, t) = 0 of Lagrangian systems; `codegen.transcribe.holonomic` imposes them."""
+"""Holonomic constraints c(q, t) = 0 of Lagrangian systems; `transcribe.conditions.holonomic` imposes them."""
 
 from __future__ import annotations
 

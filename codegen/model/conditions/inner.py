@@ -1,4 +1,4 @@
-"""Conditions at times between start and end, given or free; `codegen.transcribe.inner_times` imposes them."""
+"""Conditions at times between start and end, given or free; imposed by `transcribe.conditions.inner_times`."""
 
 from __future__ import annotations
 

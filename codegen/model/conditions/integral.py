@@ -1,4 +1,4 @@
-"""Conditions on integrals over the whole duration, such as a length; `codegen.transcribe.integrals` imposes them."""
+"""Conditions on integrals over the whole duration, such as a length; `transcribe.conditions.integrals` imposes them."""
 
 from __future__ import annotations
 

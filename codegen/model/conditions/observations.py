@@ -1,4 +1,4 @@
-"""Measurements that a motion is to fit; `codegen.transcribe.samples` adds them to the cost."""
+"""Measurements that a motion is to fit; `transcribe.conditions.samples` adds them to the cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conditions that hold at every time; `codegen.transcribe.path_conditions` imposes them."""
+"""Conditions that hold at every time; `transcribe.conditions.path_conditions` imposes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has the same value at the end as at the start, up to a shift; `codegen.transcribe.periodic` imposes it."""
+"""What has the same value at the end as at the start, up to a shift; `transcribe.conditions.periodic` imposes it."""
 
 from __future__ import annotations
 
