@@ -132,6 +132,12 @@ class TestCondition:
         assert " 0 failed" in extended.command("check", path)
         assert "\n  (dx)(T) = " in extended.command("show", path)
 
+    def test_notebooks_display_it(self, extended, stop):
+        path = stop("displayed", "end={x: 1}, standstill=[dx]")
+        done = extended.python("-c", f"import runpy; print(runpy.run_path({str(path)!r})['problem']()._repr_latex_())")
+        assert done.returncode == 0, done.stderr
+        assert r"&\dot{x} = 0\quad\text{(standstill)}" in done.stdout
+
     def test_its_refusals_are_one_line(self, extended, stop):
         found = extended.refused("build", stop("refused", "end={x: 1, dx: 0}, standstill=[dx]"))
         assert "standstill lists dx, which end gives; leave it out of one of them" in found
