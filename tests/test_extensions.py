@@ -145,6 +145,47 @@ class TestCondition:
         assert "standstill of u depends on u; use coordinates" in found
 
 
+PAIR = '''"""Move two carts by one, together. Source: any textbook."""
+from sympy import Eq
+
+from codegen import Control, controls, states
+
+
+def problem():
+    x, y = states("x y")
+    u, w = controls("u w")
+    return Control(
+        dynamics={x: u, y: w}, cost=(u**2 + 3 * w**2) / 2, duration=1, start={x: 0, y: 0}, end={x: 1},
+        balance=[Eq(2 * x, y)], steps=20,
+    )
+'''
+
+
+class TestFieldOfTheModel:
+    @pytest.fixture
+    def pair(self, extended):
+        path = extended.folder / "pair.py"
+        path.write_text(PAIR, encoding="utf-8")
+        return path
+
+    def test_it_holds(self, extended, pair):
+        """With w = 2 u, and u = 1 all along, the cost is (1 + 12)/2."""
+        assert extended.solved(pair)["cost"] == pytest.approx(6.5, rel=1e-9)
+
+    def test_it_is_told_and_checked(self, extended, pair):
+        printed = extended.command("check", pair)
+        assert " 0 failed" in printed
+        assert re.search(r"balance of nodes +2\*x = y +passed", printed)
+        problem = extended.problems / "linear_regulator.py"
+        assert re.search(r"balance of nodes.*there are no balances", extended.command("check", problem))
+
+    def test_values_of_the_past_do_not_go_with_it(self, extended, pair):
+        text = pair.read_text(encoding="utf-8").replace("x: u,", "x: u - x.delayed(0.5), ")
+        delayed = extended.folder / "delayed.py"
+        delayed.write_text(text.replace("duration", "history={x: 0}, duration"), encoding="utf-8")
+        assert "balance beside the delay 1/2 of x" in extended.refused("build", delayed)
+
+
 def test_sampling_method(extended):
     done = extended.python(
         "-c", "from codegen.sweeping.samples import samples\nprint(samples({'a': 'uniform(0, 8)'}, 3, 'halton', 0))"
