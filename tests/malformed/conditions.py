@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, first_order, group, optimal, simulation
-
 from codegen.errors import BoundaryError, DegenerateError, ExpressionError, ProblemFileError, SymbolError
+from malformed.templates import Malformed, first_order, group, optimal, simulation
 
 _K = "k = parameter('k', 1)"
 _T = "T = free_parameter('T', 1)"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, file_text, optimal
-
 from codegen.errors import CodegenError, ExpressionError, SymbolError, TableError
+from malformed.templates import Malformed, file_text, optimal
 
 _FILE = "t,z,s\n0,0,0.1\n0.25,0.3,0.1\n0.5,,0.1\n1,0.9,0.1\n"
 

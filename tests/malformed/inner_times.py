@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, file_text, first_order, optimal
-
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from malformed.templates import Malformed, file_text, first_order, optimal
 
 _WAYPOINT = "from codegen import Waypoint"
 _T = "T = free_parameter('T', 1)"

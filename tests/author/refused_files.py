@@ -9,7 +9,7 @@ import pytest
 from codegen.errors import CodegenError
 from codegen.model.from_file import load_problem
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
 def refusal(file: Path, arguments: dict[str, str] | None = None) -> CodegenError:

@@ -2,14 +2,6 @@
 
 from __future__ import annotations
 
-from malformed_conditions import MALFORMED_CONDITIONS
-from malformed_delays import MALFORMED_DELAYS
-from malformed_inner_times import MALFORMED_INNER_TIMES
-from malformed_measurements import MALFORMED_MEASUREMENTS
-from malformed_phases import MALFORMED_PHASES
-from malformed_tables import MALFORMED_TABLES
-from malformed_templates import Malformed, declaring, file_text, optimal, simulation
-
 from codegen.errors import (
     BoundaryError,
     DegenerateError,
@@ -17,6 +9,13 @@ from codegen.errors import (
     ProblemFileError,
     SymbolError,
 )
+from malformed.conditions import MALFORMED_CONDITIONS
+from malformed.delays import MALFORMED_DELAYS
+from malformed.inner_times import MALFORMED_INNER_TIMES
+from malformed.measurements import MALFORMED_MEASUREMENTS
+from malformed.phases import MALFORMED_PHASES
+from malformed.tables import MALFORMED_TABLES
+from malformed.templates import Malformed, declaring, file_text, optimal, simulation
 
 _TWO = '(a, b), (da, db) = coordinates("a b")\n'
 _CANONICAL = 'q, p = canonical_pair("q", "p")\n'

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, file_text, optimal
-
 from codegen.errors import CodegenError, ExpressionError, SymbolError, TableError
+from malformed.templates import Malformed, file_text, optimal
 
 _CURVE = "q,f\n0,0\n1,1\n2,3\n3,2\n"
 _GRID = "q,v,f\n" + "".join(f"{q},{v},{q * v}\n" for q in range(4) for v in range(5))

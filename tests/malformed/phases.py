@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, file_text, phased
-
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from malformed.templates import Malformed, file_text, phased
 
 _OSCILLATOR = 'q, dq = coordinate("q")\nf = control("f")\n'
 _MOTION = "lagrangian=dq**2/2, force={q: f}, cost=f**2, duration=1"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from malformed_templates import Malformed, first_order, group, optimal, phased, simulation
-
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, SizeError, SymbolError
+from malformed.templates import Malformed, first_order, group, optimal, phased, simulation
 
 _FIRST, _HISTORY = "{x: v, v: u + x.delayed(0.5)}", "{x: 1}"
 

@@ -3,58 +3,17 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
+from stand_in import StandIn
 
 from codegen.engines import engine_for
 from codegen.engines.processes import TRIES
-from codegen.engines.tally import LOST, Tally
-from codegen.engines.work import Done
-
-
-@dataclass(frozen=True)
-class StandIn:
-    """Work that notes in a folder who has done what; some chunks kill their process once, or always."""
-
-    folder: Path
-    once: tuple[int, ...] = ()
-    always: tuple[int, ...] = ()
-    broken: tuple[int, ...] = ()
-
-    def loaded(self):
-        return self
-
-    def parcel(self):
-        return self
-
-    def unpacked(self):
-        return self, ()
-
-    def piece(self, number):
-        return number
-
-    def returned(self, number, done):
-        return done
-
-    def solve(self, number, is_wanted=lambda: True):
-        tries = self.folder / f"{number}"
-        with tries.open("a") as file:
-            file.write(f"{os.getpid()}\n")
-        if number in self.always or (number in self.once and tries.read_text().count("\n") == 1):
-            os.kill(os.getpid(), signal.SIGKILL)
-        if number in self.broken:
-            raise OSError(28, "no space")
-        return Done(Tally({"solved": 1}, {}, 0.0), {"square": np.array([number**2])})
-
-    def lost(self, number, reason):
-        return Done(Tally({LOST: 1}, {LOST: reason}), None)
+from codegen.engines.tally import LOST
 
 
 def solved(work, workers, numbers):
@@ -93,7 +52,7 @@ def test_workers_end_with_the_process_that_began_them(tmp_path):
     """It is killed and can tell them nothing; they look, or find that nobody listens."""
     code = (
         "import sys, time\nfrom pathlib import Path\nsys.path[:0] = sys.argv[2:]\n"
-        "from test_sweep_processes import StandIn\nfrom codegen.engines.processes import running\n"
+        "from stand_in import StandIn\nfrom codegen.engines.processes import running\n"
         "with running(StandIn(Path(sys.argv[1])), 2) as solve:\n"
         "    for number, done in solve(range(10)):\n        print(number, flush=True)\n        time.sleep(100)\n"
     )
