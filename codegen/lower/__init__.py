@@ -21,7 +21,7 @@ def lower(
     """Write a program and its derivatives as strings; with derivatives `by_data` the module makes sensitivities."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
-        return (lower_connect if program.model.task == "connect" else lower_particles)(program, derivatives)
+        return (lower_connect if program.model.connects else lower_particles)(program, derivatives)
     if isinstance(program, ControlProgram):
         assert isinstance(derivatives, ControlDerivatives)
         return lower_control(program, derivatives, by_data)

@@ -212,7 +212,7 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
-    if isinstance(program, ControlProgram) and quadratures:
+    if quadratures:
         rows = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
         yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", rows)
 

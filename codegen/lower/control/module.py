@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from sympy import Expr, Symbol
 
@@ -11,7 +12,7 @@ from codegen.derive.mixed import ControlSensitivities
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import tables_of
 from codegen.lower.control import guesses, inner_times, layout, phases, sensitivities
-from codegen.lower.control.coupling import lower_couplings
+from codegen.lower.control.coupling import Couplings, lower_couplings
 from codegen.lower.control.notable import notable
 from codegen.lower.control.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
 from codegen.lower.control.sizes import motion_indices, sizes
@@ -41,23 +42,11 @@ def lower_control(
     couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
     first = len(layout.parameters(program))
     ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
-    kernels = (
-        *_all_interval_kernels(program, derivatives),
-        *sample_kernels(program, derivatives, _codes(program, program.element_symbols)),
-        *_control_kernels(program, derivatives),
-        *_end_kernels(program, program.start, derivatives.start, "start", curved),
-        *_end_kernels(program, program.end, derivatives.end, "end", curved),
-        *couplings.kernels,
-        *_inputs_kernels(program, ranged),
-    )
     added = sensitivities.added(program, by_data, curved, lambda unknowns: _codes(program, unknowns))
-    kernels += added.kernels
-    boundary_code = array_code if program.bodies > 1 else scalar_code
-    numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in program.boundary_values)
-    given = next(iter(program.boundary_values), None)
-    parts = (guesses.guesses, layout.duration, layout.bounds)
-    if program.phases:
-        parts = (phases.guesses, phases.duration, phases.bounds)
+    own = (*_own_kernels(program, derivatives, curved), *couplings.kernels, *_inputs_kernels(program, ranged))
+    kernels = (*own, *added.kernels)
+    of_phases = (phases.guesses, phases.duration, phases.bounds)
+    parts = of_phases if program.phases else (guesses.guesses, layout.duration, layout.bounds)
     told = {name: value for part in parts for name, value in part(program).items()}
     return ControlModule(
         template="control.py.j2",
@@ -72,16 +61,7 @@ def lower_control(
             *sample_metadata(program),
             *added.metadata,
         ),
-        constants=(
-            *layout.constants(program, derivatives),
-            *inner_times.constants(program),
-            *couplings.constants,
-            *(phases.constants(program) if program.phases else ()),
-            *table_constants(tables),
-            *range_constants(ranged),
-            *sample_constants(program, tables),
-            *added.constants,
-        ),
+        constants=(*_own_constants(program, derivatives, couplings, ranged), *added.constants),
         kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
         runtime=(
             *table_runtime(tables),
@@ -100,18 +80,60 @@ def lower_control(
         arguments=arguments_of(model),
         **data_arguments(program, tables, inner_times.grid_code(program, told["grid_duration"])),
         steps=model.steps,
-        boundary_values=tuple(
-            Line(v.symbol.name, boundary_code(v.value), f"{v.where} {v.quantity}") for v in program.boundary_values
-        ),
-        boundary_inputs=(Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
         coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
-        boundary_example=f'as in {given.where}={{"{given.quantity}": 0.5}}' if given else "of which there are none",
-        **inner_times.times_and_values(program, boundary_code),
+        **_boundaries(program),
+        **inner_times.times_and_values(program, _boundary_code(program)),
         **layout.pins(program),
         **layout.views(program),
         sensitivities=added.text,
         **told,
     )
+
+
+def _own_kernels(program: ControlProgram, derivatives: ControlDerivatives, curved: bool) -> tuple[Kernel, ...]:
+    """The kernels of intervals, samples, controls and both ends."""
+    return (
+        *_all_interval_kernels(program, derivatives),
+        *sample_kernels(program, derivatives, _codes(program, program.element_symbols)),
+        *_control_kernels(program, derivatives),
+        *_end_kernels(program, program.start, derivatives.start, "start", curved),
+        *_end_kernels(program, program.end, derivatives.end, "end", curved),
+    )
+
+
+def _own_constants(
+    program: ControlProgram, derivatives: ControlDerivatives, couplings: Couplings, ranged: Sequence[Input]
+) -> tuple[Line, ...]:
+    """The layout of the unknowns, and the numbers of what the problem has."""
+    tables = tables_of(program.model)
+    return (
+        *layout.constants(program, derivatives),
+        *inner_times.constants(program),
+        *couplings.constants,
+        *(phases.constants(program) if program.phases else ()),
+        *table_constants(tables),
+        *range_constants(ranged),
+        *sample_constants(program, tables),
+    )
+
+
+def _boundary_code(program: ControlProgram) -> Callable[[Expr], str]:
+    """What writes values at the ends: of several bodies they are arrays."""
+    return array_code if program.bodies > 1 else scalar_code
+
+
+def _boundaries(program: ControlProgram) -> dict[str, Any]:
+    """The values at the ends, what they read, and how one of them is given."""
+    values, code = program.boundary_values, _boundary_code(program)
+    numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in values)
+    example = "of which there are none"
+    if values:
+        example = f'as in {values[0].where}={{"{values[0].quantity}": 0.5}}'
+    return {
+        "boundary_values": tuple(Line(v.symbol.name, code(v.value), f"{v.where} {v.quantity}") for v in values),
+        "boundary_inputs": (Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
+        "boundary_example": example,
+    }
 
 
 def _codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:

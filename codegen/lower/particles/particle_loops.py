@@ -39,7 +39,7 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
                 tuple(Line(f"singles[i, {k}]", code) for k, code in enumerate(singles)), ("singles",),
             )
         )  # fmt: skip
-    if model.task != "connect":
+    if not model.connects:
         return tuple(loops)
     domain = tuple(accurate_sum(e, model) for e in model.domain)
     loops.append(

@@ -56,7 +56,7 @@ def _equations(program: PairwiseProgram) -> list[str]:
         "full": "all steps and q_N + sigma^2 p_N = target, for all inner positions and all momenta",
         "action": "minimise 2 h sum H such that (q_k+1 - q_k)/h = H_p, whose conditions these steps are",
     }
-    if program.model.task == "simulate":
+    if not program.model.connects:
         return lines
     return [*lines, "", f"What is solved ({program.method}): {names[program.method]}."]
 
@@ -77,23 +77,22 @@ def left_out(
 ) -> list[str]:
     """What the module does not hold, and why; `by_turns` says whether positions and momenta are updated in turn."""
     model = program.model
-    connects = model.task == "connect"
     reasons = (
         (not implicit and not by_turns, "Newton's method inside a step: the scheme is explicit"),
         (
-            connects and derivatives.isotropic,
+            model.connects and derivatives.isotropic,
             "all but one row of H_pp for each particle: it acts on every component alike",
         ),
         (not model.domain, "a test of the domain: particles may be anywhere"),
         (not model.own, "own parameters of particles: there are none"),
         (not singles, "scalars of single particles: the pair term has none"),
-        (connects and program.method != "action", "the action as a minimisation: --method action has it"),
+        (model.connects and program.method != "action", "the action as a minimisation: --method action has it"),
         (
-            connects and not derivatives.quadratic,
+            model.connects and not derivatives.quadratic,
             "first momenta from a path of least action: H is not kinetic energy alone",
         ),
         (
-            connects and not model.passive,
+            model.connects and not model.passive,
             "points without momenta that the motion carries along: passive=True has them",
         ),
         (
@@ -110,9 +109,8 @@ def metadata(
 ) -> list[tuple[str, str]]:
     """Entries of the module's metadata, as code; those of a simulation name the coordinates of every particle."""
     model = program.model
-    connects = model.task == "connect"
     coordinates, momenta = model.coordinates, model.momenta
-    if not connects:
+    if not model.connects:
         numbers = range(1, len(model.start[0]) + 1)
         coordinates, momenta = (tuple(f"{name}_{i}" for i in numbers for name in g) for g in (coordinates, momenta))
     names = [("coordinates", repr(coordinates)), ("rates", repr(momenta))]
@@ -122,13 +120,13 @@ def metadata(
         ("scheme", repr(program.scheme)),
         ("order", repr(program.order)),
         ("form", repr("hamiltonian")),
-        *([("adaptive", repr(program.adaptive)), *names] if connects else []),
+        *([("adaptive", repr(program.adaptive)), *names] if model.connects else []),
         ("own", repr(model.own)),
-        *([("points", repr(model.points))] if connects else []),
+        *([("points", repr(model.points))] if model.connects else []),
         ("separable", repr(derivatives.separable)),
         ("quadratic", repr(derivatives.quadratic)),
         *([("passive", "True")] if model.passive else []),
         *([("unused", repr(model.unused))] if model.unused else []),
         ("operations", repr({v.name: (v.operations_before, v.operations_after) for v in loops})),
-        *([] if connects else names),
+        *([] if model.connects else names),
     ]
