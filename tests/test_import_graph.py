@@ -39,7 +39,7 @@ FLOORS = (
 WITHIN = {
     "transcribe": (
         ("program", "names", "guesses", "forms", "connect"),
-        ("boundary", "redundancy"),
+        ("boundary", "redundancy", "step_program"),
         ("conditions", "simulation"),
         ("assembly", "phases"),
         ("one_step", "variational"),

@@ -10,7 +10,8 @@ from codegen.lower.module import Module
 from codegen.lower.particles.module import lower_connect, lower_particles
 from codegen.lower.simulate import lower_step
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 
 
 def lower(

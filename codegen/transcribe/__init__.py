@@ -13,9 +13,10 @@ from codegen.transcribe import connect, one_step, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.phases import chain
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.redundancy.dependent import without_dependent_values
 from codegen.transcribe.simulation import simulate
+from codegen.transcribe.step_program import StepProgram
 
 DEFAULT_SCHEME = "midpoint"
 _SYSTEMS = {"lagrangian": "a Lagrangian", "hamiltonian": "a Hamiltonian", "first-order": "a first-order system"}

@@ -13,7 +13,7 @@ import mpmath
 from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding
-from codegen.checks.derivation.discrete_equations import constant_controls, in_time, inner_motion
+from codegen.checks.derivation.discrete_equations import constant_controls, inner_motion
 from codegen.checks.evaluation import DIGITS, function_of, random_points
 from codegen.discretise import STEP, at_nodes, repeated
 from codegen.model import legendre
@@ -37,7 +37,7 @@ def check(context: Context) -> Iterator[Finding]:
     symbols = list(dict.fromkeys(symbols))
     written = dict(program.equations)
     for number, integral in enumerate(model.integrals, start=1):
-        integrand, quadrature = integral.expression, in_time(program, written[f"Gd_{number}"]).xreplace(substitution)
+        integrand, quadrature = integral.expression, program.in_time(written[f"Gd_{number}"]).xreplace(substitution)
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
         gap = mpmath.mpf(0)
         with mpmath.workdps(DIGITS):

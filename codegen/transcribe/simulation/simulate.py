@@ -32,9 +32,10 @@ from codegen.discretise import (
 from codegen.model import Model, legendre
 from codegen.schemes import Scheme
 from codegen.transcribe.boundary import with_symbolic_boundaries
-from codegen.transcribe.program import StepProgram, Unknown
+from codegen.transcribe.program import Unknown
 from codegen.transcribe.simulation.elimination import Elimination, eliminate
 from codegen.transcribe.simulation.phase_functions import phase_functions
+from codegen.transcribe.step_program import StepProgram
 
 Equation = tuple[str, Expr]
 
