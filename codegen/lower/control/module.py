@@ -47,7 +47,7 @@ def lower_control(
     kernels = (*own, *added.kernels)
     of_phases = (phases.guesses, phases.duration, phases.bounds)
     parts = of_phases if program.phases else (guesses.guesses, layout.duration, layout.bounds)
-    told = {name: value for part in parts for name, value in part(program).items()}
+    code = {name: value for part in parts for name, value in part(program).items()}
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -78,7 +78,7 @@ def lower_control(
             ("SAMPLED", len(model.measurements)),
         ),
         arguments=arguments_of(model),
-        **data_arguments(program, tables, inner_times.grid_code(program, told["grid_duration"])),
+        **data_arguments(program, tables, inner_times.grid_code(program, code["grid_duration"])),
         steps=model.steps,
         coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
         **_boundaries(program),
@@ -86,7 +86,7 @@ def lower_control(
         **layout.pins(program),
         **layout.views(program),
         sensitivities=added.text,
-        **told,
+        **code,
     )
 
 
