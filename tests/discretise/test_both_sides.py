@@ -80,7 +80,9 @@ class TestDiscreteLagrangians:
         momenta = left * (a - interval.left_momentum[0]) + right * (b + interval.right_momentum[0])
         assert vanishes(work - momenta)
 
-    @pytest.mark.parametrize("scheme", ["gauss-4", "gauss-6", "lobatto-4"])
+    @pytest.mark.parametrize(
+        "scheme", ["lobatto-4", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gauss-4", "gauss-6"))]
+    )
     def test_slopes_are_derivatives(self, scheme):
         """Those of the discrete Lagrangian, where they are written from those of L."""
         interval = variational_interval(lagrangian(), schemes.find(scheme, "variational"))
@@ -106,7 +108,12 @@ class TestOneStep:
             ("explicit-euler", [1, 1], [1]),
             ("midpoint", [1, Rational(1, 2)], [1, -Rational(1, 2)]),
             ("trapezoidal", [1, Rational(1, 2)], [1, -Rational(1, 2)]),
-            ("gauss-4", [1, Rational(1, 2), Rational(1, 12)], [1, -Rational(1, 2), Rational(1, 12)]),
+            pytest.param(
+                "gauss-4",
+                [1, Rational(1, 2), Rational(1, 12)],
+                [1, -Rational(1, 2), Rational(1, 12)],
+                marks=pytest.mark.slow,
+            ),
             ("hermite-simpson", [1, Rational(1, 2), Rational(1, 12)], [1, -Rational(1, 2), Rational(1, 12)]),
             ("rk4", [1, 1, Rational(1, 2), Rational(1, 6), Rational(1, 24)], [1]),
         ],
