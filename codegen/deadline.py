@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
     from codegen.transcribe.connect import PairwiseProgram
-    from codegen.transcribe.program import ControlProgram, StepProgram
+    from codegen.transcribe.program import ControlProgram
+    from codegen.transcribe.step_program import StepProgram
 
 BUILD = 30.0
 """Seconds that a derivation may take."""
@@ -124,7 +125,8 @@ def described(model: Model | PairwiseModel) -> str:
 
 def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str) -> str:
     """What is large in the equations of an interval of a problem that is described already."""
-    from codegen.transcribe.program import ControlProgram, StepProgram
+    from codegen.transcribe.program import ControlProgram
+    from codegen.transcribe.step_program import StepProgram
 
     if isinstance(program, ControlProgram):
         unknowns, parts = program.element_symbols, parts_of(program.element)

@@ -101,6 +101,7 @@ class ControlModule(Protocol):
     scaled_grid: Callable[[Grid, Vector], Grid]
     plain_grid: Callable[[Grid], Grid]
     corrected_cost: Callable[[Grid, Any], float]
+    sizes_of_terms: Callable[[Grid, Vector], tuple[float, float]]
     worst_row: Callable[[Grid, Any], str]
     not_finite: Callable[[Grid, Any], str]
     unpack: Callable[[Grid, Vector], Unpacked]

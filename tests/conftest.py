@@ -43,12 +43,13 @@ PROBLEMS = Path(__file__).parent.parent / "problems"
 FAST = frozenset(
     "convergence_test newton_steps terms sample_points shapes printer termination phase_programs images"
     " landmark_formats quantities pairs_and_frame first_order_programs inequalities output dense_assembly zeros"
-    " bodies least_action packing drawing large_constants general ends_and_bodies holonomic_constraints copies"
+    " bodies least_action packing drawing scene large_constants general ends_and_bodies holonomic_constraints copies"
     " pairwise orders legendre specialise set_values relations model model_of_bodies problem_file phase_checks"
     " nonsmooth_costs path_modes damage damage_beyond_kernels phase_solutions newton filter import_graph batch solver"
     " refinement limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities"
-    " sweep_cases sweep_continuation sweep_processes sweep_jumps sweep_figure sweep_sensitivities pareto"
-    " first_order tornado shift controller closed_loop refused_controllers site warm_start barrier".split()
+    " sweep_cases sweep_continuation worker_processes sweep_jumps sweep_figure sweep_sensitivities pareto"
+    " first_order tornado shift controller closed_loop refused_controllers site warm_start barrier"
+    " polynomials both_sides journal tally".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 

@@ -1,4 +1,4 @@
-"""A copy of the package with another family of schemes, driver, check, kind of condition, sampling and command."""
+"""A copy of the package with another family of schemes, driver, check, kinds of condition, sampling and command."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ from codegen.checks.base import Finding, does_not_apply
 
 
 def check(context):
-    if context.scheme.name != "midpoint":
-        yield does_not_apply("cost of the motion", "other schemes have other rules")
+    if context.scheme.name != "midpoint" or len(context.model.controls) != 1:
+        yield does_not_apply("cost of the motion", "others have other rules")
         return
     result = context.solution
     x = result.q[:, 0]
@@ -110,6 +110,49 @@ class Standstill(Kind):
         return iter(())
 '''
 
+BALANCE = '''"""What is balanced at every node; `transcribe.conditions.balance` imposes it."""
+
+from codegen.author.symbols import Coordinate, State
+from codegen.model.conditions.base import Kind
+from codegen.model.relations import STATIC
+
+
+class Balance(Kind):
+    """Equations between coordinates or states."""
+
+    argument = field = "balance"
+    words, check = "balances", "balance of nodes"
+    scope = {"balance": (Coordinate, State, *STATIC)}
+
+    def sentences(self, model):
+        return [f"{c.name} at every node" for c in model.balance]
+'''
+
+SHARE_OF_BALANCE = '''"""Balances have a multiplier on each node."""
+
+from codegen.transcribe.conditions.path_conditions import nodal_equalities
+
+
+def balances(model, names):
+    return nodal_equalities(model, model.balance, "lambda_balance", names)
+'''
+
+BALANCE_OF_NODES = '''"""Evidence that balances hold at the nodes of a result."""
+
+import numpy as np
+import sympy
+
+from codegen.checks.base import Finding
+
+
+def check(context):
+    model = context.model
+    for condition in model.balance:
+        function = sympy.lambdify([model.coordinates, model.parameters], condition.expression)
+        largest = max(abs(function(q, model.defaults)) for q in context.solution.q)
+        yield Finding("balance of nodes", condition.name, bool(largest < 1e-9), f"{largest:.1e}")
+'''
+
 ORDERS = '''"""The command `codegen orders`: schemes by their orders."""
 
 import typer
@@ -129,8 +172,11 @@ FILES = {
     "checks/solution/cost_of_motion.py": SUM_OF_SHARES,
     "model/conditions/standstill.py": STANDSTILL,
     "cli/orders.py": ORDERS,
+    "model/conditions/balance.py": BALANCE,
+    "transcribe/conditions/balance.py": SHARE_OF_BALANCE,
+    "checks/solution/balance_of_nodes.py": BALANCE_OF_NODES,
 }
-"""One file for each."""
+"""One file for each, and for a field of the model another with its share of the Lagrangian."""
 
 HALTON = """
 def _halton(number, dimensions, rng):
@@ -140,6 +186,7 @@ def _halton(number, dimensions, rng):
 
 
 METHODS"""
+_OF_SOLUTIONS = "from codegen.checks.solution import "
 REGISTRIES = {
     "schemes/__init__.py": [
         ("from codegen.schemes import ", "from codegen.schemes import radau, "),
@@ -149,19 +196,32 @@ REGISTRIES = {
         ("_ROWS = (", '_ROWS = (Driver("marquardt", "marquardt", "least squares", {"control": ("max_iterations",)}),')
     ],
     "checks/__init__.py": [
-        ("from codegen.checks.solution import ", "from codegen.checks.solution import cost_of_motion, "),
+        (_OF_SOLUTIONS, f"{_OF_SOLUTIONS}balance_of_nodes, cost_of_motion, "),
+        ("_ROWS = (", '_ROWS = (Check("balance of nodes", balance_of_nodes.check),'),
         ("_ROWS = (", '_ROWS = (Check("cost of the motion", cost_of_motion.check, without=NO_REGULATORS),'),
         ("_ROWS", 'NO_REGULATORS = {"simulate": "it minimises nothing", "lagrangian": "it is no regulator"}\n\n_ROWS'),
     ],
     "model/conditions/table.py": [
+        ("from codegen", "from codegen.model.conditions.balance import Balance\nfrom codegen"),
         ("from codegen", "from codegen.model.conditions.standstill import Standstill\nfrom codegen"),
-        ("CONDITIONS: tuple[Kind, ...] = (", "CONDITIONS: tuple[Kind, ...] = (Standstill(),"),
+        ("CONDITIONS: tuple[Kind, ...] = (", "CONDITIONS: tuple[Kind, ...] = (Standstill(), Balance(),"),
     ],
     "cli/__init__.py": [("COMMANDS = (", 'COMMANDS = ("orders", ')],
-    "author/problem.py": [("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: ")],
+    "author/problem.py": [
+        ("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: "),
+        ("    periodic: ", "    balance: Sequence[Any] = ()\n    periodic: "),
+    ],
+    "model/definitions.py": [("    holonomic: ", "    balance: tuple[Condition, ...] = ()\n    holonomic: ")],
+    "transcribe/assembly.py": [
+        ("from codegen", "from codegen.transcribe.conditions.balance import balances\nfrom codegen"),
+        ("    inner = ", "    nodal += balances(model, names)\n    inner = "),
+    ],
     "sweeping/samples.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }
-"""A row and its import for each; of a condition the argument, of a sampling method the function beside the row."""
+"""A row and its import for each; of a condition the argument, of a sampling method the function beside the row.
+
+A field of the model is named there, and its share is added up with the others.
+"""
 
 
 COMMANDS = """

@@ -132,11 +132,58 @@ class TestCondition:
         assert " 0 failed" in extended.command("check", path)
         assert "\n  (dx)(T) = " in extended.command("show", path)
 
+    def test_notebooks_display_it(self, extended, stop):
+        path = stop("displayed", "end={x: 1}, standstill=[dx]")
+        done = extended.python("-c", f"import runpy; print(runpy.run_path({str(path)!r})['problem']()._repr_latex_())")
+        assert done.returncode == 0, done.stderr
+        assert r"&\dot{x} = 0\quad\text{(standstill)}" in done.stdout
+
     def test_its_refusals_are_one_line(self, extended, stop):
         found = extended.refused("build", stop("refused", "end={x: 1, dx: 0}, standstill=[dx]"))
         assert "standstill lists dx, which end gives; leave it out of one of them" in found
         found = extended.refused("build", stop("scope", "end={x: 1}, standstill=[u]"))
         assert "standstill of u depends on u; use coordinates" in found
+
+
+PAIR = '''"""Move two carts by one, together. Source: any textbook."""
+from sympy import Eq
+
+from codegen import Control, controls, states
+
+
+def problem():
+    x, y = states("x y")
+    u, w = controls("u w")
+    return Control(
+        dynamics={x: u, y: w}, cost=(u**2 + 3 * w**2) / 2, duration=1, start={x: 0, y: 0}, end={x: 1},
+        balance=[Eq(2 * x, y)], steps=20,
+    )
+'''
+
+
+class TestFieldOfTheModel:
+    @pytest.fixture
+    def pair(self, extended):
+        path = extended.folder / "pair.py"
+        path.write_text(PAIR, encoding="utf-8")
+        return path
+
+    def test_it_holds(self, extended, pair):
+        """With w = 2 u, and u = 1 all along, the cost is (1 + 12)/2."""
+        assert extended.solved(pair)["cost"] == pytest.approx(6.5, rel=1e-9)
+
+    def test_it_is_told_and_checked(self, extended, pair):
+        printed = extended.command("check", pair)
+        assert " 0 failed" in printed
+        assert re.search(r"balance of nodes +2\*x = y +passed", printed)
+        problem = extended.problems / "linear_regulator.py"
+        assert re.search(r"balance of nodes.*there are no balances", extended.command("check", problem))
+
+    def test_values_of_the_past_do_not_go_with_it(self, extended, pair):
+        text = pair.read_text(encoding="utf-8").replace("x: u,", "x: u - x.delayed(0.5), ")
+        delayed = extended.folder / "delayed.py"
+        delayed.write_text(text.replace("duration", "history={x: 0}, duration"), encoding="utf-8")
+        assert "balance beside the delay 1/2 of x" in extended.refused("build", delayed)
 
 
 def test_sampling_method(extended):

@@ -40,6 +40,19 @@ FLOORS = (
 )
 """Folders of the package, and files beside them: what stands on a floor imports from lower ones only."""
 
+WITHIN = {
+    "transcribe": (
+        ("program", "names", "guesses", "forms", "connect"),
+        ("boundary", "redundancy", "step_program"),
+        ("conditions", "simulation"),
+        ("assembly", "phases"),
+        ("one_step", "variational"),
+    ),
+    "lower": (("printer",), ("lookups",), ("kernels",), ("module", "tables", "table_ranges"),
+              ("control", "particles", "simulate")),
+}  # fmt: skip
+"""The same for folders inside two of them, whose `__init__` calls the rest."""
+
 NUMERIC = ("tables", "tasks", "drawing", "loading", "runtime", "machine_code", "solutions", "drivers", "plots")
 """What runs without sympy."""
 
@@ -201,6 +214,17 @@ def test_strings_name_modules_of_lower_floors_but_for_some():
 
 def test_names_of_modules_are_literals_but_for_some():
     assert {part_of(name) for name, path in paths().items() if literals(path)[1]} == set(COMPUTED)
+
+
+@pytest.mark.parametrize("folder", WITHIN)
+def test_no_arrow_runs_back_inside_a_folder(folder):
+    inside = {name: [*name.split("."), ""][2] for name in graph() if part_of(name) == folder}
+    floors = {part: number for number, floor in enumerate(WITHIN[folder]) for part in floor}
+    assert set(floors) == set(inside.values()) - {""}
+    for name, part in inside.items():
+        if part:
+            above = {n for n in graph()[name] if inside.get(n, part) != part and floors[inside[n]] >= floors[part]}
+            assert not above, f"{name} imports {', '.join(sorted(above))}"
 
 
 @pytest.mark.parametrize("part", NUMERIC)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +44,7 @@ from codegen.checks.solution import sensitivities as of_sensitivities
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.loading import is_of_particles, load
 from codegen.model import Model
+from codegen.model.conditions.table import CONDITIONS
 from codegen.model.from_file import load_problem
 from codegen.model.segments import in_names_of_the_whole
 from codegen.naming import Choices
@@ -185,13 +186,21 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
             return
     phases = phase_contexts(context) if check.of_each_phase else []
     if len(phases) < 2:
-        yield from check.findings(context)
+        yield from _evidence(check, context)
         return
-    found = [(phase, finding) for phase, own in phases for finding in check.findings(own)]
+    found = [(phase, finding) for phase, own in phases for finding in _evidence(check, own)]
     if not any(finding.applies for _, finding in found):
         yield found[0][1]
         return
     yield from (replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found)
+
+
+def _evidence(check: Check, context: Context) -> Iterable[Finding]:
+    """What a check finds; one about a kind of conditions alone has nothing to say where there are none."""
+    kinds = [kind for kind in CONDITIONS if kind.check == check.name]
+    if kinds and not any(kind.of_model(context.model) for kind in kinds):
+        return [does_not_apply(check.name, f"there are no {kinds[0].words}")]
+    return check.findings(context)
 
 
 def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:

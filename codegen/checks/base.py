@@ -13,7 +13,8 @@ from codegen.model import Model
 from codegen.naming import Choices
 from codegen.schemes import Scheme
 from codegen.tasks import Home
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 from codegen.verify.control import guessed_points
 from codegen.verify.execution import Text
 from codegen.verify.points import GuessedPoints

@@ -15,7 +15,8 @@ from codegen.expressions import checks as expressions
 from codegen.expressions import jacobian as differentiated
 from codegen.expressions.zeros import identically_zero
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
+from codegen.transcribe.program import ControlProgram, EndElement
+from codegen.transcribe.step_program import StepProgram
 
 Entry = tuple[int, int, Expr]
 """Row, column and value of a structurally nonzero derivative."""

@@ -30,8 +30,9 @@ from codegen.model import Model, legendre
 from codegen.model.definitions import FreeParameter
 from codegen.model.pairwise import PairwiseModel
 from codegen.transcribe import transcribe
-from codegen.transcribe.program import ControlProgram, StepProgram
-from codegen.transcribe.simulate import rates_of_change
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.simulation.simulate import rates_of_change
+from codegen.transcribe.step_program import StepProgram
 
 IDLE = "idle"
 """The name of the free parameter that nothing reads."""

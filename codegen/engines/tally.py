@@ -64,8 +64,8 @@ class Tally:
     @staticmethod
     def from_record(record: Mapping[str, Any]) -> Tally:
         """The tally that a record tells; KeyError, TypeError or ValueError where it tells none."""
-        counts = {str(status): int(count) for status, count in record["counts"].items()}
-        messages = {str(status): str(message) for status, message in record["messages"].items()}
+        counts = {str(status): int(count) for status, count in dict(record["counts"]).items()}
+        messages = {str(status): str(message) for status, message in dict(record["messages"]).items()}
         jumps = (int(record.get(name, 0)) for name in ("improved", "jumps"))
         return Tally(counts, messages, float(record["seconds"]), *jumps)
 

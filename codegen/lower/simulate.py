@@ -24,7 +24,7 @@ from codegen.lower.tables import (
     table_metadata,
     table_runtime,
 )
-from codegen.transcribe.program import StepProgram
+from codegen.transcribe.step_program import StepProgram
 
 _LONG = 1000
 """Operations from which on common parts of the equations are found on a graph of their values."""

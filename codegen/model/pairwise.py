@@ -79,6 +79,11 @@ class PairwiseModel:
     unused: tuple[str, ...] = ()
     drawing: tuple[()] = ()
 
+    @property
+    def connects(self) -> bool:
+        """Whether particles are connected with their targets, not followed."""
+        return self.task == "connect"
+
 
 def is_pairwise(problem: Any) -> bool:
     """Whether an author's problem is about particles that interact in pairs."""
@@ -90,22 +95,10 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
 
     Raises a kind of CodegenError that names the symbol or expression and the remedy.
     """
-    system = problem.hamiltonian
-    if not isinstance(system, Pairwise):
-        raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
-    if not isinstance(problem, (Connect, Simulate)):
-        raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
-    if system.self_term is not None:
-        terms["self_term"] = expressions.checked(system.self_term, "self_term")
-    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
-    duration = expressions.checked(problem.duration, "duration")
-    for what, term in (*terms.items(), ("duration", duration)):
-        if tables := tables_of(term):
-            finding = f"{what} reads table {tables[0].shape.name}"
-            raise ExpressionError(finding, "write a formula; particles have no tables")
-    _require_symbols({**terms, "duration": duration}, system.pair, declared)
-    inside = set().union(*(e.free_symbols for e in (*terms.values(), duration)))
+    system = _pairwise_of(problem)
+    terms = _terms(system, problem.duration)
+    _require_symbols(terms, system.pair, declared)
+    inside = set().union(*(e.free_symbols for e in terms.values()))
     parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
     plain = _plain_symbols(system.pair, parameters, problem.task)
     first, second = (
@@ -115,12 +108,6 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
     self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
     _require_scope(pair, self_term, first, second)
     limit, smooth = Invariants.of(pair, first.moving, second.moving).coincidence()
-    if self_term is None:
-        if limit is None:
-            raise ExpressionError("self_term is missing", "pair_term has no limit at coincidence that could replace it")
-        own = dict(zip(second.own, first.own, strict=True))
-        momenta = dict(zip(second.p, first.p, strict=True))
-        self_term = limit.xreplace(own | momenta) / 2
     domain = tuple(expressions.tidied(terms[f"domain[{k}]"].xreplace(plain)) for k in range(len(system.domain)))
     start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
     return PairwiseModel(
@@ -134,12 +121,12 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         second=second,
         parameters=tuple(plain[s] for s in parameters),
         defaults=tuple(s.value for s in parameters),
-        self_term=self_term,
+        self_term=_half_limit(limit, first, second) if self_term is None else self_term,
         pair_term=pair,
         domain=domain,
         limit=limit,
         smooth=smooth,
-        duration=expressions.tidied(duration.xreplace(plain)),
+        duration=expressions.tidied(terms["duration"].xreplace(plain)),
         steps=_count(problem.steps),
         points=Path(problem.points).as_posix() if isinstance(problem, Connect) else "",
         path=_guessed_path(problem, first, second) if isinstance(problem, Connect) else (),
@@ -149,6 +136,38 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
         own_values=own_values,
         unused=tuple(s.name for s in declared if isinstance(s, Parameter) and s not in inside),
     )
+
+
+def _pairwise_of(problem: Any) -> Pairwise:
+    """The pairwise Hamiltonian of a problem; ProblemFileError where it has none, or cannot have one."""
+    if not isinstance(problem.hamiltonian, Pairwise):
+        raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
+    if not isinstance(problem, (Connect, Simulate)):
+        raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
+    return problem.hamiltonian
+
+
+def _terms(system: Pairwise, duration: Any) -> dict[str, Expr]:
+    """The expressions that an author gave, by what messages call them."""
+    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
+    if system.self_term is not None:
+        terms["self_term"] = expressions.checked(system.self_term, "self_term")
+    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
+    terms["duration"] = expressions.checked(duration, "duration")
+    for what, term in terms.items():
+        if tables := tables_of(term):
+            finding = f"{what} reads table {tables[0].shape.name}"
+            raise ExpressionError(finding, "write a formula; particles have no tables")
+    return terms
+
+
+def _half_limit(limit: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> Expr:
+    """What a particle has by itself, unless its author says so: half of what it has with another in its place."""
+    if limit is None:
+        raise ExpressionError("self_term is missing", "pair_term has no limit at coincidence that could replace it")
+    own = dict(zip(second.own, first.own, strict=True))
+    momenta = dict(zip(second.p, first.p, strict=True))
+    return limit.xreplace(own | momenta) / 2
 
 
 def _plain_symbols(

@@ -9,15 +9,13 @@ from typing import Any
 import sympy
 
 from codegen.author.description import quantities_in
-from codegen.author.measurements import Measurements
 from codegen.author.particles import Connect, Pairwise
-from codegen.author.problem import Control, Phases, Problem, Waypoint
+from codegen.author.problem import Control, Phases, Problem
 from codegen.author.quantities import Moving, Quantity
 from codegen.author.symbols import Coordinate, FreeParameter
 from codegen.lettering import in_latex
+from codegen.model.conditions.table import CONDITIONS
 from codegen.notebooks.printer import Printer
-
-_NEVER = (None, None)
 
 
 def latex(problem: Problem | Phases) -> str:
@@ -42,15 +40,13 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Part:
-    """A problem, or one of several phases, with its two ends of time as they are written; alone its number is 0.
+    """A problem, or one of several phases, and what writes it; alone its number is 0.
 
     Of free parameters those are its `own` that no earlier phase has.
     """
 
     problem: Problem
     print_: Printer
-    first: str
-    last: str
     own: tuple[FreeParameter, ...]
     number: int = 0
 
@@ -60,7 +56,7 @@ class _Part:
         quantities, duration = quantities_in(problem), problem.duration
         is_taken = any(symbol.name == "T" for symbol in quantities)
         last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
-        return cls(problem, Printer(quantities), "0", last, _free(quantities))
+        return cls(problem, Printer(quantities, "0", last), _free(quantities))
 
     @classmethod
     def phase(cls, problem: Phases, number: int) -> _Part:
@@ -69,7 +65,7 @@ class _Part:
         known = {symbol for part in earlier for symbol in _free(quantities_in(part))}
         own = tuple(symbol for symbol in _free(quantities_in(phase)) if symbol not in known)
         first = f"t_{{{number - 1}}}" if number > 1 else "0"
-        return cls(phase, Printer(quantities_in(problem)), first, f"t_{{{number}}}", own, number)
+        return cls(phase, Printer(quantities_in(problem), first, f"t_{{{number}}}"), own, number)
 
 
 def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
@@ -77,21 +73,21 @@ def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
 
 
 def _rows(part: _Part) -> Iterator[str]:
-    problem = part.problem
+    problem, print_ = part.problem, part.print_
     if isinstance(problem, Control):
         yield from _objective(problem, part)
     elif isinstance(problem, Connect):
         yield r"&\text{connect particles that start at given points with their targets}"
     else:
         yield r"&\text{follow the motion}"
-    yield from _motion(problem, part.print_)
+    yield from _motion(problem, print_)
     yield from _time(part)
-    for mapping, time in ((problem.start, part.first), (getattr(problem, "end", {}), part.last)):
+    for mapping, time in ((problem.start, print_.first), (getattr(problem, "end", {}), print_.last)):
         if isinstance(mapping, Mapping):
-            yield from (f"{part.print_.at(key, time)} &= {part.print_(value)}" for key, value in mapping.items())
+            yield from (f"{print_.at(key, time)} &= {print_(value)}" for key, value in mapping.items())
     if isinstance(problem, Control):
-        yield from _conditions(problem, part)
-        yield from _waypoints(problem, part)
+        yield from _history(problem, print_)
+        yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
         yield from _bounds(problem, part)
 
 
@@ -100,13 +96,11 @@ def _objective(problem: Control, part: _Part) -> Iterator[str]:
     is_greatest = _is_given(problem.maximise) or _is_given(problem.terminal_maximise)
     rate = problem.maximise if is_greatest else problem.cost
     last = problem.terminal_maximise if is_greatest else problem.terminal_cost
-    terms = [rf"\int_{{{part.first}}}^{{{part.last}}} \left({print_(rate)}\right) dt"] if _is_given(rate) else []
+    terms = [rf"\int_{{{print_.first}}}^{{{print_.last}}} \left({print_(rate)}\right) dt"] if _is_given(rate) else []
     if _is_given(last):
         moves = not isinstance(last, sympy.Expr) or any(isinstance(symbol, Moving) for symbol in last.free_symbols)
-        terms += [rf"\left.\left({print_(last)}\right)\right|_{{t = {part.last}}}" if moves else print_(last)]
-    given = problem.observations
-    for measured in [given] if isinstance(given, Measurements) else given:
-        terms += _misfits(measured, print_)
+        terms += [rf"\left.\left({print_(last)}\right)\right|_{{t = {print_.last}}}" if moves else print_(last)]
+    terms += [term for kind in CONDITIONS for term in kind.costs(problem, print_)]
     if terms:
         yield (r"\text{maximise}\quad &" if is_greatest else r"\text{minimise}\quad &") + " + ".join(terms)
     elif not part.number:
@@ -115,16 +109,6 @@ def _objective(problem: Control, part: _Part) -> Iterator[str]:
 
 def _is_given(value: Any) -> bool:
     return not (isinstance(value, (int, float)) and value == 0)
-
-
-def _misfits(measured: Measurements, print_: Printer) -> Iterator[str]:
-    """The sums over measured values, which are called as their columns are."""
-    for (value, column), sigma in zip(measured.values.items(), measured.data.layout.sigmas, strict=True):
-        name = in_latex(f"{column}_i") if column.isidentifier() else r"\text{measured}_i"
-        error = f"{print_.at(value, 't_i')} - {name}"
-        error = rf"\frac{{{error}}}{{\sigma_i}}" if sigma is not None else error
-        form = r"\left({}\right)^2" if measured.loss == "squares" else rf"\text{{{measured.loss}}}" + r"\left({}\right)"
-        yield rf"\sum_i {form.replace('{}', error)}"
 
 
 def _motion(problem: Problem, print_: Printer) -> Iterator[str]:
@@ -145,72 +129,34 @@ def _motion(problem: Problem, print_: Printer) -> Iterator[str]:
 
 def _time(part: _Part) -> Iterator[str]:
     """The end of time, where it has another name than the duration; a number of bodies."""
-    duration = part.print_(part.problem.duration)
-    if duration != part.last:
-        yield f"{part.last} &= " + (f"{part.first} + {duration}" if part.number > 1 else duration)
-    if getattr(part.problem, "bodies", 1) != 1:
-        yield rf"&\text{{for each of }} {part.print_(part.problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
-
-
-def _conditions(problem: Control, part: _Part) -> Iterator[str]:
     print_ = part.print_
-    if isinstance(problem.history, Mapping):
-        for symbol, value in problem.history.items():
-            yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"
-    grows = problem.periodic if isinstance(problem.periodic, Mapping) else dict.fromkeys(problem.periodic, 0)
-    for symbol, by in grows.items():
-        yield f"{print_.at(symbol, part.last)} &= {print_.at(symbol, part.first)}" + (f" + {print_(by)}" if by else "")
-    over = rf"\quad\text{{for the integral over }} [{part.first}, {part.last}]"
-    for given, where in (
-        (problem.start_conditions, rf"\quad\text{{at }} t = {part.first}"),
-        (problem.end_conditions, rf"\quad\text{{at }} t = {part.last}"),
-        (problem.path, r"\quad\text{at every time}"),
-        (problem.integral, over),
-        *((relations, rf"\quad\text{{at }} t = {print_(time)}") for time, relations in _items(problem.at)),
-    ):
-        yield from (f"&{print_.relation(relation)}{where}" for relation in _listed(given))
-    for relation in problem.constraint:
-        yield rf"0 &= {print_(relation)}\quad\text{{(holonomic)}}"
+    duration = print_(part.problem.duration)
+    if duration != print_.last:
+        yield f"{print_.last} &= " + (f"{print_.first} + {duration}" if part.number > 1 else duration)
+    if getattr(part.problem, "bodies", 1) != 1:
+        yield rf"&\text{{for each of }} {print_(part.problem.bodies)} \text{{ bodies}}"  # type: ignore[attr-defined]
 
 
-def _waypoints(problem: Control, part: _Part) -> Iterator[str]:
-    """Conditions at times that are to be found, which have numbers."""
-    times = [f"t_{{{number}}}" for number in range(1, len(problem.waypoints) + 1)]
-    for given, time in zip(problem.waypoints, times, strict=True):
-        point = given if isinstance(given, Waypoint) else Waypoint(given)
-        conditions = r",\; ".join(map(part.print_.relation, _listed(point.conditions)))
-        yield rf"&{conditions}\quad\text{{at }} t = {time}"
-        if point.window != _NEVER:
-            yield f"&{_between(part.print_, time, point.window)}"
-    if times:
-        yield "&" + " < ".join([part.first, *times, part.last])
+def _history(problem: Control, print_: Printer) -> Iterator[str]:
+    for symbol, value in _items(problem.history):
+        yield rf"{print_.at(symbol, 't')} &= {print_(value)}\quad\text{{for }} t \le 0"
 
 
 def _bounds(problem: Control, part: _Part) -> Iterator[str]:
     """Bounds of what moves and of free parameters; a duration is not negative."""
-    given = dict(_items(problem.bounds))
+    given, print_ = dict(_items(problem.bounds)), part.print_
     for symbol in part.own:
         low, high = given.pop(symbol, (symbol.lower, symbol.upper))
         low = 0 if low is None and symbol == problem.duration and not problem.periodic else low
-        yield rf"&{_between(part.print_, part.print_(symbol), (low, high))}\quad\text{{(free)}}"
-    yield from (f"&{_between(part.print_, part.print_(symbol), pair)}" for symbol, pair in given.items())
-
-
-def _between(print_: Printer, written: str, pair: Sequence[Any]) -> str:
-    low, high = pair
-    lower = rf"{print_(low)} \le " if low is not None else ""
-    upper = rf" \le {print_(high)}" if high is not None else ""
-    return f"{lower}{written}{upper}"
+        yield rf"&{print_.between(print_(symbol), (low, high))}\quad\text{{(free)}}"
+    yield from (f"&{print_.between(print_(symbol), pair)}" for symbol, pair in given.items())
 
 
 def _jump(part: _Part, jump: Mapping[Any, Any]) -> Iterator[str]:
     """Values after a switch in terms of those before it."""
+    print_ = part.print_
     for symbol, value in jump.items():
-        yield rf"&{part.print_(symbol)} \mapsto {part.print_(value)}\quad\text{{at }} t = {part.last}"
-
-
-def _listed(given: Any) -> Sequence[Any]:
-    return list(given.values()) if isinstance(given, Mapping) else given
+        yield rf"&{print_(symbol)} \mapsto {print_(value)}\quad\text{{at }} t = {print_.last}"
 
 
 def _items(given: Any) -> Sequence[tuple[Any, Any]]:

@@ -48,6 +48,6 @@ def _rows(model: Any) -> list[tuple[str, schemes.Scheme]]:
         methods = methods_for(model)
         rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
     else:
-        methods = ("stepping",) if model.task == "connect" else ("hamiltonian",)
+        methods = ("stepping",) if model.connects else ("hamiltonian",)
         rows = [(method, scheme) for method in methods for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
     return sorted(rows, key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))

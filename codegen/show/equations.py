@@ -30,7 +30,8 @@ from codegen.show.delays import delay_blocks, is_past, of_the_whole, with_past
 from codegen.show.notation import Block, Notation, written
 from codegen.show.particles import pairwise_equations
 from codegen.tables.data import OUTSIDE
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 
 _SHORTEN_LIMIT = 120
 """Operation count up to which simplification is worth its time."""
@@ -197,7 +198,7 @@ def _euler_lagrange(model: Model) -> Iterator[tuple[Expr, Expr]]:
 
 def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[Block]:
     side, scheme = _side(model, program.method), schemes.find(program.scheme, program.method)
-    controls = program.controlled if isinstance(program, ControlProgram) else "interval"
+    controls = program.controlled
     if scheme.parts:
         yield _composition(scheme)
     if isinstance(program, StepProgram):
@@ -212,7 +213,7 @@ def _discrete(model: Model, program: ControlProgram | StepProgram) -> Iterator[B
         cost, quadratures = step.cost, step.integrals
     if model.cost is not None:
         yield Block("Discrete cost, summed over all intervals", ((_named("C_d"), cost),))
-    if isinstance(program, ControlProgram) and quadratures:
+    if quadratures:
         rows = tuple((_named(f"Gd_{i}"), value) for i, value in enumerate(quadratures, start=1))
         yield Block("Shares in integrals, whose sums over all intervals are those of the integrals", rows)
 

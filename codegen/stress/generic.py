@@ -6,14 +6,14 @@ reported as solved, NaN, hangs and errors without a remedy.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.loading import is_connect, load
+from codegen.loading import is_connect, is_of_particles, load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
+from codegen.stress.expectations import EXPECTATIONS
 from codegen.stress.families.common import registered
 
 FACTORS = (1e-12, 1e-6, 1e6, 1e12)
@@ -31,7 +31,7 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
     points = _points(default, problem, arguments)
     found: list[Case] = []
     plain = tuple(sorted(arguments.items()))
-    for method, scheme in _schemes(default.metadata)[:MOST_SCHEMES]:
+    for method, scheme in _schemes(default)[:MOST_SCHEMES]:
         setup = Setup(problem.absolute(), scheme, method, plain)
         try:
             module = load(compiler.build(setup.file, arguments, scheme=scheme, method=method).path)
@@ -41,15 +41,15 @@ def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
     return found
 
 
-def _schemes(metadata: Mapping[str, Any]) -> Sequence[tuple[str | None, str]]:
+def _schemes(module: Any) -> Sequence[tuple[str | None, str]]:
     """Methods and schemes that may apply, from the registries; those of which most is known come first."""
     from codegen.schemes import FIRST_ORDER, METHODS, of_method
 
-    if metadata["task"] == "connect" or "separable" in metadata:
+    if is_of_particles(module):
         from codegen.schemes.particles import PARTICLE_SCHEMES
 
         return [(None, name) for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
-    if metadata.get("form") == "first-order":
+    if module.metadata.get("form") == "first-order":
         return [(None, scheme.name) for scheme in of_method(FIRST_ORDER) if scheme.order <= 2]
     every = [(method, name) for method, schemes in METHODS.items() for name in schemes]
     return sorted(every, key=lambda scheme: registered(scheme).order > 2)
@@ -68,13 +68,12 @@ def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[t
 
 
 def _cases(setup: Setup, metadata: Mapping[str, Any], points: tuple[tuple[float, ...], ...]) -> list[Case]:
-    task, own = metadata["task"], int(metadata["steps"])
-    drift = 0.1 if task == "simulate" else math.nan if task == "control" else 1.0
+    expected, own = EXPECTATIONS[metadata["task"]], int(metadata["steps"])
 
     def case(name: str, reason: str, steps: int = own, values: Values = (), noise: float = 0.0) -> Case:
         return Case(
             name, setup.file.stem, setup, "accurate", reason, steps, values, every=max(1, steps // 2000), points=points,
-            noise=noise, drift=drift, allowed=tuple(OUTCOMES), seconds=SECONDS,
+            noise=noise, drift=expected.drift, allowed=tuple(OUTCOMES), seconds=SECONDS,
         )  # fmt: skip
 
     found = [case("as it is", "the problem itself")]
@@ -86,6 +85,6 @@ def _cases(setup: Setup, metadata: Mapping[str, Any], points: tuple[tuple[float,
                 case(f"{name} times {factor:.0e}", "a parameter far from its value", values=((name, factor * value),))
                 for factor in FACTORS
             ]
-    if task == "control":
+    if expected.has_guess:
         found += [case(f"guess with noise {noise:g}", "a poor guess", noise=noise) for noise in NOISES]
     return found

@@ -10,10 +10,9 @@ import numpy as np
 
 from codegen import solving
 from codegen.author.points import PointSet
-from codegen.drivers import DRIVERS
 from codegen.solutions.result import Result
-from codegen.solutions.simulate import rounding_level
 from codegen.stress.cases import Case, Measurement, Values
+from codegen.stress.expectations import EXPECTATIONS
 from codegen.stress.limits import stable_limit
 from codegen.stress.references import REFERENCES, drift_scale
 from codegen.stress.textbook import textbook_errors
@@ -26,6 +25,7 @@ def measure(module: Any, case: Case) -> Measurement:
     begin = time.perf_counter()
     result = solving.solve(varied, case.driver, points=_points(case), **_options(module, case))
     seconds = time.perf_counter() - begin
+    expected = EXPECTATIONS[result.task]
     error = REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else float("nan")
     return Measurement(
         status=result.status,
@@ -34,11 +34,11 @@ def measure(module: Any, case: Case) -> Measurement:
         error=error,
         announced=_announced(result),
         residual=result.residual if result.stationarity is None else max(result.residual, result.stationarity),
-        tolerance=_tolerance(varied, case, result),
+        tolerance=expected.tolerance(varied, case, result),
         textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else float("nan"),
-        drift=_drift(case, result),
+        drift=_drift(case, result, expected.keeps_energy),
         stable_below=stable_limit(module, case) if case.limit else float("nan"),
-        failures=_failures(result),
+        failures=expected.failures(result),
         iterations=result.iterations,
         seconds=seconds,
     )
@@ -108,46 +108,18 @@ def _is_finite(result: Result) -> bool:
     )
 
 
-def _tolerance(module: Any, case: Case, result: Result) -> float:
-    """What residuals may be: the drivers' tolerances of 1e-8, or rounding where numbers are large.
-
-    Equations of a variational step divide differences of positions by h, and stiff springs pull rounded places back.
-    """
-    eps = float(np.finfo(float).eps)
-    if result.task == "control":
-        scale = max(1.0, float(np.abs(module.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
-        return max(1e-7 * scale, 1e3 * eps * _largest(result.unknowns, result.multipliers) * result.steps)
-    if result.task == "connect":
-        return max(1e-9, 1e3 * eps * _largest(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
-    h = result.t[-1] / max(result.steps, 1)
-    size = _largest(result.q, result.p)
-    stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
-    return max(1e-10, 1e3 * eps * size * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
-
-
-def _largest(*arrays: Any) -> float:
-    return max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
-
-
 def _announced(result: Result) -> float:
     """The error of the cost that a doubled grid shows, relative to the cost."""
     estimate = result.summary.get("cost_error_estimate", float("nan"))
     return estimate / abs(result.cost) if result.cost else estimate
 
 
-def _drift(case: Case, result: Result) -> float:
+def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
     """Largest change of energy, relative to its scale; NaN where there is no energy."""
     if result.energy is None:
         return float("nan")
     energy = np.asarray(result.energy, dtype=float)
     scale = drift_scale(case, result)
-    if result.task == "simulate" and not np.isfinite(energy[1:]).all():
+    if keeps_energy and not np.isfinite(energy[1:]).all():
         return float("inf")
     return float(np.abs(energy - energy[0]).max() / scale) if scale > 0.0 else float("nan")
-
-
-def _failures(result: Result) -> int:
-    """How often Newton's method failed: a simulation ends at its first failure, a connection reports its attempts."""
-    if result.task == "connect":
-        return int(result.summary["attempts"]) - int(result.solved)
-    return int(not result.solved)

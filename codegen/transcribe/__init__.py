@@ -9,11 +9,14 @@ from codegen.errors import ArgumentError, SchemeError
 from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
 from codegen.model.segments import errors_of_the_whole
-from codegen.transcribe import connect, one_step, phases, simulate, variational
+from codegen.transcribe import connect, one_step, variational
 from codegen.transcribe.assembly import in_scaled_time
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.transcribe.dependent import without_dependent_values
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.phases import chain
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.redundancy.dependent import without_dependent_values
+from codegen.transcribe.simulation import simulate
+from codegen.transcribe.step_program import StepProgram
 
 DEFAULT_SCHEME = "midpoint"
 _SYSTEMS = {"lagrangian": "a Lagrangian", "hamiltonian": "a Hamiltonian", "first-order": "a first-order system"}
@@ -56,7 +59,7 @@ def transcribe(
     if model.phases:
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
-        return phases.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
+        return chain.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
     with errors_of_the_whole(model):
         return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
 

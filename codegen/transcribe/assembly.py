@@ -11,18 +11,18 @@ from codegen.discretise import STEP, OneStepInterval, VariationalInterval, at_no
 from codegen.errors import ExpressionError
 from codegen.model import Model
 from codegen.model.lines import at_guess
-from codegen.transcribe.determined_ends import with_determined_values
-from codegen.transcribe.determined_inner import with_determined_inner_values
-from codegen.transcribe.ends import End, Ends, pinned_at_zero, with_bounds
-from codegen.transcribe.free_times import Clock, clock_of
+from codegen.transcribe.conditions.ends import End, Ends, pinned_at_zero, with_bounds
+from codegen.transcribe.conditions.free_times import Clock, clock_of
+from codegen.transcribe.conditions.inner_times import InnerTerms, inner_terms
+from codegen.transcribe.conditions.integrals import end_share, integral_equations, interval_share, own_unknowns
+from codegen.transcribe.conditions.path_conditions import NodalTerms, interval_terms
+from codegen.transcribe.conditions.samples import sample_element
+from codegen.transcribe.conditions.shared import Shared
 from codegen.transcribe.guesses import control_guess, inner_guess
-from codegen.transcribe.inner_times import InnerTerms, inner_terms
-from codegen.transcribe.integrals import end_share, integral_equations, interval_share, own_unknowns
 from codegen.transcribe.names import Names, symbols
-from codegen.transcribe.path_conditions import NodalTerms, interval_terms
 from codegen.transcribe.program import BoundaryValue, ControlProgram, EndElement, InnerTimes, Unknown
-from codegen.transcribe.samples import sample_element
-from codegen.transcribe.shared import Shared
+from codegen.transcribe.redundancy.determined_ends import with_determined_values
+from codegen.transcribe.redundancy.determined_inner import with_determined_inner_values
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
 
     Raises ArgumentError for a method that the task does not have, SchemeError for a scheme that the method cannot use.
     """
-    methods = CONNECT_METHODS if model.task == "connect" else ("hamiltonian",)
+    methods = CONNECT_METHODS if model.connects else ("hamiltonian",)
     method = method or methods[0]
     if method not in methods:
         raise ArgumentError(f"method {method!r} does not exist for this problem", f"use {' or '.join(methods)}")

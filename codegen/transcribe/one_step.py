@@ -15,17 +15,17 @@ from codegen.discretise import at_nodes, one_step_interval
 from codegen.model import Boundary, Model
 from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import FIRST_ORDER, Scheme
-from codegen.transcribe import holonomic, path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
-from codegen.transcribe.ends import End, conditioned_end, with_bounds
+from codegen.transcribe.conditions import holonomic, path_conditions
+from codegen.transcribe.conditions.ends import End, conditioned_end, with_bounds
+from codegen.transcribe.conditions.joined import joined_unknowns
+from codegen.transcribe.conditions.periodic import Periodic, periodic_unknowns, periodic_velocities_in_momenta
+from codegen.transcribe.conditions.shared import Shared, shared_unknowns
 from codegen.transcribe.forms import in_momenta
 from codegen.transcribe.guesses import coordinate_guess, momentum_guess
-from codegen.transcribe.joined import joined_unknowns
 from codegen.transcribe.names import Names, symbols
-from codegen.transcribe.periodic import Periodic, periodic_unknowns, periodic_velocities_in_momenta
 from codegen.transcribe.program import BoundaryValue, ControlProgram, Unknown
-from codegen.transcribe.shared import Shared, shared_unknowns
 
 
 def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> ControlProgram:

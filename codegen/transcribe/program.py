@@ -1,4 +1,4 @@
-"""What transcription produces: a scalar on one interval (or a step), and the layout of its unknowns."""
+"""What transcription of an optimisation produces: a scalar on one interval, and the layout of its unknowns."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from sympy import Expr, S, Symbol
 
-from codegen.discretise import at_nodes
+from codegen.discretise import STEP, at_nodes
 from codegen.model import Integral, Model
 
 
@@ -284,6 +284,22 @@ class ControlProgram:
         return self.control_symbols[self.model.controls.index(control) :: len(self.model.controls)]
 
     @property
+    def holonomic_multipliers(self) -> tuple[Unknown, ...]:
+        """The unknowns of a node that are multipliers of holonomic constraints: they follow those of the motion."""
+        first = 2 * len(self.model.coordinates)
+        return self.node[first : first + len(self.model.holonomic)]
+
+    def in_time(self, expression: Expr) -> Expr:
+        """Undo that t and h are fractions of the duration, or tell of a node's own time and pace."""
+        if not self.scaled_time:
+            return expression
+        if self.inner.scales:
+            (step, length), (time, there) = self.inner.scales
+            return expression.xreplace({length / step: S.One, there: time})
+        duration, time = self.model.duration, self.model.time
+        return expression.xreplace({STEP: STEP / duration, time: time / duration})
+
+    @property
     def element_symbols(self) -> tuple[Symbol, ...]:
         """The unknowns of an interval with both its nodes, then the shared ones."""
         inside = (*self.interval_symbols, *self.control_symbols, *self.slack_symbols)
@@ -304,47 +320,3 @@ class ControlProgram:
         bounded = any(u.lower is not None or u.upper is not None for u in unknowns)
         at_ends = any(end.slacks or end.bounds for end in (self.start, self.end))
         return bounded or at_ends or bool(self.slacks)
-
-
-@dataclass(frozen=True)
-class StepProgram:
-    """An initial value problem: one step from the left node (q_k, p_k) to the right node (q_k1, p_k1).
-
-    `equations` are the scheme's equations as a textbook writes them, expressions that must vanish, in the symbols of
-    the left node, of inner stages and of the right node; `summary` says in formulas where they come from. Solving
-    them takes three parts: `before` are explicit assignments in order, `unknowns` with `residual` are what is left
-    for Newton's method (none for an explicit scheme; `linear` when one linear solve will do), `after` are explicit
-    assignments that follow. Where a mass matrix is large, `guess` and `energy` may read `state_assignments`, which
-    depend on the left node alone. `velocities` are unknowns in place of positions, each with the two positions of
-    which it is the divided difference and the time between them. `guess` starts Newton's method. `energy` is the
-    Hamiltonian at the left node; `start` holds the initial (q, p) in terms of the parameters and of the symbols of
-    `start_values`.
-
-    Of a composition all this is one step of its base, whose lengths are the symbols `lengths`; `fractions` has a row
-    for each step of the base with these lengths in parts of the whole step. Otherwise the only length is h, and there
-    are no fractions.
-    """
-
-    model: Model
-    method: str
-    scheme: str
-    order: int
-    state: tuple[Unknown, ...]
-    left_symbols: tuple[Symbol, ...]
-    velocities: tuple[tuple[Symbol, Symbol, Symbol, Expr], ...]
-    stage_symbols: tuple[Symbol, ...]
-    right_symbols: tuple[Symbol, ...]
-    before: tuple[tuple[Symbol, Expr], ...]
-    unknowns: tuple[Symbol, ...]
-    guess: tuple[Expr, ...]
-    residual: tuple[Expr, ...]
-    after: tuple[tuple[Symbol, Expr], ...]
-    linear: bool
-    equations: tuple[tuple[str, Expr], ...]
-    summary: tuple[tuple[str, Expr], ...]
-    energy: Expr
-    start_values: tuple[BoundaryValue, ...]
-    start: tuple[Expr, ...]
-    lengths: tuple[Symbol, ...]
-    fractions: tuple[tuple[Expr, ...], ...] = ()
-    state_assignments: tuple[tuple[Symbol, Expr], ...] = ()

@@ -15,25 +15,25 @@ from codegen.errors import BoundaryError, SchemeError
 from codegen.model import Model, legendre
 from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import Scheme
-from codegen.transcribe import path_conditions
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
-from codegen.transcribe.ends import End
-from codegen.transcribe.forms import in_velocities
-from codegen.transcribe.guesses import coordinate_guess
-from codegen.transcribe.holonomic import Constraints
-from codegen.transcribe.joined import joined_momenta, joined_unknowns
-from codegen.transcribe.momentum_ends import EndConditions, matched_indices, momentum_end
-from codegen.transcribe.names import Names, symbols
-from codegen.transcribe.periodic import (
+from codegen.transcribe.conditions import path_conditions
+from codegen.transcribe.conditions.ends import End
+from codegen.transcribe.conditions.holonomic import Constraints
+from codegen.transcribe.conditions.joined import joined_momenta, joined_unknowns
+from codegen.transcribe.conditions.momentum_ends import EndConditions, matched_indices, momentum_end
+from codegen.transcribe.conditions.periodic import (
     Periodic,
     periodic_momenta,
     periodic_unknowns,
     periodic_velocities,
     require_constraints_return,
 )
+from codegen.transcribe.conditions.shared import shared_unknowns
+from codegen.transcribe.forms import in_velocities
+from codegen.transcribe.guesses import coordinate_guess
+from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import ControlProgram, Unknown
-from codegen.transcribe.shared import shared_unknowns
 
 
 def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgram:

@@ -7,9 +7,10 @@ nothing is shared with the stages that made it but the expressions themselves.
 from __future__ import annotations
 
 from codegen.expressions.table_functions import tables_of
-from codegen.lower.control_layout import parameters
+from codegen.lower.control.layout import parameters
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 from codegen.verify.control import verify_control
 from codegen.verify.couplings import verify_couplings
 from codegen.verify.execution import Text

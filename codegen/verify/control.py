@@ -12,8 +12,8 @@ from sympy import Expr, S, Symbol
 from codegen.derive.mixed import data_of
 from codegen.discretise import STEP
 from codegen.errors import VerificationError
-from codegen.lower.control_layout import parameters
-from codegen.lower.phases import named_elements
+from codegen.lower.control.layout import parameters
+from codegen.lower.control.phases import named_elements
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.execution import Text
 from codegen.verify.judgement import complex_numbers

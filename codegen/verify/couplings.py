@@ -8,7 +8,7 @@ from typing import Any
 
 from sympy import S, Symbol
 
-from codegen.lower.control_layout import parameters
+from codegen.lower.control.layout import parameters
 from codegen.transcribe.program import ControlProgram, Coupling
 from codegen.verify.execution import Text
 from codegen.verify.mixed import columns_of

@@ -9,7 +9,7 @@ import numpy as np
 from sympy import Expr, Symbol
 
 from codegen.expressions.checks import rounded_at
-from codegen.transcribe.program import StepProgram
+from codegen.transcribe.step_program import StepProgram
 from codegen.verify.execution import Text
 from codegen.verify.judgement import complex_numbers, judge, step_of
 from codegen.verify.multiprecision import EXACT, SIZED, Sized, difference, sized

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from malformed import MALFORMED
-from malformed_templates import PRELUDE, Malformed, file_text, first_order, group, optimal, simulation
+from malformed.templates import PRELUDE, Malformed, file_text, first_order, group, optimal, simulation
 from refused_files import PROBLEMS, refusal
 
 from codegen.author.sources import input_digest

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from malformed_templates import file_text
+from malformed.templates import file_text
 from refused_files import PROBLEMS, refusal
 
 from codegen.author.problem_file import parse_arguments

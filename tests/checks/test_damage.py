@@ -177,9 +177,9 @@ def test_tables(prepared, damaged, old, new):
 def test_what_follows_from_parameters(prepared, damaged):
     """Boundary values that follow parameters otherwise than the problem says: no other check looks at that."""
     context = prepared("orbital_transfer", sensitivities=True)
-    line = next(line for line in text_from(context, "data_rates").splitlines() if line.endswith("# by GM"))
-    target, code = re.fullmatch(r"(.* = )(.*)  # by GM", line).groups()
-    damage = damaged(context, line, f"{target}1.00001*({code})  # by GM")
+    number = context.module.QUANTITIES.index("GM")
+    found = re.search(rf"(rates\[{number}, :, \d+\] = )([^ #\n]+)", text_from(context, "data_rates"))
+    damage = damaged(context, found[0], f"{found[1]}1.00001*({found[2]})")
     assert all(finding.applies for finding in checks.apply("sensitivities", context))
     (failure,) = failures("sensitivities", damage)
     assert failure.subject.startswith("parameters, which others follow")

@@ -19,8 +19,8 @@ from jinja2 import meta
 from codegen import emit, mangling
 from codegen.compiler import build
 from codegen.errors import FileError
-from codegen.lower.connect import ConnectModule, ParticlesModule
 from codegen.lower.module import ControlModule, Origin, SimulateModule
+from codegen.lower.particles.module import ConnectModule, ParticlesModule
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
@@ -179,9 +179,12 @@ def test_headers_say_where_the_command_works(name):
     assert second.startswith(f"# Made again, in the folder of {source}, by: codegen build {source}")
 
 
-def test_the_stride_counts_everything_that_an_interval_has():
-    text = text_of("goddard_rocket.py")
-    assert "STRIDE = 7  # unknowns of a node and of the interval after it, which has mu_r, mu_v, mu_m, thrust\n" in text
+def test_the_stride_counts_everything_that_an_interval_has(interpreted):
+    """Three states and their multipliers, and the thrust."""
+    module = interpreted("goddard_rocket")
+    sizes = [module.initial_guess(module.make_grid(steps)).size for steps in (10, 11, 13)]
+    assert [size - sizes[0] for size in sizes] == [0, 7, 21]
+    assert module.STRIDE == 7
 
 
 def test_a_duration_that_overrides_parameters_is_documented():

@@ -8,7 +8,7 @@ import pytest
 from golden import CONTROL as PROBLEMS
 from golden import names, text_of
 
-from codegen.lower.statement import description
+from codegen.lower.control.statement import description
 from codegen.model.from_file import load_problem
 from codegen.transcribe import transcribe
 

@@ -8,7 +8,7 @@ from interpreted import of_problem
 from sympy import Abs, acos, exp, log, sqrt
 
 from codegen import Control, controls, coordinate, states, time
-from codegen.lower.notable import notable
+from codegen.lower.control.notable import notable
 from codegen.model import normalise
 from codegen.model.singular_guesses import singular_at_guess
 from codegen.solutions.notes import notes

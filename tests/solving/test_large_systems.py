@@ -21,8 +21,8 @@ from codegen.model.from_file import load_problem
 from codegen.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
 from codegen.naming import Choices
 from codegen.transcribe import transcribe
-from codegen.transcribe.elimination import linear_in
-from codegen.transcribe.phase_functions import phase_functions
+from codegen.transcribe.simulation.elimination import linear_in
+from codegen.transcribe.simulation.phase_functions import phase_functions
 
 FOLDER = Path(__file__).parents[1] / "large_systems"
 

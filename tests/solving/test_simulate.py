@@ -16,7 +16,7 @@ from textbook_steps import TEXTBOOK, textbook_step
 
 from codegen import schemes
 from codegen.errors import SchemeError
-from codegen.transcribe.simulate import simulate
+from codegen.transcribe.simulation.simulate import simulate
 
 COMBINATIONS = [(method, name) for method, table in schemes.METHODS.items() for name in table]
 BASIC = [(method, name) for method, name in COMBINATIONS if schemes.METHODS[method][name].order <= 2]

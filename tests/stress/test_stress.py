@@ -16,10 +16,12 @@ from codegen.cli import main
 from codegen.stress import page, pool
 from codegen.stress.cases import DEFECTS, OUTCOMES, Setup
 from codegen.stress.classify import classify
+from codegen.stress.expectations import EXPECTATIONS
 from codegen.stress.families import FAMILIES, QUICK, quick_cases
 from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
 from codegen.stress.families.common import SYMPLECTIC_EULER, VERLET, promised
 from codegen.stress.references import REFERENCES
+from codegen.tasks import TASKS
 
 # ---- The registry ----
 
@@ -46,6 +48,10 @@ def test_problems_are_written_for_the_package_alone():
     assert used == set(OWN_PROBLEMS.glob("*.py"))
     assert {name for name, _ in QUICK} <= {path.stem for path in used}
     assert 0 < len(quick_cases()) < len(every_case())
+
+
+def test_every_task_has_its_expectation():
+    assert set(EXPECTATIONS) == set(TASKS)
 
 
 def test_promises_end_where_steps_do_not_resolve_the_motion():

@@ -17,12 +17,9 @@ import xarray
 from command_lines import ORBIT, PENDULUM, assert_refused, run
 from dask_parts import address_in, cluster, kill, process, until
 from test_sweep import assert_same
-from test_sweep_processes import StandIn
 
 import codegen
-from codegen.engines import ENGINES, engine_for
 from codegen.engines.journal import journal_of
-from codegen.engines.tally import LOST
 from codegen.errors import ArgumentError, ClusterError, ExtraError
 from codegen.files import refused
 from codegen.sweeping.work import Work
@@ -31,25 +28,6 @@ distributed = pytest.importorskip("distributed")
 
 AXES = {"r1": np.linspace(5.8, 6.2, 1500)}
 WORDS = ("sweep", ORBIT, "--vary", "r1=5.8:6.2:1500", "--steps", "40", "--chunk", "20", "--out", "s.zarr")
-
-
-@pytest.mark.parametrize("name", ENGINES)
-def test_every_engine_solves_every_chunk_once(tmp_path, name):
-    work = StandIn(tmp_path)
-    with ENGINES[name].running(work, 1) as solve:
-        found = {number: done.rows["square"][0] for number, done in solve([3, 1, 4])}
-    assert found == {3: 9, 1: 1, 4: 16}
-    assert {path.name for path in tmp_path.iterdir()} == {"1", "3", "4"}
-
-
-def test_workers_that_are_killed_are_replaced_and_a_chunk_that_kills_all_is_lost(tmp_path):
-    work = StandIn(tmp_path, once=(0,), always=(2,))
-    with engine_for(2, "local")(work, 2) as solve:
-        found = {number: done.tally.counts for number, done in solve(range(6))}
-    assert found == {number: {LOST: 1} if number == 2 else {"solved": 1} for number in range(6)}
-    tries = (tmp_path / "0").read_text().split()
-    assert len(tries) > 1
-    assert len(set(tries)) == len(tries)
 
 
 def finished() -> int:

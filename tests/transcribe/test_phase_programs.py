@@ -10,7 +10,7 @@ from codegen.derive import control_derivatives
 from codegen.errors import ArgumentError
 from codegen.model import normalise
 from codegen.transcribe import transcribe
-from codegen.transcribe.phase_guesses import with_guesses
+from codegen.transcribe.phases.guesses import with_guesses
 
 
 def program_of(problem: Phases, **choices: str):

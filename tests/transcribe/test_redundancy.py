@@ -14,7 +14,7 @@ from sympy import Expr, acos, cos, pi, sin, sqrt
 
 from codegen import Control, body_number, controls, coordinates, free_parameter, parameters, time
 from codegen.model import Model, normalise
-from codegen.transcribe.redundancy import independent_couplings
+from codegen.transcribe.redundancy.redundant_couplings import independent_couplings
 
 
 def couplings_of(bodies: int, conditions: Callable[[Any, Any], list[Expr]], **changes: Any) -> Model:

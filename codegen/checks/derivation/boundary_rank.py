@@ -20,7 +20,7 @@ from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
 from codegen.solutions.notes import shortened
 from codegen.transcribe.program import ControlProgram, EndElement
-from codegen.transcribe.redundancy import independent_couplings
+from codegen.transcribe.redundancy.redundant_couplings import independent_couplings
 
 _INTERVALS = 8
 _MOST_INTERVALS = 64

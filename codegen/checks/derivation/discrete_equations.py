@@ -19,7 +19,8 @@ from codegen.discretise import STEP, at_nodes, repeated
 from codegen.model import Model, legendre
 from codegen.schemes import Scheme
 from codegen.schemes.base import DiscreteLagrangian
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 
 _STEPS = (mpmath.mpf(10) ** -20, mpmath.mpf(10) ** -22)
 _VANISHED = 1e-15
@@ -76,7 +77,7 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     if isinstance(program, ControlProgram):
         left = program.left_symbols[dimension : 2 * dimension]
         right = program.right_symbols[dimension : 2 * dimension]
-        after, before = ([in_time(program, sympy.diff(program.element, m)) for m in side] for side in (left, right))
+        after, before = ([program.in_time(sympy.diff(program.element, m)) for m in side] for side in (left, right))
         return after, before
     # The last of the step's equations are p - (momentum as a function of both positions).
     momenta = [*program.left_symbols[dimension:], *program.right_symbols[dimension:]]
@@ -85,26 +86,9 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     return [-value for value in values[:dimension]], values[dimension:]
 
 
-def in_time(program: ControlProgram | StepProgram, expression: Expr) -> Expr:
-    """Undo that t and h are fractions of the duration, or tell of a node's own time and pace."""
-    if not (isinstance(program, ControlProgram) and program.scaled_time):
-        return expression
-    if program.inner.scales:
-        (step, length), (time, there) = program.inner.scales
-        return expression.xreplace({length / step: sympy.S.One, there: time})
-    duration, time = program.model.duration, program.model.time
-    return expression.xreplace({STEP: STEP / duration, time: time / duration})
-
-
 def constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
-    """The forces along the normals of holonomic constraints at a node: they follow coordinates and multipliers."""
-    first = 2 * len(program.model.coordinates)
-    names = (
-        [u.name for u in program.node[first : first + len(program.model.holonomic)]]
-        if isinstance(program, ControlProgram)
-        else []
-    )
-    return list(at_nodes([Symbol(name) for name in names], suffix))
+    """The forces along the normals of holonomic constraints at a node."""
+    return list(at_nodes([Symbol(unknown.name) for unknown in program.holonomic_multipliers], suffix))
 
 
 def weight_of_node(scheme: DiscreteLagrangian) -> Expr:
@@ -188,7 +172,7 @@ def _stepwise(
         equal = {length: STEP / len(lengths) for length in lengths}
         equations = [equation for _, equation in program.equations]
     else:
-        equations = [in_time(program, equation) for name, equation in program.equations if name == "0"]
+        equations = [program.in_time(equation) for name, equation in program.equations if name == "0"]
     size, abscissae = len(states), scheme.step().abscissae
     substitution: dict[Symbol, Expr] = constant_controls(program)
     suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(abscissae))), "_k1")
@@ -215,6 +199,4 @@ def _accelerations(model: Model) -> list[Symbol]:
 
 def constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
     """Constant controls, wherever they live."""
-    if isinstance(program, StepProgram):
-        return {}
     return {site: u for u in program.model.controls for site in program.controls_of(u)}

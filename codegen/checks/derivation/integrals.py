@@ -12,8 +12,8 @@ from dataclasses import replace
 import mpmath
 from sympy import Expr, Symbol
 
-from codegen.checks.base import Context, Finding, does_not_apply
-from codegen.checks.derivation.discrete_equations import constant_controls, in_time, inner_motion
+from codegen.checks.base import Context, Finding
+from codegen.checks.derivation.discrete_equations import constant_controls, inner_motion
 from codegen.checks.evaluation import DIGITS, function_of, random_points
 from codegen.discretise import STEP, at_nodes, repeated
 from codegen.model import legendre
@@ -26,9 +26,6 @@ _VANISHED = 1e-15
 
 def check(context: Context) -> Iterator[Finding]:
     """One finding for each condition, at random states."""
-    if not context.model.integrals:
-        yield does_not_apply("integrals", "there are no conditions on integrals")
-        return
     original = context.control.model  # that of a phase is as its author wrote it
     transform = legendre.lagrangian_form if context.control.method == "variational" else legendre.hamiltonian_form
     model = rewritten(original, transform(original.with_free_ends))
@@ -40,7 +37,7 @@ def check(context: Context) -> Iterator[Finding]:
     symbols = list(dict.fromkeys(symbols))
     written = dict(program.equations)
     for number, integral in enumerate(model.integrals, start=1):
-        integrand, quadrature = integral.expression, in_time(program, written[f"Gd_{number}"]).xreplace(substitution)
+        integrand, quadrature = integral.expression, program.in_time(written[f"Gd_{number}"]).xreplace(substitution)
         share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
         gap = mpmath.mpf(0)
         with mpmath.workdps(DIGITS):

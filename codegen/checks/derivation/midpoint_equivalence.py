@@ -17,7 +17,7 @@ from codegen.discretise import STEP, at_nodes, one_step_interval, variational_in
 from codegen.discretise.polynomials import between
 from codegen.errors import DegenerateError
 from codegen.model import Model, legendre
-from codegen.transcribe.phase_functions import phase_functions
+from codegen.transcribe.simulation.phase_functions import phase_functions
 
 
 def check(context: Context) -> Iterator[Finding]:

@@ -21,7 +21,8 @@ from codegen.checks.evaluation import DIGITS, function_of, random_points, vanish
 from codegen.checks.solution.solutions import free_values
 from codegen.discretise import STEP, at_nodes, repeated, variational_interval
 from codegen.model import Boundary, Model, legendre
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 
 _MATCHED = 1e-9
 

@@ -27,7 +27,7 @@ from codegen.model.conditions.path import nodal_conditions
 from codegen.schemes import Scheme
 from codegen.solutions.between_nodes import Excursion, excursions, sampled_conditions
 from codegen.transcribe.assembly import scaled_in_time
-from codegen.transcribe.path_conditions import is_convex
+from codegen.transcribe.conditions.path_conditions import is_convex
 from codegen.transcribe.program import ControlProgram
 
 _NAME = "path between nodes"

@@ -10,7 +10,7 @@ from sympy import Symbol
 from codegen.checks.evaluation import Point
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
-from codegen.lower.phases import named_elements
+from codegen.lower.control.phases import named_elements
 from codegen.transcribe.program import ControlProgram
 
 

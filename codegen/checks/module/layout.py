@@ -20,7 +20,8 @@ from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, othe
 from codegen.checks.module.step_kernels import step_length
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
-from codegen.transcribe.program import ControlProgram, StepProgram
+from codegen.transcribe.program import ControlProgram
+from codegen.transcribe.step_program import StepProgram
 from codegen.verify.couplings import shared_symbols
 
 _STEPS = 2

@@ -12,7 +12,7 @@ from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import DIGITS, Function, Point, function_of, gradient, random_points
 from codegen.checks.module.agreement import Agreement
 from codegen.expressions.table_functions import numbers_of
-from codegen.transcribe.program import StepProgram
+from codegen.transcribe.step_program import StepProgram
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)
 """Parts of a step's length that are tried in turn."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import sympy
 
-from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.solution.solutions import free_values
 
 _HELD = 1e-9
@@ -16,9 +16,6 @@ _HELD = 1e-9
 def check(context: Context) -> Iterator[Finding]:
     """Evaluate every constraint at all nodes of the solution, in units of its own terms."""
     model = context.model
-    if not model.holonomic:
-        yield does_not_apply("holonomic drift", "there are no holonomic constraints")
-        return
     solution = context.solution
     if solution.status != "solved":
         yield not_measured("holonomic drift", "all constraints", solution.message)

@@ -13,7 +13,7 @@ import sympy
 from numpy.typing import NDArray
 from sympy import Expr
 
-from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions.special_functions import NUMPY
 from codegen.model import InnerCondition, Model, legendre
@@ -25,9 +25,6 @@ _HELD = 1e-7
 def check(context: Context) -> Iterator[Finding]:
     """One finding for each condition, and one for the times."""
     model = context.model
-    if not model.inner_times:
-        yield does_not_apply(_NAME, "there are no conditions at inner times")
-        return
     solution = context.solution
     if solution.status != "solved":
         yield not_measured(_NAME, "all conditions", solution.message)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from sympy import Symbol
 
 from codegen.checks.base import Context
-from codegen.lower.control_layout import parameters
+from codegen.lower.control.layout import parameters
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.control import part_of_chain
 from codegen.verify.points import Values, with_time

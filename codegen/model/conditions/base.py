@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import sympy
 from sympy import Expr
@@ -21,12 +21,28 @@ Scope = Mapping[str, tuple[type[Quantity], ...]]
 Remedies = Mapping[type[Quantity], str]
 
 
+class Latex(Protocol):
+    """What writes an author's problem in LaTeX: an expression when it is called, and the names of time's two ends."""
+
+    first: str
+    last: str
+
+    def __call__(self, value: Any) -> str: ...
+
+    def relation(self, value: Any) -> str: ...
+
+    def at(self, value: Any, time: str) -> str: ...
+
+    def between(self, written: str, limits: Sequence[Any]) -> str: ...
+
+
 class Kind:
     """A kind of condition, which answers for itself from what is written to what is said of it.
 
     `argument` is that of `Control`, `field` that of the model, `words` is what a problem with such conditions has.
     `scope` says for each role of its expressions which symbols they may hold, `remedies` what to do about others;
-    `not_in_phases` is the error, finding and remedy where a phase of several cannot have them.
+    `not_in_phases` is the error, finding and remedy where a phase of several cannot have them. `check` names the check
+    that is about nothing else, if there is one.
     Methods that a kind does not have say that it asks for nothing.
     """
 
@@ -36,6 +52,7 @@ class Kind:
     scope: ClassVar[Scope]
     remedies: ClassVar[Remedies] = {}
     not_in_phases: ClassVar[tuple[type[CodegenError], str, str] | None] = None
+    check: ClassVar[str] = ""
 
     def written(self, control: Control) -> Iterator[Entry]:
         """The expressions of what an author wrote; raises a kind of CodegenError for what is none of this kind."""
@@ -79,6 +96,24 @@ class Kind:
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
         """Headings and rows (name, value) of what `codegen show` adds to the continuous problem."""
         yield from ()
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        """Rows in LaTeX of what an author wrote, aligned at their &, for notebooks; nothing is checked before."""
+        for relation in listed(getattr(control, self.argument)):
+            yield rf"&{latex.relation(relation)}\quad{self.when(latex)}"
+
+    def when(self, latex: Latex) -> str:
+        """When a condition holds, in LaTeX, or else what it is."""
+        return rf"\text{{({self.argument})}}"
+
+    def costs(self, control: Control, latex: Latex) -> Iterator[str]:
+        """Terms in LaTeX that are added to what is minimised."""
+        yield from ()
+
+
+def listed(given: Any) -> Sequence[Any]:
+    """Relations without the names that an author may have given them."""
+    return list(given.values()) if isinstance(given, Mapping) else given
 
 
 def conditions_of(entries: Sequence[Entry], role: str) -> tuple[Condition, ...]:

@@ -1,6 +1,6 @@
 """Conditions on coordinates and rates at one end, beside values that are given there; at the end, also between bodies.
 
-`codegen.transcribe.ends` imposes them, those between bodies `codegen.transcribe.shared`.
+`transcribe.conditions.ends` imposes them, those between bodies `transcribe.conditions.shared`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from codegen.author.symbols import ControlInput, EndValue, Time
 from codegen.errors import BoundaryError
 from codegen.expressions import checks as expressions
 from codegen.expressions.terms import distinct
-from codegen.model.conditions.base import Kind, Points, Remedies, Scope, conditions_of, dependent, is_constant
+from codegen.model.conditions.base import Kind, Latex, Points, Remedies, Scope, conditions_of, dependent, is_constant
 from codegen.model.definitions import Condition, Model, prescribed
 from codegen.model.relations import MOVING, STATIC, Entry
 
@@ -59,6 +59,9 @@ class AtStart(Kind):
         names = dependent(equations, unknown, likely)
         if names:
             raise BoundaryError(f"the {self.argument} {names} depend on each other", "leave out one of them")
+
+    def when(self, latex: Latex) -> str:
+        return rf"\text{{at }} t = {latex.first if self.end == 'start' else latex.last}"
 
 
 class AtEnd(AtStart):

@@ -1,4 +1,4 @@
-"""Holonomic constraints c(q, t) = 0 of Lagrangian systems; `codegen.transcribe.holonomic` imposes them."""
+"""Holonomic constraints c(q, t) = 0 of Lagrangian systems; `transcribe.conditions.holonomic` imposes them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sympy import Expr
 from codegen.author.problem import Control
 from codegen.author.symbols import Coordinate, Parameter, Time
 from codegen.errors import DegenerateError, ExpressionError
-from codegen.model.conditions.base import Kind, Points, Scope, dependent, is_constant
+from codegen.model.conditions.base import Kind, Latex, Points, Scope, dependent, is_constant, listed
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import Entry, text
 
@@ -24,6 +24,7 @@ class Holonomic(Kind):
     argument, field, words = "constraint", "holonomic", "holonomic constraints"
     scope: ClassVar[Scope] = {"constraint": (Coordinate, Time, Parameter)}
     not_in_phases = ExpressionError, "it has a holonomic constraint", _COORDINATES
+    check = "holonomic drift"
 
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
         if form != "lagrangian":
@@ -65,3 +66,7 @@ class Holonomic(Kind):
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
         if model.holonomic:
             yield "Holonomic constraints", tuple(("0", constraint) for constraint in model.holonomic)
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        for constraint in listed(control.constraint):
+            yield rf"0 &= {latex(constraint)}\quad\text{{(holonomic)}}"

@@ -1,4 +1,4 @@
-"""Conditions at times between start and end, given or free; `codegen.transcribe.inner_times` imposes them."""
+"""Conditions at times between start and end, given or free; imposed by `transcribe.conditions.inner_times`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from codegen.author.problem import Control, Waypoint
 from codegen.author.symbols import ControlInput, Parameter, Time
 from codegen.errors import BoundaryError, ExpressionError
 from codegen.expressions import checks as expressions
-from codegen.model.conditions.base import Kind, Points, Remedies, Scope, dependent, is_constant
+from codegen.model.conditions.base import Kind, Latex, Points, Remedies, Scope, dependent, is_constant, listed
 from codegen.model.conditions.path import nodal_conditions
 from codegen.model.definitions import Condition, InnerCondition, InnerTime, Model
 from codegen.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
@@ -27,6 +27,7 @@ class AtTimes(Kind):
     """Equations and inequalities at given times, which become nodes."""
 
     argument, field, words = "at", "inner_conditions", "conditions at inner times"
+    check = "inner times"
     scope: ClassVar[Scope] = {"at": (*MOVING, Time, *STATIC), "inner time": (Parameter,)}
     remedies: ClassVar[Remedies] = {ControlInput: "limit controls by bounds or path, or make the control a state"}
     not_in_phases = BoundaryError, "it has conditions at inner times", "end a phase there, with end_conditions"
@@ -95,11 +96,17 @@ class AtTimes(Kind):
             if window := tuple((name, limit) for name, limit in limits if limit is not None):
                 yield f"The time of {where}", window
 
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        for time, relations in control.at.items() if isinstance(control.at, Mapping) else ():
+            where = rf"\quad\text{{at }} t = {latex(time)}"
+            yield from (f"&{latex.relation(relation)}{where}" for relation in listed(relations))
+
 
 class Waypoints(Kind):
     """Equations and inequalities at times that are free, but in order; with given ones they are one field."""
 
     argument, field, words = "waypoints", "inner_conditions", "waypoints"
+    check = AtTimes.check
     scope: ClassVar[Scope] = {
         "waypoints": (*MOVING, Time, *STATIC),
         "waypoint": (),
@@ -141,6 +148,18 @@ class Waypoints(Kind):
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
         yield from ()
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        """What holds at times that are to be found, which have numbers, and their order."""
+        times = [f"t_{{{number}}}" for number in range(1, len(control.waypoints) + 1)]
+        for given, time in zip(control.waypoints, times, strict=True):
+            waypoint = given if isinstance(given, Waypoint) else Waypoint(given)
+            conditions = r",\; ".join(map(latex.relation, listed(waypoint.conditions)))
+            yield rf"&{conditions}\quad\text{{at }} t = {time}"
+            if waypoint.window != (None, None):
+                yield f"&{latex.between(time, waypoint.window)}"
+        if times:
+            yield "&" + " < ".join([latex.first, *times, latex.last])
 
 
 def _conditions(role: str, what: str, where: str, relations: Any) -> Iterator[Entry]:

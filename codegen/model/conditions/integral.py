@@ -1,4 +1,4 @@
-"""Conditions on integrals over the whole duration, such as a length; `codegen.transcribe.integrals` imposes them."""
+"""Conditions on integrals over the whole duration, such as a length; `transcribe.conditions.integrals` imposes them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from codegen.author.problem import Control
 from codegen.author.symbols import ControlInput, Delayed, Time
 from codegen.errors import ExpressionError
 from codegen.expressions import checks as expressions
-from codegen.model.conditions.base import Kind, Scope
+from codegen.model.conditions.base import Kind, Latex, Scope
 from codegen.model.definitions import Integral, Model
 from codegen.model.relations import MOVING, STATIC, Entry, named_relations, sides
 
@@ -21,6 +21,7 @@ class Integrals(Kind):
     """Relations between an integrand and the value of its integral."""
 
     argument, field, words = "integral", "integrals", "conditions on integrals"
+    check = "integrals"
     scope: ClassVar[Scope] = {"integral": (*MOVING, Delayed, ControlInput, Time, *STATIC), "integral value": STATIC}
 
     def written(self, control: Control) -> Iterator[Entry]:
@@ -52,6 +53,9 @@ class Integrals(Kind):
         for number, i in enumerate(model.integrals, start=1):
             heading = f"Integral over [0, T] that {'equals' if i.equality else 'is at most'} c_{number}"
             yield heading, ((f"rate G_{number}", i.expression), (f"c_{number}", i.value))
+
+    def when(self, latex: Latex) -> str:
+        return rf"\text{{for the integral over }} [{latex.first}, {latex.last}]"
 
 
 def _sides(value: Any, what: str) -> tuple[Expr, Expr]:

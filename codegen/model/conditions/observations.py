@@ -1,4 +1,4 @@
-"""Measurements that a motion is to fit; `codegen.transcribe.samples` adds them to the cost."""
+"""Measurements that a motion is to fit; `transcribe.conditions.samples` adds them to the cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from codegen.author.problem import Control
 from codegen.author.symbols import ControlInput, FreeParameter, Time
 from codegen.errors import ExpressionError, TableError
 from codegen.expressions import checks as expressions
-from codegen.model.conditions.base import Kind, Points, Remedies, Scope
+from codegen.lettering import in_latex
+from codegen.model.conditions.base import Kind, Latex, Points, Remedies, Scope
 from codegen.model.definitions import Model, Observed
 from codegen.model.relations import MOVING, STATIC, Entry, entry_of
 from codegen.tables.measurements import LOSSES, require_within
@@ -26,6 +27,7 @@ class Observations(Kind):
     """Expressions of the motion whose values were measured."""
 
     argument, field, words = "observations", "observed", "measurements"
+    check = "measurements"
     scope: ClassVar[Scope] = {"observations": (*MOVING, Time, *STATIC)}
     remedies: ClassVar[Remedies] = {ControlInput: "measure what moves; a control is constant on an interval"}
     not_in_phases = ExpressionError, "it has observations", "give measurements to problems of one phase"
@@ -74,6 +76,20 @@ class Observations(Kind):
         if model.observed:
             heading = f"Measurements, of whose errors e {LOSSES[model.loss]} is added to the cost"
             yield heading, tuple((observed.name.replace(" ", ""), observed.expression) for observed in model.observed)
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        yield from ()
+
+    def costs(self, control: Control, latex: Latex) -> Iterator[str]:
+        """The sums over measured values, which are called as their columns are."""
+        given = control.observations
+        for measured in [given] if isinstance(given, Measurements) else given:
+            form = r"\left({}\right)^2" if measured.loss == "squares" else rf"\text{{{measured.loss}}}\left({{}}\right)"
+            for (value, column), sigma in zip(measured.values.items(), measured.data.layout.sigmas, strict=True):
+                name = in_latex(f"{column}_i") if column.isidentifier() else r"\text{measured}_i"
+                error = f"{latex.at(value, 't_i')} - {name}"
+                error = rf"\frac{{{error}}}{{\sigma_i}}" if sigma is not None else error
+                yield rf"\sum_i {form.replace('{}', error)}"
 
 
 def _errors(model: Model) -> str:

@@ -1,4 +1,4 @@
-"""Conditions that hold at every time; `codegen.transcribe.path_conditions` imposes them."""
+"""Conditions that hold at every time; `transcribe.conditions.path_conditions` imposes them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sympy import Expr
 
 from codegen.author.symbols import ControlInput, Delayed, Time
 from codegen.errors import DegenerateError, ExpressionError
-from codegen.model.conditions.base import Kind, Points, Scope, dependent, is_constant
+from codegen.model.conditions.base import Kind, Latex, Points, Scope, dependent, is_constant
 from codegen.model.definitions import Condition, Model
 from codegen.model.relations import MOVING, STATIC
 
@@ -45,6 +45,9 @@ class Path(Kind):
             yield "At every time", equations
         if inequalities := tuple((f"g_{i}", c.expression) for i, c in enumerate(model.path, 1) if not c.equality):
             yield "At every time, not positive", inequalities
+
+    def when(self, latex: Latex) -> str:
+        return r"\text{at every time}"
 
 
 def is_nodal(model: Model, condition: Condition) -> bool:

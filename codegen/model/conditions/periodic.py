@@ -1,16 +1,16 @@
-"""What has the same value at the end as at the start, up to a shift; `codegen.transcribe.periodic` imposes it."""
+"""What has the same value at the end as at the start, up to a shift; `transcribe.conditions.periodic` imposes it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sympy import Expr, Symbol, sstr
 
 from codegen.author.problem import SAME_AT_BOTH_ENDS, Control
 from codegen.author.symbols import Parameter
 from codegen.errors import BoundaryError, ExpressionError
-from codegen.model.conditions.base import Kind, Scope
+from codegen.model.conditions.base import Kind, Latex, Scope
 from codegen.model.definitions import Model
 from codegen.model.relations import Entry, checked_mapping, checked_sequence, entry_of, require_declared
 
@@ -66,6 +66,12 @@ class Periodic(Kind):
         if model.periodic:
             rows = tuple((f"{q}@T", Symbol(f"{q}@0", real=True) + shift) for q, shift in model.periodic)
             yield "Periodic ends", rows
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        given: Any = control.periodic
+        for symbol, shift in given.items() if isinstance(given, Mapping) else [(symbol, 0) for symbol in given]:
+            added = f" + {latex(shift)}" if shift else ""
+            yield f"{latex.at(symbol, latex.last)} &= {latex.at(symbol, latex.first)}{added}"
 
 
 def _added(shift: Expr) -> str:

@@ -1,0 +1,1 @@
+"""A control problem and its derivatives as strings: `module` calls the others."""

@@ -1,0 +1,311 @@
+"""ControlProgram and its derivatives -> ControlModule: the kernels, and what else a module consists of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sympy import Expr, Symbol
+
+from codegen.derive import ControlDerivatives, ElementDerivatives
+from codegen.derive.mixed import ControlSensitivities
+from codegen.discretise import STEP
+from codegen.expressions.table_functions import tables_of
+from codegen.lower.control import guesses, inner_times, layout, phases, sensitivities
+from codegen.lower.control.coupling import Couplings, lower_couplings
+from codegen.lower.control.notable import notable
+from codegen.lower.control.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
+from codegen.lower.control.sizes import motion_indices, sizes
+from codegen.lower.control.statement import description
+from codegen.lower.control.text import left_out, metadata
+from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.lower.module import ControlModule, arguments_of
+from codegen.lower.printer import array_code, scalar_code
+from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
+from codegen.lower.tables import (
+    described_tables,
+    guess_kernels,
+    table_constants,
+    table_kernels,
+    table_metadata,
+    table_runtime,
+)
+from codegen.tables.data import TableData
+from codegen.transcribe.program import ControlProgram, EndElement
+
+
+def lower_control(
+    program: ControlProgram, derivatives: ControlDerivatives, by_data: ControlSensitivities | None = None
+) -> ControlModule:
+    """Write every kernel and table of a control problem as strings; with derivatives `by_data` it has sensitivities."""
+    model, tables = program.model, tables_of(program.model)
+    couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
+    first = len(layout.parameters(program))
+    ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
+    added = sensitivities.added(program, by_data, curved, lambda unknowns: _codes(program, unknowns))
+    own = (*_own_kernels(program, derivatives, curved), *couplings.kernels, *_inputs_kernels(program, ranged))
+    kernels = (*own, *added.kernels)
+    of_phases = (phases.guesses, phases.duration, phases.bounds)
+    parts = of_phases if program.phases else (guesses.guesses, layout.duration, layout.bounds)
+    code = {name: value for part in parts for name, value in part(program).items()}
+    return ControlModule(
+        template="control.py.j2",
+        name=model.name,
+        title=model.title,
+        description=tuple(description(program, kernels, described_tables(tables))),
+        left_out=tuple(left_out(program, derivatives)),
+        metadata=(
+            *metadata(program, kernels),
+            *notable(program),
+            *table_metadata(tables),
+            *sample_metadata(program),
+            *added.metadata,
+        ),
+        constants=(*_own_constants(program, derivatives, couplings, ranged), *added.constants),
+        kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
+        runtime=(
+            *table_runtime(tables),
+            *(("table_rows",) if tables else ()),
+            *(("table_ranges",) if ranged else ()),
+            *(("table_guesses",) if guessed else ()),
+            *_runtime(program, derivatives),
+            *added.runtime,
+        ),
+        sizes=(
+            *sizes(program, derivatives),
+            *added.sizes,
+            ("RANGED", len(ranged)),
+            ("SAMPLED", len(model.measurements)),
+        ),
+        arguments=arguments_of(model),
+        **data_arguments(program, tables, inner_times.grid_code(program, code["grid_duration"])),
+        steps=model.steps,
+        coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
+        **_boundaries(program),
+        **inner_times.times_and_values(program, _boundary_code(program)),
+        **layout.pins(program),
+        **layout.views(program),
+        sensitivities=added.text,
+        **code,
+    )
+
+
+def _own_kernels(program: ControlProgram, derivatives: ControlDerivatives, curved: bool) -> tuple[Kernel, ...]:
+    """The kernels of intervals, samples, controls and both ends."""
+    return (
+        *_all_interval_kernels(program, derivatives),
+        *sample_kernels(program, derivatives, _codes(program, program.element_symbols)),
+        *_control_kernels(program, derivatives),
+        *_end_kernels(program, program.start, derivatives.start, "start", curved),
+        *_end_kernels(program, program.end, derivatives.end, "end", curved),
+    )
+
+
+def _own_constants(
+    program: ControlProgram, derivatives: ControlDerivatives, couplings: Couplings, ranged: Sequence[Input]
+) -> tuple[Line, ...]:
+    """The layout of the unknowns, and the numbers of what the problem has."""
+    tables = tables_of(program.model)
+    return (
+        *layout.constants(program, derivatives),
+        *inner_times.constants(program),
+        *couplings.constants,
+        *(phases.constants(program) if program.phases else ()),
+        *table_constants(tables),
+        *range_constants(ranged),
+        *sample_constants(program, tables),
+    )
+
+
+def _boundary_code(program: ControlProgram) -> Callable[[Expr], str]:
+    """What writes values at the ends: of several bodies they are arrays."""
+    return array_code if program.bodies > 1 else scalar_code
+
+
+def _boundaries(program: ControlProgram) -> dict[str, Any]:
+    """The values at the ends, what they read, and how one of them is given."""
+    values, code = program.boundary_values, _boundary_code(program)
+    numbers_bodies = program.body is not None and any(v.value.has(program.body) for v in values)
+    example = "of which there are none"
+    if values:
+        example = f'as in {values[0].where}={{"{values[0].quantity}": 0.5}}'
+    return {
+        "boundary_values": tuple(Line(v.symbol.name, code(v.value), f"{v.where} {v.quantity}") for v in values),
+        "boundary_inputs": (Line("body", "np.arange(BODIES)"),) if numbers_bodies else (),
+        "boundary_example": example,
+    }
+
+
+def _codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
+    """The code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
+    codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
+    codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
+    codes[program.model.time] = "t"
+    codes[STEP] = "h"
+    return codes | inner_times.codes(program)
+
+
+def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
+    """The gradient and the Hessian of every kind of interval."""
+    named = zip(phases.named_elements(program), derivatives.elements, strict=True)
+    pairs = [_interval_kernels(program, element, stem, where) for (stem, where), element in named]
+    return tuple(kernel for pair in pairs for kernel in pair)
+
+
+def _interval_kernels(
+    program: ControlProgram, element: ElementDerivatives, stem: str, where: str
+) -> tuple[Kernel, Kernel]:
+    codes = _codes(program, element.unknowns)
+    arguments, share = ("unknowns", "t", "h", "parameters", "gradient"), "an interval's share l"
+    gradient = [
+        Output(f"gradient[{i}]", value, f"dl/d{symbol}")
+        for i, (symbol, value) in enumerate(zip(element.unknowns, element.gradient, strict=True))
+    ]
+    hessian = [
+        Output(f"hessian[{j}]", value, f"d2l/d{element.unknowns[row]} d{element.unknowns[column]}")
+        for j, (row, column, value) in enumerate(element.hessian)
+    ]
+    return (
+        kernel(
+            f"{stem}_gradient",
+            f"Gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; returns Cd.",
+            arguments, codes, gradient, element.cost, decorators=INNER, straight_line=element.gradient_assignments,
+        ),
+        kernel(
+            f"{stem}_hessian",
+            f"Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
+            (*arguments[:-1], "hessian"), codes, hessian,
+            decorators=INNER, straight_line=element.hessian_assignments,
+        ),
+    )  # fmt: skip
+
+
+def _equations(program: ControlProgram) -> list[Expr]:
+    """What kernels evaluate."""
+    shares = [(share.element, share.cost) for share in program.interval_elements]
+    shares += [(end.element, end.cost) for end in (program.start, program.end)]
+    return [*(e for share in shares for e in share), *(coupling.expression for coupling in program.couplings)]
+
+
+def _guess_tables(program: ControlProgram) -> tuple[TableData, ...]:
+    """The tables that guesses read."""
+    phases = [(p.node_guess, [v for _, v in (*p.inside_guess, *p.switch_guess)]) for p in program.phases]
+    return tables_of(program.node_guess, program.stage_guess, program.control_guess, phases)
+
+
+def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Kernel, ...]:
+    """What tells with which inputs tables are read, on every kind of interval and at both ends, where that matters."""
+    if not ranged:
+        return ()
+    codes = _codes(program, program.element_symbols)
+    stems = phases.named_elements(program) if program.phases else [("interval", "")]
+    kernels = [
+        inputs_kernel(
+            f"{stem}_inputs", f"on an interval{where}", ("unknowns", "t", "h", "parameters"), codes, ranged,
+            (share.element, share.cost),
+        )
+        for (stem, where), share in zip(stems, program.interval_elements, strict=True)
+    ]  # fmt: skip
+    for name, end, node in (
+        ("start", program.start, program.left_symbols),
+        ("end", program.end, program.right_symbols),
+    ):
+        codes = _codes(program, (*node, *program.shared_symbols))
+        read = (end.element, end.cost)
+        arguments = ("unknowns", "t", "parameters")
+        kernels.append(inputs_kernel(f"{name}_inputs", f"at the {name}", arguments, codes, ranged, read))
+    return tuple(kernels)
+
+
+def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
+    """The controls' block of the Hessian, where it is the same on all of length h."""
+    if not derivatives.condensed or program.has_inequalities or program.phases:
+        return ()
+    controls = {program.control_symbols.index(s): s for s in program.control_symbols}
+    first = len(program.left_symbols) + len(program.interval_symbols)
+    block = [
+        Output(
+            f"block[{row - first}, {column - first}]",
+            value,
+            f"d2l/d{controls[row - first]} d{controls[column - first]}",
+        )
+        for row, column, value in derivatives.element.hessian
+        if row - first in controls and column - first in controls
+    ]
+    codes = _codes(program, derivatives.element.unknowns)
+    summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on all of length h."
+    return (kernel("control_hessian", summary, ("h", "parameters", "block"), codes, block, decorators=INNER),)
+
+
+def _end_kernels(
+    program: ControlProgram, end: EndElement, derivatives: ElementDerivatives, name: str, curved: bool
+) -> tuple[Kernel, ...]:
+    codes = _codes(program, derivatives.unknowns)
+    pinned = {i for i, _ in end.pins}
+    gradient: list[Output] = [
+        Output(f"gradient[{i}]", value, f"by {symbol}", "+=")
+        for i, (symbol, value) in enumerate(zip(derivatives.unknowns, derivatives.gradient, strict=True))
+        if value != 0 and i not in pinned
+    ]
+    arguments = ("unknowns", "t", "parameters", "gradient")
+    summary = f"Add the gradient (NODE + SHARED,) of the {name}'s own share, at `unknowns` (NODE,); returns its cost."
+    before = derivatives.gradient_assignments
+    kernels = [
+        kernel(
+            f"{name}_gradient", summary, arguments, codes, gradient, derivatives.cost,
+            decorators=INNER, straight_line=before,
+        )
+    ]  # fmt: skip
+    if curved:
+        entries = [
+            Output(f"hessian[{j}]", value, f"{derivatives.unknowns[row]}, {derivatives.unknowns[column]}")
+            for j, (row, column, value) in enumerate(derivatives.hessian)
+        ]
+        summary = f"Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the {name}'s own share."
+        arguments = ("unknowns", "t", "parameters", "hessian")
+        before = derivatives.hessian_assignments
+        kernels.append(
+            kernel(f"{name}_hessian", summary, arguments, codes, entries, decorators=INNER, straight_line=before)
+        )
+    return tuple(kernels)
+
+
+def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[str, ...]:
+    """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
+    differ = program.has_inequalities or program.phases
+    condensed = ("inverse", "static_condensation", "element_barrier" if differ else "element_condensed")
+    solver: tuple[str, ...] = ("newton_linear",)
+    if not derivatives.linear_quadratic:
+        kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
+        solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "line_search", "restoration")
+        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "warm_start", "newton")
+        solver = (*solver, "cascade", *(("forward_motion",) if motion_indices(program)[0] else ()))
+    return (
+        "arrays", "times", *(("inner_number",) if program.inner.times else ()),
+        *(("shared",) if program.shared else ()),
+        *(("tied_ends",) if program.start.shared or program.end.shared else ()),
+        *(("coupling",) if program.couplings else ()),
+        *(("samples",) if program.sample else ()),
+        "iteration_log", "lagrangian", "norms", "point", "elements",
+        "ends_nonlinear" if layout.has_nonlinear_ends(derivatives) else "ends_linear",
+        "symmetric",
+        *(condensed if derivatives.condensed else ("element_uncondensed",)),
+        "frontal", "substitution", "bordered" if program.shared else "unbordered", "system", "convergence_test",
+        *solver,
+        *(("momenta",) if program.method == "variational" else ()),
+        "counts", "tolerances", "time_grid",
+        *(("observations",) if program.sample else ()),
+        *(("slacks",) if layout.slack_indices(program) else ()),
+        *(("phases",) if program.phases else ()),
+        "layout",
+        *(("inner_times",) if program.inner.times else ()),
+        "callbacks",
+        *(("active_bounds",) if program.has_inequalities else ()),
+        *(("tied",) if program.has_inequalities and (program.start.shared or program.end.shared) else ()),
+        "negative_curvature",
+        *(() if derivatives.linear_quadratic else ("saddle_points",)),
+        "termination",
+        "messages",
+        *(("unscaled_solve",) if derivatives.linear_quadratic
+          else ("derivative_magnitudes", "measured_sizes", "scaling_factors", "scaled_solve")),
+    )  # fmt: skip

@@ -1,0 +1,109 @@
+"""Measurements of a module as strings: the kernels of one sample, the numbers, and what is said of them."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sympy import Symbol, sstr
+
+from codegen.derive import ControlDerivatives
+from codegen.lower.control.layout import parameters
+from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.tables.data import TableData
+from codegen.tables.measurements import MeasurementData
+from codegen.transcribe.program import ControlProgram
+
+
+def sample_kernels(
+    program: ControlProgram, derivatives: ControlDerivatives, codes: Mapping[Symbol, str]
+) -> tuple[Kernel, ...]:
+    """What the motion has at a sample, gradient and Hessian of what that adds to its interval; none without samples."""
+    found = derivatives.sample
+    if program.sample is None or found is None:
+        return ()
+    places = (f"parameters[sample + {number}]" for number, _ in enumerate(program.sample.symbols, start=1))
+    codes = {**codes, **dict(zip(program.sample.symbols, places, strict=True))}
+    index = {(row, column): j for j, (row, column, _) in enumerate(derivatives.element.hessian)}
+    gradient = [
+        Output(f"gradient[{i}]", value, f"by {symbol}", "+=")
+        for i, (symbol, value) in enumerate(zip(found.unknowns, found.gradient, strict=True))
+        if value != 0
+    ]
+    observed = zip(program.sample.observed, program.model.observed, strict=True)
+    values = [Output(f"values[{i}]", value, f"{o.name} measures it") for i, (value, o) in enumerate(observed)]
+    hessian = [
+        Output(f"hessian[{index[row, column]}]", value, f"by {found.unknowns[row]}, {found.unknowns[column]}", "+=")
+        for row, column, value in found.hessian
+    ]
+    arguments, at = ("unknowns", "t", "h", "parameters", "sample"), "that stands at `sample` among the `parameters`"
+    return (
+        kernel(
+            "sample_values", f"What the motion has, `values` (m,), at the time of a sample {at}.",
+            (*arguments, "values"), codes, values, decorators=INNER,
+        ),
+        kernel(
+            "sample_gradient", f"Add the gradient of the losses of a sample {at}; returns them.",
+            (*arguments, "gradient"), codes, gradient, found.cost,
+            decorators=INNER, straight_line=found.gradient_assignments,
+        ),
+        kernel(
+            "sample_hessian", f"Add the Hessian, lower triangle, of the losses of a sample {at}.",
+            (*arguments, "hessian"), codes, hessian,
+            decorators=INNER, straight_line=found.hessian_assignments,
+        ),
+    )  # fmt: skip
+
+
+def sample_constants(program: ControlProgram, tables: Sequence[TableData]) -> tuple[Line, ...]:
+    """Where samples stand, how many numbers one has, and the measurements themselves."""
+    if program.sample is None:
+        return ()
+    written = "".join(f"{_array(data)},\n" for data in program.model.measurements)
+    return (
+        Line("FIRST_SAMPLE", str(first_sample(program, tables)), "parameters before those of samples"),
+        Line("SAMPLE", str(1 + len(program.sample.symbols)), "numbers of a sample: when and where, values, weights"),
+        Line("OBSERVATIONS", f"(\n{written})", "of each body rows of time, values, standard deviations"),
+    )
+
+
+def first_sample(program: ControlProgram, tables: Sequence[TableData]) -> int:
+    """How many numbers stand before samples."""
+    return len(parameters(program)) + sum(table.shape.count for table in tables)
+
+
+def _array(data: MeasurementData) -> str:
+    text = ", ".join(repr(number) for row in data.rows for number in row).replace("nan", "np.nan")
+    lines = textwrap.wrap(text, 108, initial_indent=" " * 8, subsequent_indent=" " * 8, break_on_hyphens=False)
+    return "    np.array([\n" + "\n".join(lines) + f"\n    ]).reshape(-1, {data.layout.width})"
+
+
+def data_arguments(program: ControlProgram, tables: Sequence[TableData], grid_code: str) -> dict[str, Any]:
+    """The arguments that take other numbers for tables and measurements, and the code that makes a grid with them.
+
+    `grid_code` makes a grid without them.
+    """
+    arguments, code = [], grid_code
+    if tables:
+        meaning = "`tables` maps names of tables to other numbers in the order of TABLES, on as many breakpoints."
+        arguments.append(("tables", meaning))
+        code = f"with_tables({code}, tables)"
+    if program.sample:
+        meaning = "`observations` are other measurements, any number of them, in the order of OBSERVATIONS."
+        arguments.append(("observations", meaning))
+        code = f"with_observations({code}, observations)"
+    return {"data_arguments": tuple(arguments), "grid_code": code}
+
+
+def sample_metadata(program: ControlProgram) -> list[tuple[str, str]]:
+    """What a reader of other measurements, and of estimates, has to know."""
+    model = program.model
+    if not model.measurements:
+        return []
+    layout = model.measurements[0].layout
+    entry = {
+        "sources": tuple(data.source for data in model.measurements), "time": layout.time, "columns": layout.columns,
+        "sigmas": layout.sigmas, "values": tuple(sstr(o.expression) for o in model.observed), "loss": model.loss,
+    }  # fmt: skip
+    return [("observations", repr(entry))]

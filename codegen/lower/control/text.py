@@ -1,0 +1,139 @@
+"""What a control module says about itself beside the problem that it solves: what was left out, metadata."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import sympy
+from sympy import Symbol, cos, sin
+
+from codegen import schemes
+from codegen.derive import ControlDerivatives
+from codegen.lower.control.layout import has_nonlinear_ends
+from codegen.lower.control.sizes import carries_right_hand_side
+from codegen.lower.kernels import Kernel
+from codegen.model import Model
+from codegen.transcribe.program import ControlProgram
+
+
+def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[str]:
+    """What the module does not hold, and why."""
+    model = program.model
+    models = model.phases or (model,)
+    out = []
+    if derivatives.linear_quadratic:
+        out.append("globalisation and inertia correction: the problem is linear-quadratic, one Newton step solves it")
+    if derivatives.condensed:
+        kind = "controls" if derivatives.condensed > len(program.slacks) else "slacks"
+        why = "" if program.has_inequalities or program.phases else "their Hessian block is constant, so "
+        out.append(f"{kind} in the linear system: {why}each interval eliminates its own")
+    if not has_nonlinear_ends(derivatives):
+        out.append("curvature of the boundary conditions: positions that they depend on are given")
+    if not program.has_inequalities:
+        out.append("interior point: there are no inequalities")
+    if not program.shared:
+        out.append("a border of the linear system: no unknown is shared by all intervals")
+    if not carries_right_hand_side(program, derivatives):
+        out.append("a right-hand side that takes part in the elimination: rows of element matrices have no room for it")
+    functions = tuple(f for m in models for f in (m.function, *m.force, *m.dynamics))
+    absent = ", ".join(str(q) for q in model.coordinates if not any(f.has(q) for f in functions))
+    if absent and model.form == "first-order":
+        out.append(f"derivatives of the dynamics by {absent}: no right-hand side depends on {absent}")
+    elif absent:
+        out.append(f"derivatives of the {model.form.capitalize()} by {absent}: cyclic")
+    forces = zip(*(m.force for m in models), strict=True)
+    idle = [str(q) for q, f in zip(model.coordinates, forces, strict=False) if not any(f)]
+    if idle:
+        out.append(f"forces on {', '.join(idle)}: there are none")
+    others = [e for m in models for e in (m.cost or sympy.S.Zero, *(c.expression for c in m.path))]
+    if not any(e.has(model.time) for e in (*functions, *others)):
+        out.append("time in the kernels: nothing depends on it explicitly")
+    size = len(program.element_symbols)
+    zeros = size * (size + 1) // 2 - len(derivatives.element.hessian)
+    if zeros:
+        out.append(f"{zeros} of {size * (size + 1) // 2} entries of the interval's Hessian: identically zero")
+    return out
+
+
+def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
+    """Entries of the module's metadata, as code."""
+    model = program.model
+    own, common = program.shared[: program.own], program.shared[program.own :]
+    shared = [
+        f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own
+    ]
+    shared += [u.name for u in common] + [c.multiplier.name for c in program.couplings]
+    return [
+        ("task", repr("control")),
+        ("method", repr(program.method)),
+        ("scheme", repr(program.scheme)),
+        ("order", repr(schemes.find(program.scheme, program.method).order)),
+        ("controls", repr(program.controlled)),
+        ("form", repr(model.form)),
+        ("bodies", repr(program.bodies)),
+        ("coordinates", repr(tuple(s.name for s in model.coordinates))),
+        ("rates", repr(tuple(s.name for s in model.rates))),
+        ("control_names", repr(tuple(s.name for s in model.controls))),
+        ("free_parameters", repr(tuple(p.symbol.name for p in model.free_parameters))),
+        ("node", repr(tuple(u.name for u in program.node))),
+        ("interval", repr(tuple(u.name for u in (*program.interval, *program.controls, *program.slacks)))),
+        ("shared", repr(tuple(shared))),
+        ("meanings", _meanings(program)),
+        ("inequalities", repr(program.has_inequalities)),
+        ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
+        ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *((("scale", repr(_by_unknown(program, dict(model.scales)))),) if model.scales else ()),
+        *((("angles", repr(angles)),) if (angles := _by_unknown(program, _angles(model))) else ()),
+        *((("stage_abscissae", repr(_stage_abscissae(program))),) if program.controlled == "stages" else ()),
+        *(_of_phases(program) if program.phases else ()),
+    ]
+
+
+def _by_unknown(program: ControlProgram, sizes: Mapping[Symbol, float]) -> dict[str, float]:
+    """Sizes of quantities by the names of their unknowns: at stages and other inner points as well as themselves."""
+    by_name = {symbol.name: size for symbol, size in sizes.items()}
+    own = {symbol.name for symbol in (*program.model.coordinates, *program.model.rates, *program.model.controls)}
+    inner = [u.name for u in (*program.interval, *program.controls) if not u.multiplier and u.name not in own]
+    return by_name | {name: by_name[of] for name in inner if (of := name.rpartition("_")[0]) in by_name}
+
+
+def _angles(model: Model) -> dict[Symbol, float]:
+    """What one radian is of coordinates and controls that are arguments of sines and cosines."""
+    found: dict[Symbol, float] = {}
+    for part in model.phases or (model,):
+        written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))
+        for call in set().union(*(expression.atoms(sin, cos) for expression in written)):
+            for symbol in call.args[0].free_symbols & {*part.coordinates, *part.controls}:
+                slope = call.args[0].diff(symbol)
+                if slope.is_number and slope != 0:
+                    found[symbol] = min(found.get(symbol, math.inf), abs(1.0 / float(slope)))
+    return dict(sorted(found.items(), key=lambda pair: pair[0].name))
+
+
+def _stage_abscissae(program: ControlProgram) -> tuple[float, ...]:
+    """The fractions of an interval at which its controls are."""
+    scheme = schemes.find(program.scheme, program.method)
+    points = scheme.discrete_lagrangian().points if scheme.variational else scheme.step().points
+    return tuple(float(point.abscissa) for point in points)
+
+
+def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:
+    """How many phases there are, which coordinates and momenta jump at each switch, what slacks mean in each phase."""
+    first = len(program.interval) + len(program.controls)
+    slacks = [
+        {p.inside[i].name: p.inside[i].meaning for i in range(first, len(p.inside)) if i not in p.regular.lacking}
+        for p in program.phases
+    ]
+    return [
+        ("phases", repr(len(program.phases))),
+        ("jumps", repr(tuple(p.broken for p in program.phases[1:]))),
+        ("slacks", repr(tuple(slacks))),
+    ]
+
+
+def _meanings(program: ControlProgram) -> str:
+    """What multipliers mean, and other unknowns whose names do not say it: slacks of the author's conditions."""
+    unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
+    named = [*unknowns, *(coupling.multiplier for coupling in program.couplings)]
+    return repr({u.name: u.meaning for u in named if u.multiplier or u.name.split("_")[-1].isdigit()})

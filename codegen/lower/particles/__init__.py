@@ -1,0 +1,1 @@
+"""A pairwise Hamiltonian and its derivatives as loops over particles and pairs: `module` calls the others."""

@@ -1,0 +1,198 @@
+"""PairwiseProgram and its derivatives -> Module: loops over pairs, tables, and the runtime files of particles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from sympy import Rational
+
+from codegen.derive.pairwise import PairDerivatives
+from codegen.lower.kernels import Line
+from codegen.lower.module import Argument, Module, arguments_of
+from codegen.lower.particles.blocks import BlockLoop
+from codegen.lower.particles.gathered import GROUP, gathered_loops
+from codegen.lower.particles.pair_writer import PairLoop
+from codegen.lower.particles.pairwise import pair_loops, separable_loops
+from codegen.lower.particles.particle_loops import ParticleLoop, particle_loops
+from codegen.lower.particles.text import description, left_out, metadata
+from codegen.lower.particles.tracers import BLOCK, tracer_loops
+from codegen.lower.printer import scalar_code
+from codegen.transcribe.connect import PairwiseProgram
+
+
+@dataclass(frozen=True)
+class PairwiseModule(Module):
+    """A module about particles; `own` are a particle's own parameters."""
+
+    particle_loops: tuple[ParticleLoop, ...]
+    loops: tuple[PairLoop, ...]
+    own: tuple[Argument, ...]
+    duration: str
+    dimension: int
+
+
+@dataclass(frozen=True)
+class ConnectModule(PairwiseModule):
+    """A module that connects given points by the motion of particles; `tracer_loops` carry points along."""
+
+    gathered_loops: tuple[BlockLoop, ...]
+    tracer_loops: tuple[BlockLoop, ...]
+    method: str
+
+
+@dataclass(frozen=True)
+class ParticlesModule(PairwiseModule):
+    """A module that follows particles; `start` and `own_values` are those of the default particles."""
+
+    start: tuple[tuple[tuple[float, ...], ...], ...]
+    own_values: tuple[tuple[float, ...], ...]
+
+
+def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> ConnectModule:
+    """Write every loop over pairs, with the tables and texts of its module, as strings."""
+    model = program.model
+    singles, loops = pair_loops(model, derivatives)
+    around = particle_loops(model, singles)
+    gathered, carried = gathered_loops(model, derivatives), tracer_loops(model, derivatives)
+    loops = tuple(visit for visit in loops if not gathered or visit.name != "hamiltonian_gradient")
+    implicit, all_loops = _is_implicit(program), list[PairLoop | BlockLoop]([*loops, *gathered, *carried])
+    constants = _constants(program, derivatives)
+    if gathered:
+        constants.append(Line("GROUP", str(GROUP), "particles whose derivatives are gathered together"))
+    return ConnectModule(
+        **_common(program, loops, around),
+        template="connect.py.j2",
+        description=tuple(description(program, all_loops)),
+        left_out=tuple(left_out(program, derivatives, singles, implicit=implicit, gathered=bool(gathered))),
+        metadata=tuple(metadata(program, derivatives, all_loops)),
+        constants=tuple(constants),
+        runtime=_runtime(program, derivatives, loops, around, gathered, carried),
+        sizes=(("IMPLICIT", int(implicit)), ("QUADRATIC", int(derivatives.quadratic))),
+        gathered_loops=gathered,
+        tracer_loops=carried,
+        own=tuple(Argument(name, "1.0") for name in model.own),
+        method=program.method,
+    )
+
+
+def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> ParticlesModule:
+    """Write the loops over pairs of a simulation as strings; those of second derivatives only if steps are implicit."""
+    model = program.model
+    by_turns = (
+        derivatives.separable
+        and bool(program.substeps)
+        and all({a, b} <= {0, 1} and a * b == 0 for _, a, b in program.substeps)
+    )
+    singles, loops = (separable_loops if by_turns else pair_loops)(model, derivatives)
+    around = particle_loops(model, singles)
+    implicit = _is_implicit(program) and not by_turns
+    step = ["pair_separable"] if by_turns else [
+        "pair_algebra", "pair_curvature", *_step(program), *(["lu", "pair_implicit"] if implicit else []),
+    ]  # fmt: skip
+    return ParticlesModule(
+        **_common(program, loops, around),
+        template="particles.py.j2",
+        description=tuple(description(program, loops)),
+        left_out=tuple(left_out(program, derivatives, singles, implicit=implicit, by_turns=by_turns)),
+        metadata=tuple(metadata(program, derivatives, loops)),
+        constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
+        runtime=(*_special(loops, around), *step, "counts", "pair_motion", "motion"),
+        sizes=(("IMPLICIT", int(implicit)), ("STATE", 0), ("PARTS", 0), ("RANGED", 0)),
+        own=tuple(Argument(name, "") for name in model.own),
+        start=model.start,
+        own_values=model.own_values,
+    )
+
+
+def _common(program: PairwiseProgram, loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]) -> dict[str, Any]:
+    """The fields that are the same for both tasks."""
+    model = program.model
+    return {
+        "name": model.name,
+        "title": model.title,
+        "kernels": (),
+        "arguments": arguments_of(model),
+        "steps": model.steps,
+        "particle_loops": around,
+        "loops": loops,
+        "duration": scalar_code(model.duration),
+        "dimension": len(model.coordinates),
+    }
+
+
+def _constants(program: PairwiseProgram, derivatives: PairDerivatives) -> list[Line]:
+    model = program.model
+    size = len(model.coordinates)
+    lines = [
+        Line("DIMENSION", str(size), f"coordinates of a particle: {', '.join(model.coordinates)}"),
+        Line("BLOCKS", "1" if derivatives.isotropic else str(size), "rows of H_pp for each particle"),
+    ]
+    if (model.smooth or model.passive) and derivatives.pair.distances:
+        lines.append(Line("CLOSEST", "1e-300", "squared distances below this count as zero"))
+    if program.substeps:
+        table = ", ".join(f"({', '.join(repr(float(v)) for v in row)})" for row in program.substeps)
+        lines.append(Line("POINTS", str(len(program.substeps)), "points of a step at which H is evaluated"))
+        lines.append(Line("SUBSTEPS", f"({table},)", "fraction of the step, position and momentum between its ends"))
+        weights = [fraction for fraction, _, _ in program.substeps]
+    else:
+        count = len(program.weights)
+        rows = [[*(float(v) for v in row), *[0.0] * (count - len(row))] for row in program.rows]
+        lines.append(Line("POINTS", str(count), "stages of a step, at which H is evaluated"))
+        lines.append(Line("ROWS", f"({', '.join(str(tuple(row)) for row in rows)})", "coefficients of the stages"))
+        lines.append(Line("WEIGHTS", _floats(program.weights), "weights of the stages"))
+        weights = list(program.weights)
+    lines.append(Line("COST_WEIGHTS", _floats(weights), "weights of the points in the discrete cost"))
+    if model.passive:
+        lines.append(Line("BLOCK", str(BLOCK), "tracer points that are carried together"))
+    if program.method == "action":
+        lines.append(Line("ABSCISSA", repr(float(program.abscissa)), "where on an interval the action takes H"))
+    return lines
+
+
+def _floats(values: Iterable[Rational]) -> str:
+    return f"({', '.join(repr(float(v)) for v in values)},)"
+
+
+def _runtime(
+    program: PairwiseProgram,
+    derivatives: PairDerivatives,
+    loops: tuple[PairLoop, ...],
+    around: tuple[ParticleLoop, ...],
+    gathered: tuple[BlockLoop, ...],
+    carried: tuple[BlockLoop, ...],
+) -> tuple[str, ...]:
+    """The files of `codegen/runtime` that a module of connection needs, in the order in which they are to be read."""
+    in_blocks = [line for visit in (*gathered, *carried) for line in (*visit.body, *visit.outputs)]
+    flow = ("tracer_newton", "tracer_substeps" if program.substeps else "tracer_runge_kutta", "tracer_flow")
+    return (
+        *(["packed_logarithms"] if any("packed_" in line.code for line in in_blocks) else []),
+        *(["pair_parallel"] if program.model.parallel else []),
+        *_special(loops, around),
+        "lu", "pair_algebra", "pair_curvature", *_step(program),
+        *(["pair_implicit"] if _is_implicit(program) else []),
+        "pair_trajectory", "pair_broyden", "pair_shooting", "counts", "tolerances", "pair_case",
+        *(["pair_least_action"] if derivatives.quadratic else []),
+        "pair_cascade", "pair_callbacks",
+        *(["pair_action"] if program.method == "action" else []),
+        *(flow if carried else ()),
+    )  # fmt: skip
+
+
+def _special(loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]) -> tuple[str, ...]:
+    """The files of special functions that are called."""
+    code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
+    special = any("x_minus_log1p(" in c or "log1p_minus_ratio(" in c for c in code)
+    accurate = any("accurate_dot(" in line.code for visit in around for line in visit.lines)
+    return (*(["pair_special"] if special else []), *(["pair_accurate"] if accurate else []))
+
+
+def _step(program: PairwiseProgram) -> tuple[str, ...]:
+    """The files that make a step."""
+    return ("pair_moved", "pair_substeps") if program.substeps else ("pair_runge_kutta",)
+
+
+def _is_implicit(program: PairwiseProgram) -> bool:
+    """Whether equations are solved inside a step."""
+    return any(a != 0 or b != 0 for _, a, b in program.substeps)

@@ -1,0 +1,1 @@
+"""One step of a simulation, solved explicitly as far as possible."""
