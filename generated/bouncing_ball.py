@@ -2099,13 +2099,13 @@ def push_inside(lower, upper, unknowns, push):
 
 
 @njit(cache=True, error_model="numpy")
-def take_step(
+def follow(
     is_new, unknowns, right, step, length, indices, side, distance, duals, dual_step, dual_length, mu, sizes, weight,
     steps, h, nodes, parameters, is_multiplier, trial, moved, moved_duals, gradient,
 ):  # fmt: skip
     """Move unknowns and duals by parts of their steps, and evaluate and measure there what belongs to an iterate.
 
-    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is taken
+    A step that `is_new`, solved for with the gradient `right`, is measured before, fills `dual_step`, and is followed
     for its longest lengths in place of those given. Fills `trial`, its distances `moved`, `moved_duals` and the
     `gradient`; returns what `measure_step` does, the sum of logarithms of distances, what a Point holds beside unknowns
     and gradient, with these duals in its stationarity, and what `measure_optimality` does. It is one function, because
@@ -2119,8 +2119,8 @@ def take_step(
     cost, residual, violation, _, error = measured_gradient(
         trial, sizes, weight, steps, h, nodes, parameters, is_multiplier, gradient
     )
-    bounds = is_multiplier, indices, side, moved
-    measured = move_duals(gradient, trial, *bounds, duals, dual_step, dual_length, mu, moved_duals)
+    places = is_multiplier, indices, side, moved
+    measured = move_duals(gradient, trial, *places, duals, dual_step, dual_length, mu, moved_duals)
     stationarity = measured[0]
     if error < np.inf:
         error = stationarity if stationarity > residual else residual
@@ -2500,7 +2500,7 @@ def corrected_inertia(before, delta_w, least, singular):
 def step_along(search, iterate, gradient, primal, inertia):
     """The step with a primal part, a barrier gradient and a shift: its dual part, slope, longest lengths and end."""
     dual = np.empty(iterate.duals.size)
-    measured, end = stepped(search, iterate, gradient, primal, dual)
+    measured, end = followed(search, iterate, gradient, primal, dual)
     return Step(primal, dual, gradient, *measured, inertia, end)
 
 
@@ -2529,10 +2529,10 @@ def moved(search, iterate, step, length):
     """The iterate after a length of a step's primal part and the longest of its dual part, measured there."""
     if length == step.longest and step.end is not None:
         return step.end
-    return stepped(search, iterate, step.gradient, step.primal, step.dual, False, length, step.dual_length)[1]
+    return followed(search, iterate, step.gradient, step.primal, step.dual, False, length, step.dual_length)[1]
 
 
-def stepped(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_length=0.0):
+def followed(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_length=0.0):
     """What `measure_step` says of a step that `is_new`, and the iterate after the longest of it, or after a length."""
     # Taking tuples apart takes a quarter of the time of looking each field up by its name.
     steps, h, nodes, _, parameters, is_multiplier, sizes, _, weight, *_ = search.grid
@@ -2540,7 +2540,7 @@ def stepped(search, iterate, right, primal, dual, is_new=True, length=0.0, dual_
     indices, _, side, _ = search.bounds
     trial, gradient = np.empty(primal.size), np.empty(primal.size)
     apart, pushes = np.empty(side.size), np.empty(side.size)
-    of_step, logarithms, evaluated, measured = take_step(
+    of_step, logarithms, evaluated, measured = follow(
         is_new, point.unknowns, right, primal, length, indices, side, distance, duals, dual, dual_length, mu, sizes,
         weight, steps, h, nodes, parameters, is_multiplier, trial, apart, pushes, gradient,
     )  # fmt: skip
@@ -2999,10 +2999,11 @@ def on_bounds(search, iterate):
     """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
     grid, bounds, (lower, upper) = search.grid, search.bounds, search.box
     unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
-    moves = (unknowns != iterate.point.unknowns).any()
+    moves = np.count_nonzero(unknowns != iterate.point.unknowns) > 0  # any() takes twice as long
     point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
     measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
-    return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
+    unknowns, gradient, *evaluated = point
+    return with_duals(unknowns, gradient, evaluated, measured)
 
 
 def last_step(search, iterate):
@@ -3047,22 +3048,23 @@ def begin_nearby(search, unknowns, tolerance):
         return None
     bounds, mu = search.bounds, PART * tolerance
     unknowns = push_inside(*search.box, unknowns, CLOSE)
-    point, duals = evaluate(grid, unknowns), np.empty(bounds.side.size)
-    distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
-    distance += relaxation(mu, search.least) * bounds.magnitude
-    logarithms = fill_duals(point.gradient, bounds.indices, bounds.side, distance, mu, duals)
+    point, by = evaluate(grid, unknowns), relaxation(mu, search.least)
+    distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
+    logarithms = fill_bounds(unknowns, point.gradient, *bounds, by, mu, distance, duals)
     iterate = Iterate(point, mu, distance, logarithms, duals)
     return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
 
 
 @njit(cache=True, error_model="numpy")
-def fill_duals(gradient, indices, side, distance, mu, duals):
-    """Fill `duals` (bounds,); return the sum of the logarithms of distances.
+def fill_bounds(unknowns, gradient, indices, value, side, magnitude, by, mu, distance, duals):
+    """Fill `distance` and `duals` (bounds,); return the sum of the logarithms of distances.
 
+    Bounds are relaxed `by` a part of their magnitudes.
     Where the Lagrangian falls towards a bound, by more than the distance to it, the bound is active, and its dual
     is that slope; the others are on the central path.
     """
     for j in range(indices.size):
+        distance[j] = side[j] * (unknowns[indices[j]] - value[j]) + by * magnitude[j]
         slope = side[j] * gradient[indices[j]]
         duals[j] = slope if slope > distance[j] else min(mu / distance[j], 1e3)
     return sum_of_logarithms(distance)
@@ -3224,7 +3226,7 @@ BULGE = 0.1  # part of its size by which a guess is bent
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
@@ -3233,22 +3235,28 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
     appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
     searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
-    been evaluated.
+    been evaluated. `search` is what `search_on` gave for a grid with the same bounds, if there was one: its storage
+    serves again.
     """
-    search, first, total = search_on(grid), None, 0
-    lower, upper = search.box
-    if (lower > upper).any():
-        return "infeasible", evaluate(grid, unknowns), 0
-    primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
+    first, total = None, 0
+    if search is not None:
+        search = Search(grid, *search[1:])
+    else:
+        search = search_on(grid)
+        lower, upper = search.box
+        if (lower > upper).any():
+            return "infeasible", evaluate(grid, unknowns), 0
     cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *CASCADE
     guess = begin_nearby(search, unknowns, tolerance) if warm else None
     if guess is not None:
         cascade = FROM_NEIGHBOUR, *cascade
     else:
-        guess = first_iterate(search, primal, cascade[0], known)
+        guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
     for attempt in cascade:
-        iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
-        status = "restored"
+        iterate, status = guess, "restored"
+        if first:
+            primal = without_multipliers(grid, unknowns, known)
+            iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
         if status == "restored":
@@ -3305,6 +3313,11 @@ def violating_starts(search, iterate, guess):
     yield guess, slice(grid.is_multiplier.size - ROOT, None)
     bent = bulged_guess(grid, np.where(grid.is_multiplier, 0.0, guess.point.unknowns), BULGE)
     yield begin(search, bent, CASCADE[0]), NONE_HELD
+
+
+def without_multipliers(grid, unknowns, known):
+    """Primal unknowns (n,), of a point without multipliers if it is `known`, and zeros for multipliers."""
+    return np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
 
 
 def first_iterate(search, unknowns, attempt, known):
@@ -5130,7 +5143,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_dfebe1e8fd263d11"
+_IDENTITY = "codegen_bouncing_ball_7897a9b46fc4ad57"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

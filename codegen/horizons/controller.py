@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from codegen.errors import ArgumentError, NumericsError
+from codegen.errors import ArgumentError
+from codegen.horizons.grids import Grids
 from codegen.horizons.interface import Interface, interface_of, module_of, number
-from codegen.horizons.judgement import BestIterate, FirstIterate, better, candidate, is_solution
+from codegen.horizons.judgement import BestIterate, Candidate, FirstIterate, better, candidate, holds, is_solution
 from codegen.horizons.options import Options
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
@@ -108,7 +109,8 @@ class Controller:
         self.steps = int(self.module.metadata["steps"]) if steps is None else steps
         of_solves = {} if horizon is None else {"duration": horizon}
         self._values = Values(self._interface, parameters or {}, of_solves)
-        grid = self._grid(self._values.given(0.0))
+        self._grids = Grids(self.module, self._interface, self.steps)
+        grid = self._grids.at(self._values.given(0.0))
         self.horizon = grid.steps * grid.h
         self.sample = grid.h if sample is None else sample
         self._shift = shift_by(self.module, grid, self.options.intervals_of(self.sample, self.horizon, self.steps))
@@ -133,14 +135,13 @@ class Controller:
         start = self._interface.state_vector(state)
         t = number(t, "the time")
         with self._lock:
-            given = self._values.given(t, parameters)
-            given["start"] = dict(zip(self.states, start.tolist(), strict=True))
-            self.last = last = self._feedback(begin, t, given)
+            grid = self._grids.at(self._values.given(t, parameters), start)
+            self.last = last = self._feedback(begin, t, grid)
         return last.inputs.copy()
 
     def first_state(self) -> Vector:
         """The state (states,) that the problem itself starts from."""
-        return self._interface.start_of(self._grid(self._values.given(0.0)))
+        return self._interface.start_of(self._grids.separate(self._values.given(0.0)))
 
     def reset(self) -> None:
         """Forget the plan, where the next state has nothing to do with the last one: begin from the problem's guess."""
@@ -156,13 +157,12 @@ class Controller:
             last, plan = self.last, self._plan
         if last is None or plan is None:
             raise ArgumentError("there is no plan yet", "call step first")
-        times, q, _, u, _ = self.module.unpack(self._grid(self._values.given(last.t)), plan)
+        times, q, _, u, _ = self.module.unpack(self._grids.separate(self._values.given(last.t)), plan)
         return last.t + times, q, u
 
-    def _feedback(self, begin: float, t: float, given: dict[str, Any]) -> Feedback:
+    def _feedback(self, begin: float, t: float, grid: Grid) -> Feedback:
         """Solve, judge what was found, and keep as the plan what is applied."""
         module, deadline = self.module, self.options.deadline
-        grid = self._grid(given)
         is_first = self._plan is None
         guess = module.initial_guess(grid) if self._plan is None else self._shifted(grid, self._plan)
         limit = math.inf if deadline is None else deadline - self._reserve - (perf_counter() - begin)
@@ -173,8 +173,7 @@ class Controller:
             most = None if is_first else self.options.newton_steps
             status, message, unknowns, iterations = self._solve(grid, guess, not is_first, log, most)
             best = found = candidate(module, grid, unknowns)
-            run = Run(self.steps, guess=guess, scaling=self._scaling)
-            if status == "solved" and not is_solution(module, grid, found, run, iterations, self.options.tolerance):
+            if status == "solved" and not self._is_solved(grid, guess, found, iterations):
                 status = "inaccurate"
                 message = f"{status}: the solver reported success, but the equations have residual {found.residual:.1e}"
         if status != "solved":
@@ -194,6 +193,14 @@ class Controller:
             t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds,
             deadline is None or seconds <= deadline, best is not found,
         )  # fmt: skip
+
+    def _is_solved(self, grid: Grid, guess: Vector, found: Candidate, iterations: int) -> bool:
+        """Whether all equations hold at what the solver has found and calls solved."""
+        module, tolerance = self.module, self.options.tolerance
+        if holds(module, grid, found, tolerance):
+            return True
+        run = Run(self.steps, guess=guess, scaling=self._scaling)
+        return is_solution(module, grid, found, run, iterations, tolerance)
 
     def _shifted(self, grid: Grid, plan: Vector) -> Vector:
         """A plan of one sampling time before, with the state that was measured."""
@@ -216,23 +223,14 @@ class Controller:
                 status, message, point, iterations, _ = module.optimise(grid, guess, *how, self._scaling, log)
                 log.unknowns = None  # which is in parts of sizes
                 return status, message, point.unknowns, iterations
-            status, point, iterations = module.minimise(grid, guess, *how, log)
+            known = {} if self._grids.search is None else {"search": self._grids.search}
+            status, point, iterations = module.minimise(grid, guess, *how, log, **known)
             if status == "solved":
                 return status, f"all {module.reached(point)}", point.unknowns, iterations
             if status in UNFINISHED:  # what is worst is not looked for: there is no time
                 return status, f"{status} after {iterations} iterations", point.unknowns, iterations
             status = module.final_status(grid, guess, point, status)
             return status, module.describe(grid, guess, point, status)[1], point.unknowns, iterations
-
-    def _grid(self, given: dict[str, Any]) -> Grid:
-        """The grid with all values of a sampling time, and with its bounds, which are asked for several times."""
-        try:
-            grid: Any = self.module.make_grid(self.steps, **given)
-        except ValueError as error:  # modules know nothing of errors of this package
-            raise NumericsError(str(error), "correct the run-time values") from error
-        if self.module.metadata["inequalities"]:
-            grid = grid._replace(bounds=self.module.variable_bounds(grid))
-        return grid  # type: ignore[no-any-return]
 
     def _warm_up(self, grid: Grid) -> None:
         """Solve the problem as it stands: that compiles, decides on sizes, and tells how long an iteration takes."""

@@ -19,12 +19,16 @@ ALLOWED = 10.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
-    """A plan, `unknowns` (n,), with what is evaluated there outside the solver: gradient, cost, and residual."""
+    """A plan, `unknowns` (n,), with what is evaluated there outside the solver.
+
+    That are the gradient (n,) of the Lagrangian, cost, residual, and stationarity, the largest slope.
+    """
 
     unknowns: Vector
     gradient: Vector
     cost: float
     residual: float
+    stationarity: float
 
 
 class BestIterate:
@@ -64,17 +68,20 @@ class FirstIterate(BestIterate):
 def candidate(module: Any, grid: Grid, unknowns: Vector) -> Candidate:
     """A plan with its equations evaluated."""
     point = module.evaluate(grid, unknowns)
-    return Candidate(unknowns, point.gradient, float(point.cost), float(point.residual))
+    return Candidate(unknowns, point.gradient, point.cost, point.residual, point.stationarity)
+
+
+def holds(module: Any, grid: Grid, found: Candidate, tolerance: float) -> bool:
+    """Whether residual and slopes are within the tolerance as they stand, as they most often are."""
+    most = ALLOWED * tolerance
+    return found.residual <= most and (found.stationarity <= most or _is_flat(module, grid, found, most))
 
 
 def is_solution(module: Any, grid: Grid, found: Candidate, run: Run, iterations: int, tolerance: float) -> bool:
-    """Whether all equations hold at what a solver calls solved.
+    """Whether all equations hold at what a solver calls solved, as for every driver.
 
-    Most often residual and slopes are within the tolerance as they stand. Else sizes, rounding and large multipliers
-    decide, as they do for every driver, which takes ten times as long.
+    Sizes, rounding and large multipliers decide, which takes ten times as long as `holds`.
     """
-    if found.residual <= ALLOWED * tolerance and _is_flat(module, grid, found, ALLOWED * tolerance):
-        return True
     claim = ControlAttempt("solved", "", iterations, found.unknowns, tolerance)
     return control_verdict(module, "newton", run, claim, grid).status == "solved"
 

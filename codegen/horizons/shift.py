@@ -18,15 +18,21 @@ from codegen.loading import Grid, Indices, Vector
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """A linear map of unknowns (n,): each is a sum of two others, `one` and `two`, with weights."""
+    """A linear map of unknowns (n,): each is a sum of two others, `one` and `two`, with weights.
+
+    `is_single` says that it is the first of them alone.
+    """
 
     one: Indices
     two: Indices
     weight_one: Vector
     weight_two: Vector
+    is_single: bool
 
     def __call__(self, unknowns: Vector) -> Vector:
         """The unknowns (n,) of the plan as it is at the next sampling time."""
+        if self.is_single:
+            return self.weight_one * unknowns.take(self.one)
         return self.weight_one * unknowns[self.one] + self.weight_two * unknowns[self.two]
 
 
@@ -59,4 +65,4 @@ def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
         one_node[:, :, only] = of_nodes[:, :, only]
         node_first[:, :, only] = node_second[:, :, only] = 0.0
         node_first[:, [0, -1], only] = 1.0
-    return Shift(one.astype(np.intp), two.astype(np.intp), first, second)
+    return Shift(one.astype(np.intp), two.astype(np.intp), first, second, not second.any())

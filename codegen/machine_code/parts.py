@@ -66,13 +66,19 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
 def _sensitivity_parts(module: Any, grid: Any, unknowns: Any) -> Calls:
     """Calls of what sensitivities call."""
     count = len(module.QUANTITIES)
+    factors, lanes = module.allocate_system(grid)[0], np.zeros((module.LANES, unknowns.size))
     moves, mask = np.zeros((count, unknowns.size)), np.ones(unknowns.size, dtype=bool)
     rates, times = np.zeros((count, module.BODIES, module.PARAMETRIC)), np.zeros((count, grid.steps + 1))
     data = unknowns, grid.steps, grid.h, grid.nodes, grid.parameters
+    parts = np.ones(unknowns.size)
     calls = [
-        lambda: module.change_along(*data, moves, rates, times, mask, moves.copy(), np.zeros(count)),
-        lambda: module.add_steps(moves, moves, np.ones(unknowns.size), mask, mask, moves.copy(), np.zeros((2, count))),
+        lambda: module.change_along(*data, moves, rates, times, parts, moves.copy(), np.zeros(count)),
+        lambda: module.substitute_all(lanes, grid.steps, factors, lanes.copy()),
+        lambda: module.add_steps(moves, moves, parts, parts, mask, moves.copy(), np.zeros((2, count))),
     ]
+    calls.append(lambda: module.largest_left(unknowns, mask, np.ones((2, count))))
+    if hasattr(module, "compare_with_bounds"):
+        calls.append(lambda: module.active_bounds(grid, module.plain_grid(grid), unknowns))
     if hasattr(module, "follow_ties"):
         calls.append(lambda: module.follow_ties(grid.steps, moves, moves.copy()))
     if hasattr(module, "momenta_along"):

@@ -187,7 +187,7 @@ class Point(NamedTuple):
 
 def of(cost, residual):
     """A plan that costs so much and violates its equations so much."""
-    return Candidate(np.zeros(1), np.zeros(1), cost, residual)
+    return Candidate(np.zeros(1), np.zeros(1), cost, residual, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_a_solve_that_fails_falls_back_on_the_plan_before(status):
     _, _, planned = controller.plan()
     own = module.minimise
 
-    def failing(grid, guess, *_):
+    def failing(grid, guess, *_, **_named):
         return status, module.evaluate(grid, guess), 1
 
     module.minimise = failing
@@ -231,7 +231,7 @@ def test_a_claim_that_is_not_so_is_taken_back():
     controller = codegen.Controller(module)
     controller.step([1.0, 0.0])
 
-    def lying(grid, guess, *_):
+    def lying(grid, guess, *_, **_named):
         return "solved", module.evaluate(grid, guess), 1
 
     module.minimise = lying

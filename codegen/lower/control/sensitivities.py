@@ -56,7 +56,7 @@ def added(program: ControlProgram, found: ControlSensitivities | None, curved: b
         kernels=_kernels(program, found, codes),
         constants=tuple(_constants(program, found)),
         sizes=_sizes(program, curved),
-        runtime=(*(("mixed_samples",) if program.sample else ()), "directions", "sensitivities"),
+        runtime=(*(("mixed_samples",) if program.sample else ()), "directions", "substitutions", "sensitivities"),
         metadata=(("sensitivities", repr(quantities(program))),),
         text=(_text(program),),
     )
@@ -161,6 +161,8 @@ def _constants(program: ControlProgram, found: ControlSensitivities) -> list[Lin
         Line("ACTING", integers(acting), "of these act on intervals"),
         Line("OWN_QUANTITIES", str(given - len(program.inner.parameters)), "of these are quantities"),
     ]
+    if _bound_lines(program):
+        lines.append(Line("BOUNDING", integers(_bounding(program)), "of these move bounds"))
     for prefix, share in (("", found.elements[0]), ("START_", found.start), ("END_", found.end)):
         lines.append(Line(f"{prefix}MIXED_ROWS", integers([row for row, _, _ in share.mixed]), "unknowns"))
         lines.append(Line(f"{prefix}MIXED_COLUMNS", integers([column for _, column, _ in share.mixed]), "data"))
@@ -332,6 +334,11 @@ def _bound_lines(program: ControlProgram) -> list[Line]:
         return []
     still = [Line(line.target, "0.0", line.comment) for line in slack_bounds(program)]
     return [*(Bound(b.target, b.value, b.name, b.is_common).line for b in found), *still]
+
+
+def _bounding(program: ControlProgram) -> list[int]:
+    """Those of the data that move bounds."""
+    return [i for i, datum in enumerate(_data(program)) if any(b.value.has(datum) for b in _found_bounds(program))]
 
 
 def _bound_inputs(program: ControlProgram) -> tuple[Line, ...]:

@@ -10,6 +10,7 @@ from codegen.runtime.optimise.bounded import (
     barrier_curvature,
     begin,
     central_duals,
+    Search,
     predicted_cost,
     search_on,
 )
@@ -36,7 +37,7 @@ if UNBOUNDED:
     NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
@@ -45,27 +46,33 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None):
     and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
     appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
     searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
-    been evaluated.
+    been evaluated. `search` is what `search_on` gave for a grid with the same bounds, if there was one: its storage
+    serves again.
     """
-    search, first, total = search_on(grid), None, 0
-    if INEQUALITIES:
-        lower, upper = search.box
-        if (lower > upper).any():
-            return "infeasible", evaluate(grid, unknowns), 0
-    primal = np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
+    first, total = None, 0
+    if search is not None:
+        search = Search(grid, *search[1:])
+    else:
+        search = search_on(grid)
+        if INEQUALITIES:
+            lower, upper = search.box
+            if (lower > upper).any():
+                return "infeasible", evaluate(grid, unknowns), 0
     cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *CASCADE
     guess = begin_nearby(search, unknowns, tolerance) if warm else None
     if guess is not None:
         cascade = FROM_NEIGHBOUR, *cascade
     else:
-        guess = first_iterate(search, primal, cascade[0], known)
+        guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
             return status, iterate.point, total
     for attempt in cascade:
-        iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt) if first else guess
-        status = "restored"
+        iterate, status = guess, "restored"
+        if first:
+            primal = without_multipliers(grid, unknowns, known)
+            iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
         if status == "restored":
@@ -127,6 +134,11 @@ def violating_starts(search, iterate, guess):
         yield guess, slice(grid.is_multiplier.size - ROOT, None)
     bent = bulged_guess(grid, np.where(grid.is_multiplier, 0.0, guess.point.unknowns), BULGE)
     yield begin(search, bent, CASCADE[0]), NONE_HELD
+
+
+def without_multipliers(grid, unknowns, known):
+    """Primal unknowns (n,), of a point without multipliers if it is `known`, and zeros for multipliers."""
+    return np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
 
 
 def first_iterate(search, unknowns, attempt, known):

@@ -8,7 +8,7 @@ relaxed then lead back to its optimum.
 import numpy as np
 
 from codegen.runtime.optimise.barrier import measure_optimality
-from codegen.runtime.optimise.bounded import InertiaCorrection, moved
+from codegen.runtime.optimise.bounded import InertiaCorrection, moved, with_duals
 from codegen.runtime.optimise.newton_steps import regularised_step
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.point import evaluate
@@ -41,10 +41,11 @@ def on_bounds(search, iterate):
     unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
     if TIED:
         unknowns = with_tied_values(grid, unknowns)
-    moves = (unknowns != iterate.point.unknowns).any()
+    moves = np.count_nonzero(unknowns != iterate.point.unknowns) > 0  # any() takes twice as long
     point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
     measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
-    return point._replace(stationarity=measured[0], error=max(point.residual, measured[0]))
+    unknowns, gradient, *evaluated = point
+    return with_duals(unknowns, gradient, evaluated, measured)
 
 
 def last_step(search, iterate):

@@ -37,10 +37,9 @@ def begin_nearby(search, unknowns, tolerance):
         unknowns = push_inside(*search.box, unknowns, CLOSE)
         if TIED:
             unknowns = with_tied_values(grid, unknowns)
-        point, duals = evaluate(grid, unknowns), np.empty(bounds.side.size)
-        distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
-        distance += relaxation(mu, search.least) * bounds.magnitude
-        logarithms = fill_duals(point.gradient, bounds.indices, bounds.side, distance, mu, duals)
+        point, by = evaluate(grid, unknowns), relaxation(mu, search.least)
+        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
+        logarithms = fill_bounds(unknowns, point.gradient, *bounds, by, mu, distance, duals)
         iterate = Iterate(point, mu, distance, logarithms, duals)
     else:
         iterate = Iterate(evaluate(grid, unknowns))
@@ -50,13 +49,15 @@ def begin_nearby(search, unknowns, tolerance):
 if INEQUALITIES:
 
     @njit(cache=True, error_model="numpy")
-    def fill_duals(gradient, indices, side, distance, mu, duals):
-        """Fill `duals` (bounds,); return the sum of the logarithms of distances.
+    def fill_bounds(unknowns, gradient, indices, value, side, magnitude, by, mu, distance, duals):
+        """Fill `distance` and `duals` (bounds,); return the sum of the logarithms of distances.
 
+        Bounds are relaxed `by` a part of their magnitudes.
         Where the Lagrangian falls towards a bound, by more than the distance to it, the bound is active, and its dual
         is that slope; the others are on the central path.
         """
         for j in range(indices.size):
+            distance[j] = side[j] * (unknowns[indices[j]] - value[j]) + by * magnitude[j]
             slope = side[j] * gradient[indices[j]]
             duals[j] = slope if slope > distance[j] else min(mu / distance[j], 1e3)
         return sum_of_logarithms(distance)

@@ -27,12 +27,12 @@ from codegen.runtime.unknowns.times import span
 
 @njit(cache=True, error_model="numpy")
 def change_along(
-    unknowns, steps, h, nodes, parameters, vectors, rates, times, is_solved_for, products, values
+    unknowns, steps, h, nodes, parameters, vectors, rates, times, parts, products, values
 ):  # fmt: skip
     """Fill derivatives of the gradient, `products` (m, n), and of the Lagrangian, `values` (m,), in m directions.
 
     Unknowns (n,) move by `vectors` (m, n), parameters by `rates` (m, BODIES, PARAMETRIC), nodes in time by `times`
-    (m, N + 1). Products vanish where unknowns are not solved for.
+    (m, N + 1). Products are multiplied by `parts` (n,), zeros where unknowns are not solved for.
     """
     chain, size = steps * STRIDE + NODE, unknowns.size
     for d in range(len(values)):
@@ -78,8 +78,7 @@ def change_along(
         add_conditions_along(unknowns, parameters[0], vectors, rates, products, values)
     for d in range(len(values)):
         for i in range(size):
-            if not is_solved_for[i]:
-                products[d, i] = 0.0
+            products[d, i] = parts[i] * products[d, i] if parts[i] != 0.0 else 0.0
 
 
 if VARIATIONAL:

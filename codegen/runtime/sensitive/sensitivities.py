@@ -12,16 +12,17 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.system import factor_kkt, solve_kkt
+from codegen.runtime.kkt.system import factor_kkt
 from codegen.runtime.kkt.unbordered import allocate_system
 from codegen.runtime.optimise.scaled_solve import scaled_grid
 from codegen.runtime.sensitive.directions import change_along, momenta_along
+from codegen.runtime.sensitive.substitutions import LANES, substitute_all
 from codegen.runtime.stand_ins.example import (
     BODIES, END_SHARED, END_TIED, EQUATIONS, INEQUALITIES, INNER_FIRST, INNER_TIMES, NODE, PHASES, ROOT, START_SHARED,
     START_TIED, STRIDE, TIED, variable_bounds,
 )  # fmt: skip
 from codegen.runtime.stand_ins.example_mixed import (
-    CLOCK, CLOCKED, MOVING, QUANTITIES, VARIATIONAL, bound_rates, data_rates, duration_rates, pinned_rates,
+    BOUNDING, CLOCK, CLOCKED, MOVING, QUANTITIES, VARIATIONAL, bound_rates, data_rates, duration_rates, pinned_rates,
 )  # fmt: skip
 from codegen.runtime.unknowns.layout import free_unknowns
 from codegen.runtime.unknowns.point import evaluate
@@ -76,14 +77,18 @@ def sensitivities(grid, unknowns, given=()):
         is_bounded, is_held, is_below, doubtful = active_bounds(grid, scaled, unknowns)
         is_solved_for = is_solved_for & ~is_held
         if MOVING:
-            for i in range(len(QUANTITIES)):
+            moves[:, is_held] = 0.0
+            for i in np.flatnonzero(rates[:, :, BOUNDING].any(axis=(1, 2))):
                 lower, upper = bound_rates(grid, rates[i])
                 moves[i, is_held] = np.where(is_below, lower, upper)[is_held]
     offsets = moves.copy()
     if TIED:
         follow_ties(grid.steps, offsets, moves)
-    case = Case(grid, scaled, unknowns, is_solved_for, offsets, rates, kernel_times(grid, rates, duration))
-    changes, cost = changes_along(case, moves, case.rates, case.times)
+    roots = np.sqrt(scaled.sizes * scaled.forces) if scaled.sizes.size else np.ones(unknowns.size)
+    parts, times = np.where(is_solved_for, roots, 0.0), kernel_times(grid, rates, duration)
+    case = Case(grid, scaled, unknowns, roots, parts, offsets, rates, times)
+    changes, cost = np.zeros((padded_count(len(moves)), unknowns.size)), np.empty(len(moves))
+    fill_changes(case, moves, rates, times, changes, cost)
     failure, best, inaccuracy = DEPENDENT, moves, np.inf
     for fast, shift in ATTEMPTS:
         system = allocate_system(grid)
@@ -103,79 +108,96 @@ def sensitivities(grid, unknowns, given=()):
 
 
 class Case(NamedTuple):
-    """A solution `unknowns` (n,) on a grid, and on the same one with sizes; which unknowns are solved for, and data.
+    """A solution `unknowns` (n,) on a grid, and on the same one with sizes; and how data move.
 
-    Data move by `rates` (m, BODIES, PARAMETRIC) of parameters, `times` (m, N + 1) of nodes, `offsets` (m, n) of what is
-    given or held.
+    The scaled system has its unknowns and rows in parts of `roots` (n,), as in `parts`, which are zero by what is not
+    solved for. Data move by `rates` (m, BODIES, PARAMETRIC) of parameters, `times` (m, N + 1) of nodes, `offsets`
+    (m, n) of what is given or held.
     """
 
     grid: NamedTuple
     scaled: NamedTuple
     unknowns: np.ndarray
-    is_solved_for: np.ndarray
+    roots: np.ndarray
+    parts: np.ndarray
     offsets: np.ndarray
     rates: np.ndarray
     times: np.ndarray
 
-    @property
-    def roots(self):
-        """Parts (n,) in which the scaled system has its unknowns and rows."""
-        sizes = self.scaled.sizes
-        return np.sqrt(sizes * self.scaled.forces) if sizes.size else np.ones(self.unknowns.size)
+
+def padded_count(count):
+    """How many right-hand sides are solved for, to have so many."""
+    return -(-count // LANES) * LANES
 
 
-def changes_along(case, moves, rates, times):
-    """Derivatives (m, n) of the gradient, in the scaled system, and of the Lagrangian, (m,), as all moves."""
-    grid, changes, values = case.grid, np.empty_like(moves), np.empty(len(moves))
+def fill_changes(case, moves, rates, times, changes, values):
+    """Fill derivatives of the gradient, `changes` (>= m, n), in the scaled system, and of the Lagrangian, `values`."""
+    grid = case.grid
     data = case.unknowns, grid.steps, grid.h, grid.nodes, grid.parameters
-    change_along(*data, moves, rates, times, case.is_solved_for, changes, values)
-    return case.roots * changes, values
+    change_along(*data, moves, rates, times, case.parts, changes, values)
 
 
 def solved_along(case, system, moves, changes):
-    """What follows data, `moves` (m, n), by substitutions until the `changes` (m, n) of the gradient vanish.
+    """What follows data, `moves` (m, n), by substitutions until the changes of the gradient vanish, at first `changes`.
 
     The second result is what is left of these, in parts of their terms.
     """
-    steps, sizes, is_multiplier = np.empty_like(moves), np.empty((2, len(moves))), case.grid.is_multiplier
-    inaccuracy = np.inf
-    for _ in range(SUBSTITUTIONS):
-        for i in range(len(moves)):
-            solve_kkt(case.scaled, system, changes[i], steps[i])
-        add_steps(steps, changes, case.roots, case.is_solved_for, is_multiplier, moves, sizes)
+    steps, sizes, is_multiplier = np.empty_like(changes), np.empty((2, len(moves))), case.grid.is_multiplier
+    sum_of_changes, value, inaccuracy = np.empty((1, case.roots.size)), np.empty(1), np.inf
+    for substitution in range(SUBSTITUTIONS):
+        substitute_all(changes, case.grid.steps, system[0], steps)
+        add_steps(steps, changes, case.roots, case.parts, is_multiplier, moves, sizes)
         if TIED:
             follow_ties(case.grid.steps, case.offsets, moves)
         # One sum of all, in parts of their sizes and with signs at random, tells whether any is inaccurate.
         weights, every = SIGNS[: len(moves)] / sizes[0], (moves, case.rates, case.times)
         sums = [(weights @ each.reshape(len(moves), -1)).reshape(1, *each.shape[1:]) for each in every]
-        left = np.abs(changes_along(case, *sums)[0][0])
-        # Multipliers without limit, as of equations that contradict each other, take no part in equations.
-        left[~is_multiplier] /= (sizes[1] / sizes[0]).max(initial=1.0)
-        before, inaccuracy = inaccuracy, float(left.max(initial=0.0))
+        fill_changes(case, *sums, sum_of_changes, value)
+        before, inaccuracy = inaccuracy, largest_left(sum_of_changes[0], is_multiplier, sizes)
         if inaccuracy <= EXACT or not inaccuracy < 0.5 * before:
             break
-        changes, _ = changes_along(case, moves, case.rates, case.times)
+        if substitution == 0:
+            changes = np.zeros_like(changes)  # the first ones are those of other factors, too
+        fill_changes(case, moves, case.rates, case.times, changes, np.empty(len(moves)))
     return moves, inaccuracy
 
 
-@njit(cache=True, error_model="numpy")
-def add_steps(steps, changes, roots, is_solved_for, is_multiplier, moves, sizes):
-    """Add `steps` (m, n) in parts of `roots` (n,) to `moves` (m, n); fill `sizes` (2, m) of what adds up in rows.
+@njit(cache=True, error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
+def add_steps(steps, changes, roots, parts, is_multiplier, moves, sizes):
+    """Add `steps` (>= m, n) times `parts` (n,) to `moves` (m, n); fill `sizes` (2, m) of what adds up in rows.
 
-    They are those of the largest of the `changes` (m, n) and of moves, in parts of roots, without and with multipliers.
+    They are those of the largest of the `changes` (>= m, n) and of moves, in parts of `roots` (n,), without and with
+    multipliers.
     """
     for d in range(len(moves)):
         largest, multiplier = 1e-300, 0.0
         for i in range(roots.size):
-            if is_solved_for[i]:
-                moves[d, i] += roots[i] * steps[d, i]
-            own = abs(moves[d, i] / roots[i])
-            if is_multiplier[i]:
-                multiplier = max(multiplier, own)
-            else:
-                largest = max(largest, own)
-            largest = max(largest, abs(changes[d, i]))
+            moves[d, i] += parts[i] * steps[d, i]
+            own, change = abs(moves[d, i] / roots[i]), abs(changes[d, i])
+            primal, dual = (0.0, own) if is_multiplier[i] else (own, 0.0)
+            largest = primal if primal > largest else largest
+            largest = change if change > largest else largest
+            multiplier = dual if dual > multiplier else multiplier
         sizes[0, d], sizes[1, d] = largest, max(largest, multiplier)
+
+
+@njit(cache=True, error_model="numpy")
+def largest_left(left, is_multiplier, sizes):
+    """The largest modulus of what is `left` (n,), in parts of `sizes` (2, m); NaN where any is.
+
+    Multipliers without limit, as of equations that contradict each other, take no part in equations.
+    """
+    of_equations, remaining, ratio = 0.0, 0.0, 1.0
+    for d in range(sizes.shape[1]):
+        ratio = max(ratio, sizes[1, d] / sizes[0, d])
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            of_equations = max(of_equations, abs(left[i]))
+        else:
+            remaining = max(remaining, abs(left[i]))
+    return max(of_equations, remaining / ratio)
 
 
 def node_time_rates(grid, moves, durations, times):
@@ -205,13 +227,24 @@ if INEQUALITIES:
 
         A bound holds where its multiplier is larger than the distance from it, both in parts of sizes.
         """
-        lower, upper = variable_bounds(grid)
-        sizes, forces = (scaled.sizes, scaled.forces) if scaled.sizes.size else (1.0, 1.0)
-        slope = np.where(free_unknowns(grid) & ~grid.is_multiplier, evaluate(grid, unknowns).gradient, 0.0) * forces
-        below, above = (unknowns - lower) / sizes, (upper - unknowns) / sizes
-        is_below, is_above = slope > below, -slope > above
-        beside = np.minimum(np.maximum(np.abs(slope), below), np.maximum(np.abs(slope), above))
-        return np.minimum(below, above) < np.inf, is_below | is_above, is_below, np.flatnonzero(beside <= DOUBTFUL)
+        ones = np.ones(unknowns.size)
+        sizes, forces = (scaled.sizes, scaled.forces) if scaled.sizes.size else (ones, ones)
+        gradient, masks = evaluate(grid, unknowns).gradient, np.zeros((4, unknowns.size), bool)
+        is_chosen = free_unknowns(grid) & ~grid.is_multiplier
+        compare_with_bounds(unknowns, gradient, *variable_bounds(grid), sizes, forces, is_chosen, masks)
+        is_bounded, is_held, is_below, is_doubtful = masks
+        return is_bounded, is_held, is_below, np.flatnonzero(is_doubtful)
+
+    @njit(cache=True, error_model="numpy")
+    def compare_with_bounds(unknowns, gradient, lower, upper, sizes, forces, is_chosen, masks):
+        """Fill `masks` (4, n): of what has bounds, of what is held, of what is held from below, of what is doubtful."""
+        for i in range(unknowns.size):
+            slope = gradient[i] * forces[i] if is_chosen[i] else 0.0
+            below, above = (unknowns[i] - lower[i]) / sizes[i], (upper[i] - unknowns[i]) / sizes[i]
+            masks[0, i] = min(below, above) < np.inf
+            masks[1, i] = slope > below or -slope > above
+            masks[2, i] = slope > below
+            masks[3, i] = min(max(abs(slope), below), max(abs(slope), above)) <= DOUBTFUL
 
 
 if TIED:

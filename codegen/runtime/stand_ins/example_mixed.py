@@ -9,7 +9,7 @@ QUANTITIES = ("start.q", "start.dq", "end.q", "end.dq")
 DATA, PARAMETRIC, OWN_QUANTITIES, CLOCK = 6, 4, 4, 0
 CURVED = MOVING = CLOCKED = 0
 VARIATIONAL = EQUATIONS.size
-ACTING = MIXED_ROWS = MIXED_COLUMNS = np.zeros(0, np.int64)
+ACTING = BOUNDING = MIXED_ROWS = MIXED_COLUMNS = np.zeros(0, np.int64)
 START_MIXED_ROWS, START_MIXED_COLUMNS = np.array([1]), np.array([1])
 END_MIXED_ROWS, END_MIXED_COLUMNS = np.array([1]), np.array([3])
 

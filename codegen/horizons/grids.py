@@ -1,0 +1,58 @@
+"""The grids of sampling times: what stays from one to the next, bounds and a solver's storage, is made once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import NumericsError
+from codegen.horizons.interface import Interface
+from codegen.loading import Grid, Vector
+
+
+class Grids:
+    """Makes grids of so many steps of a module, and keeps the last one, whose state alone most often changes.
+
+    `search` is what a search on the last grid can take over from those before, or None.
+    """
+
+    def __init__(self, module: Any, interface: Interface, steps: int) -> None:
+        self._module, self._steps, self._interface = module, steps, interface
+        self._is_bounded = bool(module.metadata["inequalities"])
+        self._given: dict[str, Any] | None = None
+        self._last: Any = None
+        self.search: Any = None
+
+    def at(self, given: dict[str, Any], start: Vector | None = None) -> Grid:
+        """The grid with run-time values, and with its bounds; it holds until the next one is asked for.
+
+        The state is `start` (states,), by default the problem's own. Raises NumericsError for values that are unusable.
+        """
+        if start is None or self._given != given:
+            own = {} if start is None else {"start": dict(zip(self._interface.states, start.tolist(), strict=True))}
+            self._keep(self.separate(given | own))
+            self._given = None if start is None else given
+        else:
+            self._last.parameters[0, self._interface.start] = start
+        return self._last  # type: ignore[no-any-return]
+
+    def separate(self, given: dict[str, Any]) -> Grid:
+        """A grid of its own with run-time values, among which the state may be."""
+        try:
+            return self._module.make_grid(self._steps, **given)  # type: ignore[no-any-return]
+        except ValueError as error:  # modules know nothing of errors of this package
+            raise NumericsError(str(error), "correct the run-time values") from error
+
+    def _keep(self, grid: Any) -> None:
+        """Keep a grid; where its bounds are those of the last one, with these, and with the search that has them."""
+        module, same = self._module, self.search is not None
+        if self._is_bounded:
+            bounds = module.variable_bounds(grid)
+            same = same and all(map(np.array_equal, bounds, self._last.bounds))
+            grid = grid._replace(bounds=self._last.bounds if same else bounds)
+        self._last = grid
+        if not same and hasattr(module, "search_on"):  # a linear-quadratic problem has none
+            self.search = (
+                None if self._is_bounded and module.contradictory_bounds(grid) >= 0 else module.search_on(grid)
+            )
