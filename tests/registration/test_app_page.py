@@ -274,7 +274,7 @@ def test_what_is_shown_can_be_chosen_and_one_image_can_be_bent(visit, files, tmp
     np.testing.assert_array_equal(visit.points("moving"), pairs.moving)
     visit.wait_for("no folding")
     visit.menu("Registration")
-    visit.press("Choose sigma by leaving out")
+    visit.press("Estimate sigma")
     best = round(choose_sigma(pairs, SHAPE, fixed_shape=SHAPE), 3)
     visit.until(lambda v: float(v.page.locator("#sigma").input_value()) == best)
 

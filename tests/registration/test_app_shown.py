@@ -85,7 +85,7 @@ def test_downloads_are_what_the_core_makes(solved):
     solved.set(Settings(interpolation="cubic"))
     task = solved.task()
     pairs = task.work.landmarks()
-    registration = register(pairs, SHAPE, fixed_shape=(50, 70), align="similarity")
+    registration = register(pairs, SHAPE, fixed_shape=(50, 70))
     download = exports.warped_image(task)
     expected = warp(solved.moving.pixels, registration, interpolation="cubic")
     np.testing.assert_array_equal(read_image(download.data).pixels, expected)
