@@ -2,11 +2,11 @@
 
     python tests/benchmarks/page_drag.py [CHECKOUT ...] [--seconds S] [--repeat R] [--landmarks N] [--side PIXELS]
 
-Two square images with N landmarks are opened. One is dragged by 1, 2, 5 and 20 pixels of the screen, at once, in the
-course of two seconds, and after it was held for half a second, and how far it ends from the pointer is measured. Then it
-is dragged along a circle for S seconds by a mouse that moves every 16 ms; counted are the warped images that reached the
-page and were painted. Several checkouts take turns, so that they meet the same load; the processor's time, of the server
-and of the browser, says what one image costs. Without the argument the checkout that holds this file is measured.
+Two square images with N landmarks are opened. One is dragged by 1, 2, 5 and 20 pixels of the screen, at once, in two
+seconds, and after it was held for half a second, and how far it ends from the pointer is measured. Then it is dragged
+along a circle for S seconds by a mouse that moves every 16 ms; counted are the warped images that reached the page and
+were painted. Several checkouts take turns, so that they meet the same load; the processor's time, of the server and of
+the browser, says what one image costs. Without the argument the checkout that holds this file is measured.
 Needs Chromium and playwright.
 """
 
@@ -106,7 +106,7 @@ def misplaced(visit: Visit, **values: float) -> float:
     worst = 0.0
     for distance in DISTANCES:
         start = visit.points("fixed")[0]
-        wanted = np.array(visit.screen("fixed", start)) + [distance, 0.0]
+        wanted = np.add(visit.screen("fixed", start), (distance, 0.0))
         visit.drag("fixed", start, (distance, 0.0), **values)
         visit.page.wait_for_timeout(300)
         worst = max(worst, float(np.linalg.norm(visit.screen("fixed", visit.points("fixed")[0]) - wanted)))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dask_parts import cluster
 from typer.testing import CliRunner
 
 from codegen.cli import main
@@ -108,6 +109,22 @@ def test_labels_of_a_table_keep_their_values(folder, tmp_path, space_solver):
     table.write_text(f"moving,landmarks,out,interpolation\n{own}linear\n")
     assert json.loads(run(table, "--workers", "1", "--json").stdout)["unchanged"] == 1
     assert len(np.unique(read_volume(warped).samples)) > 3
+
+
+def test_workers_of_a_cluster_make_the_volumes_and_fields_of_one_process(folder, tmp_path, monkeypatch, space_solver):
+    monkeypatch.chdir(tmp_path)
+    run(folder, "--out", "one", "--field", "one fields", "--workers", "1")
+    with cluster() as (address, _, _):
+        asked = [folder, "--out", "many", "--field", "many fields", "--cluster", address, "--json"]
+        record = json.loads(run(*asked).stdout)
+    assert (record["pairs"], record["failed"]) == (4, [])
+    for kind in ("", " fields"):
+        one, many = (
+            {path.name: path.read_bytes() for path in Path(f"{name}{kind}").iterdir() if path.suffix != ".csv"}
+            for name in ("one", "many")
+        )
+        assert one == many
+        assert len(one) >= 4
 
 
 def test_files_of_one_specimen_belong_together_whatever_the_ending(folder, tmp_path):
