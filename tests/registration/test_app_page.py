@@ -100,7 +100,6 @@ def test_pairs_are_added_dragged_undone_saved_and_exported_as_the_command_line_d
     assert read_landmarks(landmarks).fixed[5] == pytest.approx(dragged, abs=0)
     out = tmp_path / "by_command.png"
     command = ["warp", files / "moving.png", "--fixed", files / "fixed.png", "--landmarks", landmarks, "--out", out]
-    command += ["--align", "similarity"]  # which is the page's own
     done = CliRunner().invoke(main, [str(word) for word in command])
     assert done.exit_code == 0, done.output
     assert image.read_bytes() == out.read_bytes()
