@@ -50,7 +50,7 @@ def distances(
     write_distances(out, found)
     if mean is not None:
         write_mean(mean, found)
-    known = np.isfinite(found.points).all(axis=1)
+    known = np.isfinite(found.points[:, 0])
     left_out = [name for name, is_known in zip(found.names, known, strict=True) if not is_known]
     if plot is not None and known.any():
         from codegen.plots import save_specimens
@@ -70,8 +70,6 @@ def distances(
     for said in found.failed:
         typer.echo(one_line(f"codegen: {said}", 400), err=True)
     if left_out:
-        typer.echo(
-            f"codegen: not in the picture, for want of distances: {', '.join(left_out)}", err=True
-        )
+        typer.echo(f"codegen: not in the picture, for want of distances: {', '.join(left_out)}", err=True)
     if found.failed:
         raise typer.Exit(1)

@@ -102,7 +102,7 @@ def _cells() -> Array:
     """The middles of the coarsest cells that meet the ball, shape (m, 3)."""
     points = mesh([np.arange(-FIRST, FIRST + 1) / FIRST] * 3)
     reach = 1.0 + np.sqrt(0.75) / FIRST
-    return points[(points**2).sum(axis=1) < reach**2]
+    return np.asarray(points[(points**2).sum(axis=1) < reach**2])
 
 
 def _divided(middles: Array, width: float) -> Array:

@@ -131,10 +131,10 @@ def _interpolation(table: Path, line: int, row: dict[str, str]) -> Interpolation
     named = row.get("interpolation", "")
     if not named:
         return None
-    known = next((own for own in get_args(Interpolation) if own == named), None)
+    choices: tuple[Interpolation, ...] = get_args(Interpolation)
+    known = next((own for own in choices if own == named), None)
     if known is None:
-        finding = f"{table}:{line}: unknown interpolation {named!r}"
-        raise ArgumentError(finding, f"fill in one of {', '.join(get_args(Interpolation))}, or nothing")
+        raise ArgumentError(f"{table}:{line}: unknown interpolation {named!r}", f"fill in one of {', '.join(choices)}")
     return known
 
 
