@@ -13,8 +13,8 @@ from codegen.registration.volumes.files import is_volume
 def run(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> Outcome:
     """Do a job; CodegenError for wrong input, and an outcome that has not passed where the numerics failed."""
     if is_volume(job.moving):
-        return volumes.run(job, options, progress)
-    return pictures.run(job, options, progress=progress)
+        return volumes.run(job, job.own(options), progress)
+    return pictures.run(job, job.own(options), progress=progress)
 
 
 def dimension_of(job: Job) -> int:

@@ -129,3 +129,16 @@ class Flow:
         blocks = -(-len(points) // self.module.BLOCK)
         ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
         return np.split(points, ends)
+
+
+def of_steps(flow: Flow, gradients: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bounds of |D Phi - I| of each step from those of the gradients at all stages, shape (N POINTS,)."""
+    module: Any = flow.module
+    h, found = flow.case.duration / flow.steps, np.zeros(flow.steps)
+    for k, stages in enumerate(gradients.reshape(flow.steps, module.POINTS)):
+        rates: list[float] = []
+        for row, gradient in zip(module.ROWS, stages, strict=True):
+            stretched = 1.0 + h * sum(abs(a) * rate for a, rate in zip(row, rates, strict=False))
+            rates.append(float(gradient) * stretched)
+        found[k] = h * sum(abs(b) * rate for b, rate in zip(module.WEIGHTS, rates, strict=True))
+    return found

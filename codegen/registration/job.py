@@ -23,6 +23,7 @@ from codegen.registration.coarse import Positions
 from codegen.registration.formats import Frames, read_landmarks
 from codegen.registration.grid import Extent
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
+from codegen.registration.images.spacing import Spacing
 from codegen.registration.jobs import LARGE, MOST_LEFT_OUT, Job, Options, Result, out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import Registration
@@ -113,6 +114,7 @@ def _solved(
     if solved is None:
         return result
     found, positions, summary, warped = solved.registration, solved.positions, record["summary"], None
+    summary |= _lengths((fixed or moving).spacing, found, solved.left_out)
     if solved.certificate.passed:
         with timed(seconds, "warp"):
             if options.coarse or positions is None:
@@ -219,6 +221,20 @@ def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneO
         "align": found.alignment.kind, "sigma": found.sigma, "steps": found.steps, "status": status,
         "message": certificate.message, "residual": _strict(certificate.residual_max), "summary": summary,
     }  # fmt: skip
+
+
+def _lengths(spacing: Spacing | None, found: Registration, left_out: LeaveOneOut | None) -> dict[str, Any]:
+    """Residuals and errors of landmarks that are left out in the unit that the fixed picture carries, if it does."""
+    if spacing is None:
+        return {}
+    residuals = spacing.lengths(found.misses)
+    lengths = {
+        "length_unit": spacing.unit, "pixel_lengths": [spacing.x, spacing.y], "residual_lengths": residuals.tolist(),
+        "deviation_length": float(np.sqrt((residuals**2).mean() / 2.0)),
+    }  # fmt: skip
+    if left_out is not None:
+        lengths["leave_one_out_lengths"] = spacing.lengths(left_out.misses).tolist()
+    return {name: _strict(value) for name, value in lengths.items()}
 
 
 def _strict(value: Any) -> Any:

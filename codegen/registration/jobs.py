@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -53,7 +53,10 @@ def _absolute(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class Job:
-    """The files of one pair that are read and written; `landmarks` is one file, or a moving and a fixed one."""
+    """The files of one pair that are read and written; `landmarks` is one file, or a moving and a fixed one.
+
+    `interpolation` is that of this pair alone, as for labels among other images; None: that of the options.
+    """
 
     moving: Path
     landmarks: tuple[Path, ...]
@@ -61,6 +64,7 @@ class Job:
     fixed: Path | None = None
     field: Path | None = None
     report: Path | None = None
+    interpolation: Interpolation | None = None
 
     @property
     def read(self) -> tuple[Path, ...]:
@@ -71,8 +75,15 @@ class Job:
 
     def absolute(self) -> Job:
         """The same files by names that mean the same in any process, and are the same however they were written."""
-        optional = (None if path is None else _absolute(path) for path in (self.fixed, self.field, self.report))
-        return Job(_absolute(self.moving), tuple(map(_absolute, self.landmarks)), _absolute(self.out), *optional)
+        fixed, field, report = (
+            None if path is None else _absolute(path) for path in (self.fixed, self.field, self.report)
+        )
+        moving, landmarks, out = _absolute(self.moving), tuple(map(_absolute, self.landmarks)), _absolute(self.out)
+        return replace(self, moving=moving, landmarks=landmarks, out=out, fixed=fixed, field=field, report=report)
+
+    def own(self, options: Options) -> Options:
+        """The options with what is this pair's own."""
+        return options if self.interpolation is None else replace(options, interpolation=self.interpolation)
 
     @property
     def written(self) -> tuple[Path, ...]:

@@ -7,6 +7,7 @@ used is not. A landmark whose error stands out from the others' was probably pla
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,15 +27,20 @@ OUTLIER = 3.5
 
 @dataclass(frozen=True, eq=False)
 class LeaveOneOut:
-    """Errors of landmarks that were left out, in pixels of the fixed image, shape (n,).
+    """Where landmarks that were left out arrive, from the fixed ones, in pixels of the fixed image, shape (n, d).
 
-    An error is NaN where the others determine no map, as that of an only landmark. `ranking` are the numbers of the
+    They are NaN where the others determine no map, as that of an only landmark. `ranking` are the numbers of the
     landmarks, counted from zero, from the largest error to the least; `outliers` those whose error stands out.
     """
 
-    errors: NDArray[np.float64]
+    misses: NDArray[np.float64]
     ranking: tuple[int, ...]
     outliers: tuple[int, ...]
+
+    @cached_property
+    def errors(self) -> NDArray[np.float64]:
+        """Errors of landmarks that were left out, in pixels of the fixed image, shape (n,)."""
+        return np.asarray(np.linalg.norm(self.misses, axis=1))
 
     @property
     def root_mean_square(self) -> float:
@@ -58,7 +64,7 @@ def leave_one_out(
     `register` has, because errors of prediction are of the order of pixels.
     """
     count = len(pairs)
-    errors = np.full(count, np.nan)
+    misses = np.full((count, pairs.dimension), np.nan)
     if count > 1:
         full = registered(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
         velocities = full.velocities
@@ -68,9 +74,10 @@ def leave_one_out(
             found = in_steps(kept, full.steps, np.delete(velocities, k, axis=0), quick=True)
         except (LandmarkError, RegistrationError):
             continue
-        errors[k] = np.linalg.norm(found.map_points(pairs.moving[k : k + 1]) - pairs.fixed[k])
+        misses[k] = found.map_points(pairs.moving[k : k + 1])[0] - pairs.fixed[k]
+    errors = np.linalg.norm(misses, axis=1)
     ranking = np.argsort(-np.nan_to_num(errors, nan=-1.0), kind="stable")
-    return LeaveOneOut(errors, tuple(map(int, ranking)), _outliers(errors, ranking))
+    return LeaveOneOut(misses, tuple(map(int, ranking)), _outliers(errors, ranking))
 
 
 def _outliers(errors: NDArray[np.float64], ranking: NDArray[np.intp]) -> tuple[int, ...]:

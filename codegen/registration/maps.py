@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,17 +34,17 @@ class Registration:
 
     The flow itself runs from the fixed image to the moving one; see `Matching`.
 
-    `residuals` are the distances, in pixels of the fixed image, between where moving landmarks arrive and the fixed
-    ones, shape (n,). `error` estimates how far the map is from that of infinitely many steps, in pixels, NaN where
-    steps were given. `round_trip` is the farthest from where it was, in pixels, that a landmark or a point of a coarse
-    grid comes back. `rung` says which of the solver's attempts succeeded, and `message` how; `solves` counts those of
-    a search for the strength of roughness. The `status` is "solved",
-    or "folded" where a map that should meet the landmarks misses some, because its few steps have no inverse there.
+    `misses` lead from the fixed landmarks to where the moving ones arrive, in pixels of the fixed image, shape (n, d),
+    and `residuals`, shape (n,), are their lengths. `error` estimates how far the map is from that of infinitely many
+    steps, in pixels, NaN where steps were given. `round_trip` is the farthest from where it was, in pixels, that a
+    landmark or a point of a coarse grid comes back. `rung` says which of the solver's attempts succeeded, and `message`
+    how; `solves` counts those of a search for the strength of roughness. The `status` is "solved", or "folded" where a
+    map that should meet the landmarks misses some, because its few steps have no inverse there.
     """
 
     matching: Matching
     flow: Flow
-    residuals: NDArray[np.float64]
+    misses: NDArray[np.float64]
     error: float
     round_trip: float
     status: str
@@ -58,6 +59,11 @@ class Registration:
             f"residuals at most {self.residuals.max(initial=0.0):.2g} {unit}, round trip {self.round_trip:.2g} {unit}"
         )
         return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {found}, {errors}>"
+
+    @cached_property
+    def residuals(self) -> NDArray[np.float64]:
+        """How far from the fixed landmarks the moving ones arrive, in pixels of the fixed image, shape (n,)."""
+        return np.asarray(np.linalg.norm(self.misses, axis=1))
 
     @property
     def pairs(self) -> LandmarkPairs:
@@ -223,15 +229,14 @@ def in_steps(
 ) -> Registration:
     """The registration in a given number of steps; `velocities` and `quick` are those of `Matching.solve`."""
     flow, solution, rung = matching.solve(steps, velocities, quick)
-    found = Registration(matching, flow, np.empty(0), np.nan, np.nan, solution.status, rung, solution.message)
+    nothing = np.empty((0, matching.pairs.dimension))
+    found = Registration(matching, flow, nothing, np.nan, np.nan, solution.status, rung, solution.message)
     probe = _probe(matching)
     there = found.map_points(probe)
     back = np.linalg.norm(found.map_points_inverse(there) - probe, axis=1).max()
-    residuals = np.linalg.norm(there[: len(matching.pairs)] - matching.pairs.fixed, axis=1)
-    missed = _missed(matching, steps, residuals)
-    if missed:
-        found = replace(found, status="folded", message=missed)
-    return replace(found, residuals=residuals, round_trip=float(back))
+    found = replace(found, misses=there[: len(matching.pairs)] - matching.pairs.fixed, round_trip=float(back))
+    missed = _missed(matching, steps, found.residuals)
+    return replace(found, status="folded", message=missed) if missed else found
 
 
 def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> str:

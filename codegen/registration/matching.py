@@ -18,12 +18,14 @@ from codegen.registration.flow import Flow, FlowModule
 from codegen.registration.frame import MARGINS, Frame, corners
 from codegen.registration.grid import Extent, Grid, grid_of, place_text
 from codegen.registration.pairs import LandmarkPairs, PointArray
+from codegen.registration.partners import said_of_partners
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
 TRUSTED = 0.5
 """The least weight of landmarks that are aligned."""
 FAR = 1.5
 """How many times what the linear theory expects landmarks may miss before another solution is looked for."""
+IN_ORDER = "give landmarks of both images in the same order"
 PATIENCE = 20
 """Iterations after which momenta that do not lead to a solution are given up."""
 
@@ -197,8 +199,11 @@ class Matching:
                 solution = module.solve_case(case)
                 if solution.status == "solved":
                     return self._flow(case, solution), solution, solution.attempts[-1].split(":")[0]
+        said = f"no motion of {steps} steps of {self.scheme} was found that carries the landmarks to their places"
+        if out_of_order := said_of_partners(self.pairs):
+            raise RegistrationError(f"{said}; {out_of_order}", IN_ORDER)
         remedy = "allow for a sigma, take more steps, or leave out landmarks that are close and move apart"
-        raise RegistrationError(self._failure(steps), remedy)
+        raise RegistrationError(said + self._hardest(), remedy)
 
     def _cheapest(self, case: Any, velocities: NDArray[np.float64] | None) -> tuple[Any, str] | None:
         """The solution to be taken and what led to it, if any attempt had one.
@@ -272,21 +277,20 @@ class Matching:
         path = np.stack([solution.q, solution.p], axis=1)
         return Flow(module, case, path, module.stages_of(case, path))
 
-    def _failure(self, steps: int) -> str:
-        """What is reported of landmarks that no motion was found for: the two whose way apart changes most.
+    def _hardest(self) -> str:
+        """What is said of landmarks that no motion was found for: the two whose way apart changes most.
 
         It is measured by the shorter of both, so that two that are nearly one in either image come first.
         """
         before, after = self.alignment.apply(self.pairs.moving), self.pairs.fixed
-        said = f"no motion of {steps} steps of {self.scheme} was found that carries the landmarks to their places"
         if len(before) < 2:
-            return said
+            return ""
         i, j = np.triu_indices(len(before), 1)
         apart = np.minimum(*(np.linalg.norm(points[i] - points[j], axis=1) for points in (before, after)))
         changes = np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart
         worst = int(np.argmax(np.where(self.groups[i] == self.groups[j], 0.0, changes)))
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
-        return f"{said}; hardest are landmarks {one} and {other}, near {place_text(self.pairs.moving[i[worst]])}"
+        return f"; hardest are landmarks {one} and {other}, near {place_text(self.pairs.moving[i[worst]])}"
 
 
 _aligned = align  # a parameter of `Matching.of` has that name

@@ -57,15 +57,17 @@ def render(result: Outcome, shown: list[Picture], note: str) -> str:
     return template.render(
         title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=_subtitle(record),
         passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
-        pictures=shown, columns=columns(result.pairs.dimension), rows=_rows(result), note=note,
+        pictures=shown, columns=columns(result.pairs.dimension, record["summary"].get("length_unit", "")),
+        rows=_rows(result), note=note,
         environment=_environment(record),
     )  # fmt: skip
 
 
-def columns(dimension: int) -> tuple[str, ...]:
-    """The headings of the table of landmarks."""
+def columns(dimension: int, unit: str = "") -> tuple[str, ...]:
+    """The headings of the table of landmarks; errors have more columns in the unit that a picture carries."""
     places = [f"{image} {axis}" for image in ("moving", "fixed") for axis in "xyz"[:dimension]]
-    return ("landmark", *places, "residual", "left out", "")
+    lengths = (f"residual, {unit}", f"left out, {unit}") if unit else ()
+    return ("landmark", *places, "residual", "left out", *lengths, "")
 
 
 def _sentence(text: str) -> str:
@@ -86,15 +88,18 @@ def _rows(result: Outcome) -> list[Row]:
     pairs = result.pairs
     residuals = result.registration.residuals if result.registration is not None else np.full(len(pairs), np.nan)
     left_out = result.left_out.errors if result.left_out is not None else np.full(len(pairs), np.nan)
-    outliers = set(result.out_of_place)
+    errors = [residuals, left_out]
+    seen, outliers = result.record["summary"], set(result.out_of_place)
+    if "length_unit" in seen:
+        unknown = [None] * len(pairs)
+        errors += [seen["residual_lengths"], seen.get("leave_one_out_lengths", unknown)]
     made = []
     for k in range(min(len(pairs), MOST_ROWS)):
         places = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]
-        errors = [number(float(residuals[k])), number(float(left_out[k]))]
-        cells = (pairs.names[k], *places, *errors, "outlier" if k in outliers else "")
+        cells = (pairs.names[k], *places, *(number(of[k]) for of in errors), "outlier" if k in outliers else "")
         made.append(Row(cells, k in outliers))
     if len(pairs) > MOST_ROWS:
-        made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(columns(pairs.dimension)) - 1)), False))
+        made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(made[0].cells) - 1)), False))
     return made
 
 

@@ -12,7 +12,7 @@ from codegen.registration.jobs import MOST_LEFT_OUT
 
 
 def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What was found, in words and numbers; distances in pixels."""
+    """What was found, in words and numbers; distances in pixels, and in the unit that a picture carries."""
     seen = record["summary"]
     found = [("landmarks", str(seen["landmarks"]))]
     if "det_min" not in seen:
@@ -27,10 +27,7 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     place = ", ".join(f"{x:g}" for x in seen["det_min_at"])
     found += [
         ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
-        (
-            "residual",
-            f"{number(record['residual'])} {unit} at most, standard deviation {number(seen['deviation'])} {unit}",
-        ),
+        ("residual", _residual(record, unit)),
         ("det J", f"{number(seen['det_min'])} at ({place}) to {number(seen['det_max'])}"),
         (
             "folded",
@@ -43,8 +40,10 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     if seen["scheme_error"] is not None:
         found.append(("error of the scheme", f"{number(seen['scheme_error'])} {unit}"))
     if seen.get("leave_one_out"):
-        finite = [error for error in seen["leave_one_out"] if error is not None]
-        found.append(("leave one out", f"{number(statistics.median(finite)) if finite else '–'} {unit} (median)"))
+        text = f"{_median(seen['leave_one_out'])} {unit} (median)"
+        if "length_unit" in seen:
+            text += f", {_median(seen['leave_one_out_lengths'])} {seen['length_unit']}"
+        found.append(("leave one out", text))
     elif seen["landmarks"] > MOST_LEFT_OUT:
         found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
     found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
@@ -56,6 +55,20 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = f"every {steps} voxels, error below {number(seen['spacing_bound'])} {unit}; {exact}"
         found.append(("grid", text))
     return found
+
+
+def _residual(record: Mapping[str, Any], unit: str) -> str:
+    seen = record["summary"]
+    text = f"{number(record['residual'])} {unit} at most, standard deviation {number(seen['deviation'])} {unit}"
+    if "length_unit" not in seen:
+        return text
+    largest, deviation = number(max(seen["residual_lengths"])), number(seen["deviation_length"])
+    return f"{text} ({largest} and {deviation} {seen['length_unit']})"
+
+
+def _median(errors: list[float | None]) -> str:
+    finite = [error for error in errors if error is not None]
+    return number(statistics.median(finite)) if finite else "–"
 
 
 def number(value: float | None) -> str:

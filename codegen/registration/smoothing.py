@@ -20,9 +20,10 @@ from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.losses import Loss, scale_of, weights_of
 from codegen.registration.maps import TOLERANCE, Registration, in_steps, refined, solved
-from codegen.registration.matching import TRUSTED, Matching
+from codegen.registration.matching import IN_ORDER, TRUSTED, Matching
 from codegen.registration.outliers import outliers_of
 from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.partners import said_of_partners
 from codegen.registration.solver import DEFAULT_SCHEME
 
 MOST_SOLVES = 20
@@ -169,6 +170,8 @@ class _Search:
         scale = scale_of(self.loss, found.residuals, found.dimension)
         if scale > 1.25 * self.matching.sigma:
             finding = f"residuals are {scale:.3g} {self.matching.unit} where sigma is {self.matching.sigma:g}"
+            if out_of_order := said_of_partners(self.matching.pairs):
+                raise RegistrationError(f"{finding}, and no map comes nearer; {out_of_order}", IN_ORDER)
             remedy = "give a larger sigma, or look for landmarks out of place"
             raise RegistrationError(f"{finding}, and no map was found that comes nearer", remedy)
         if self.steps is None and not (found.error <= self.tolerance * self.matching.pixel):

@@ -92,7 +92,7 @@ def superimposed(specimens: Specimens) -> tuple[Array, Array]:
     analysis: Gower 1975, Psychometrika 40(1)); then all are scaled into a square of SIDE pixels. LandmarkError names a
     specimen that is mirrored.
     """
-    shapes = np.array([_normal(points) for points in specimens.landmarks])
+    shapes = np.array([normal(points) for points in specimens.landmarks])
     mean = shapes[0]
     for _ in range(ROUNDS):
         for k, points in enumerate(shapes):
@@ -101,14 +101,14 @@ def superimposed(specimens: Specimens) -> tuple[Array, Array]:
             except LandmarkError as error:
                 remedy = "mirror that specimen" if "mirror" in error.finding else error.remedy
                 raise LandmarkError(f"specimen {specimens.names[k]}: {error.finding}", remedy) from error
-        before, mean = mean, _normal(shapes.mean(axis=0))
+        before, mean = mean, normal(shapes.mean(axis=0))
         if np.abs(mean - before).max() < SETTLED:
             break
     scale = EXTENT * SIDE / np.linalg.norm(shapes, axis=2).max()  # which no rotation changes
     return scale * shapes + 0.5 * (SIDE - 1), scale * mean + 0.5 * (SIDE - 1)
 
 
-def _normal(points: Array) -> Array:
+def normal(points: Array) -> Array:
     """About the origin, with squares of distances that sum up to 1."""
     centred = points - points.mean(axis=0)
     return np.asarray(centred / np.linalg.norm(centred))

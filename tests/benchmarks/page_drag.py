@@ -1,11 +1,13 @@
-"""How often the page shows a new warped image while a landmark is dragged, end to end in headless Chromium.
+"""Dragging a landmark in the page, end to end in headless Chromium: where it ends, and how often a new image is shown.
 
     python tests/benchmarks/page_drag.py [CHECKOUT ...] [--seconds S] [--repeat R] [--landmarks N] [--side PIXELS]
 
-Two square images with N landmarks are opened; one landmark is dragged along a circle for S seconds by a mouse that
-moves every 16 ms. Counted are the images that reached the figure and were painted there. Several checkouts take turns,
-so that they meet the same load; the processor's time, of the server and of the browser, says what one image costs.
-Without the argument the checkout that holds this file is measured. Needs Chromium and playwright.
+Two square images with N landmarks are opened. One is dragged by 1, 2, 5 and 20 pixels of the screen, at once, in two
+seconds, and after it was held for half a second, and how far it ends from the pointer is measured. Then it is dragged
+along a circle for S seconds by a mouse that moves every 16 ms; counted are the warped images that reached the page and
+were painted. Several checkouts take turns, so that they meet the same load; the processor's time, of the server and of
+the browser, says what one image costs. Without the argument the checkout that holds this file is measured.
+Needs Chromium and playwright.
 """
 
 import argparse
@@ -34,21 +36,18 @@ EVERY = 0.016
 RADIUS = 14.0
 """Of the circle along which the landmark is dragged, in pixels of the image."""
 
-# The first renderer of the result is the warped image; a plot is painted after its sources have changed.
+DISTANCES = (1, 2, 5, 20)
+"""Pixels of the screen by which a landmark is dragged, to see where it ends."""
+WAYS = {"at once": {"moves": 1}, "over 2 s": {"seconds": 2.0}, "held first": {"hold": 500}}
+
+# What the page does with a picture that has come is over when it is painted.
 _COUNT = """() => {
-  const model = Bokeh.documents[0].get_model_by_name("result"), view = Bokeh.index.find_one(model)
-  const seen = window.__seen = { changes: 0, images: [], sizes: [] }
-  const source = model.renderers[0].data_source
-  let new_image = false
-  source.properties.data.change.connect(() => {
-    const data = source.data, image = (data.get ? data.get("image") : data.image)[0]
-    seen.changes += 1; seen.sizes.push(image.length * 4); new_image = true
-  })
-  const paint = view.paint.bind(view)
-  view.paint = (...all) => {
-    paint(...all)
-    if (new_image) seen.images.push(performance.now())
-    new_image = false
+  const { link } = window.__page, seen = window.__seen = { images: [], sizes: [] }, packed = link.onPacked
+  link.onPacked = async (header, image) => {
+    await packed(header, image)
+    if (header.type !== "frame") return
+    seen.images.push(performance.now())
+    seen.sizes.push(image.data.length)
   }
 }"""
 
@@ -102,10 +101,22 @@ def spent_by(name: str) -> float:
     return total
 
 
+def misplaced(visit: Visit, **values: float) -> float:
+    """The farthest, in pixels of the screen, that a landmark is from the pointer after drags by DISTANCES."""
+    worst = 0.0
+    for distance in DISTANCES:
+        start = visit.points("fixed")[0]
+        wanted = np.add(visit.screen("fixed", start), (distance, 0.0))
+        visit.drag("fixed", start, (distance, 0.0), **values)
+        visit.page.wait_for_timeout(300)
+        worst = max(worst, float(np.linalg.norm(visit.screen("fixed", visit.points("fixed")[0]) - wanted)))
+    return worst
+
+
 def dragged(visit: Visit, seconds: float) -> dict[str, float]:
     """Drag the first landmark of the fixed image, and say what was seen meanwhile."""
-    x, y, _ = visit.points("fixed")[0]
-    centre, edge = np.array(visit.screen("fixed", x, y)), np.array(visit.screen("fixed", x + RADIUS, y))
+    x, y = visit.points("fixed")[0]
+    centre, edge = np.array(visit.screen("fixed", (x, y))), np.array(visit.screen("fixed", (x + RADIUS, y)))
     radius = edge[0] - centre[0]
     visit.page.mouse.move(*centre)
     visit.page.mouse.down()
@@ -140,10 +151,12 @@ def measure(checkout: Path, folder: Path, seconds: float, chromium: object) -> d
         with server(folder / "state", folder / "moving.png", folder / "fixed.png") as address:
             visit = Visit(chromium, address)
             visit.wait_for("no pairs yet")
-            visit.upload("Load landmarks", folder / "pairs.csv")
+            visit.upload("Open landmarks …", folder / "pairs.csv")
             visit.wait_for("no folding")
+            visit.page.locator("#pane-fixed .mode").select_option("warped")
             visit.page.wait_for_timeout(2000)  # errors of left out landmarks are found meanwhile
-            found = dragged(visit, seconds)
+            found = {f"off, {way}": misplaced(visit, **values) for way, values in WAYS.items()}
+            found |= dragged(visit, seconds)
             visit.context.close()
         return found
     finally:
@@ -171,8 +184,8 @@ def main() -> None:
         table.add_column(name, justify="right")
     for path, results in found.items():
         for result in results:
-            table.add_row(path.name, *(f"{value:.1f}" if value < 100 else f"{value:.0f}" for value in result.values()))
-    Console(width=130).print(table)
+            table.add_row(path.name, *(f"{value:.2g}" if value < 100 else f"{value:.0f}" for value in result.values()))
+    Console(width=150).print(table)
 
 
 if __name__ == "__main__":

@@ -15,56 +15,35 @@ import os
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 import argparse
-import json
 import platform
-import subprocess
-import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import version
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 from particles import TRILOBITES, aligned, specimens
-from PIL import Image
-from rich.console import Console
+from planar_maps import CONSOLE, determinants_by_differences, in_pixels
+from registration_hard import hard
+from registration_large import first, large
 from rich.table import Table
 from skimage.transform import ThinPlateSplineTransform
 from skimage.transform import warp as skimage_warp
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "registration"))
-from noisy_landmarks import SIDE as NOISY_SIDE
-from noisy_landmarks import noisy_pairs
-
 from codegen.author.points import PointSet, read_points
-from codegen.errors import LandmarkError, RegistrationError
+from codegen.errors import RegistrationError
 from codegen.registration import LandmarkPairs, certify, register, warp_reported
 from codegen.registration.frame import coarse_grid, pixel_grid
 from codegen.registration.warp import sources
 
-CONSOLE = Console(width=130)
 SIDE = 128
 """Pixels along an image on which folding is looked for."""
-
-
-def in_pixels(points: PointSet, side: int) -> LandmarkPairs:
-    """Landmarks of the disc in the middle of a square image, whose edges are at 0.85 of its radius."""
-    middle, scale = (side - 1) / 2, side / 1.7
-    return LandmarkPairs(middle + scale * points.start, middle + scale * points.target)
 
 
 def thin_plate(pairs: LandmarkPairs) -> Any:
     """scikit-image's thin-plate spline from the moving to the fixed landmarks."""
     return ThinPlateSplineTransform.from_estimate(pairs.moving, pairs.fixed)
-
-
-def determinants_by_differences(function: Callable[[Any], Any], points: Any, step: float = 1e-3) -> Any:
-    """The determinant of a map's derivative at points, from central differences."""
-    columns = [(function(points + d) - function(points - d)) / (2.0 * step) for d in step * np.eye(2)]
-    return np.linalg.det(np.stack(columns, axis=-1))
 
 
 def folding(count: int, repeat: int) -> None:
@@ -181,149 +160,6 @@ def drag(count: int, repeat: int) -> None:
         name = f"{side} x {side}, {channels} channel{'s' if channels > 1 else ''}"
         shown.add_row(name, f"{best[0]:.1f}", f"{best[1]:.3f}", f"({best[2]:.3f})", f"{best[3]:.1e}")
     CONSOLE.print(shown)
-
-
-def folded_by_differences(found: Any, side: int, count: int = 257) -> tuple[int, float]:
-    """Points of a grid at which the map turns an image over, and the least factor by which it enlarges areas.
-
-    The factor is that of differences of places 0.002 pixels apart, which know nothing of derivatives. After the whole
-    image, a twentieth of it about the least factor is looked at as finely again.
-    """
-    step = side / (count - 1)
-    grid = coarse_grid((side, side), count)
-    everywhere = determinants_by_differences(found.map_points, grid)
-    middle = grid[np.argmin(everywhere)]
-    near = determinants_by_differences(found.map_points, middle + step * count / 40 * (2.0 * grid / side - 1.0))
-    return int((~(everywhere > 0.0)).sum() + (~(near > 0.0)).sum()), float(min(everywhere.min(), near.min()))
-
-
-def turned(pairs: LandmarkPairs, degrees: float, side: int) -> LandmarkPairs:
-    """The pairs with the fixed image turned about its middle."""
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    middle = (side - 1) / 2
-    return LandmarkPairs(pairs.moving, (pairs.fixed - middle) @ np.array([[cosine, sine], [-sine, cosine]]) + middle)
-
-
-def hard_cases() -> Iterator[tuple[str, LandmarkPairs, dict[str, Any]]]:
-    """What is asked of a registration by users who do not know that it is difficult, on 512 x 512 pixels."""
-    for count in (500, 1000, 2000):
-        yield f"{count} landmarks", noisy_pairs(count, 0.0, 1), {}
-    for count in (500, 2000):
-        yield f"{count} landmarks, errors of 1 px, sigma 1", noisy_pairs(count, 1.0, 1), {"sigma": 1.0}
-    yield "2000 landmarks, errors of 1 px, sigma auto", noisy_pairs(2000, 1.0, 1), {"sigma": "auto"}
-    for degrees in (30, 90, 150, 180):
-        pairs = turned(noisy_pairs(40, 0.0, 2), degrees, NOISY_SIDE)
-        yield f"40 landmarks, turned by {degrees}", pairs, {}
-        yield f"40 landmarks, turned by {degrees}, not aligned", pairs, {"align": "none"}
-    generator = np.random.default_rng(3)
-    for count in (10, 20, 40):
-        pairs = noisy_pairs(count, 0.0, 3)
-        order = np.arange(count)
-        order[:2] = 1, 0
-        yield f"{count} landmarks, 1 and 2 changed", LandmarkPairs(pairs.moving, pairs.fixed[order]), {}
-        permuted = LandmarkPairs(pairs.moving, pairs.fixed[generator.permutation(count)])
-        yield f"{count} landmarks, permuted", permuted, {}
-        yield f"{count} landmarks, permuted, sigma 20", permuted, {"sigma": 20.0}
-
-
-def hard(count: int, repeat: int) -> None:
-    """Many landmarks, turns and permutations: solved without a fold, or refused."""
-    del count, repeat
-    shape = (NOISY_SIDE, NOISY_SIDE)
-    register(noisy_pairs(20, 0.0, 1), shape)
-    for name, pairs, options in hard_cases():
-        begin = perf_counter()
-        try:
-            found = register(pairs, shape, **options)
-        except (RegistrationError, LandmarkError) as error:
-            CONSOLE.print(f"{name}: {perf_counter() - begin:.1f} s, refused: {error}")
-            continue
-        seconds = [perf_counter() - begin]
-        certificate = certify(found)
-        seconds.append(perf_counter() - begin - seconds[0])
-        points, least = folded_by_differences(found, NOISY_SIDE, 257 if len(pairs) < 500 else 65)
-        deviation = np.sqrt((found.residuals**2).mean() / 2.0)
-        way = "proved" if certificate.proved else "pixels"
-        CONSOLE.print(
-            f"{name}: {seconds[0]:.1f} s, certificate {seconds[1]:.1f} s ({way}, {certificate.folded} folded), "
-            f"{found.steps} steps, {found.alignment.kind}, residual {deviation:.2g} px; "
-            f"by differences {points} points folded, least {least:.4f}"
-        )
-
-
-def measured(command: list[str], cache: str | None = None) -> tuple[dict[str, Any], float, float, float]:
-    """What a command prints as JSON, its seconds, those of processors, and its largest memory in GB."""
-    environment = os.environ | ({} if cache is None else {"CODEGEN_CACHE_DIR": cache})
-    begin = perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
-        printed = process.stdout.read() if process.stdout else b""
-        used = os.wait4(process.pid, 0)[2]
-        process.returncode = 0
-    lines = printed.decode().strip()
-    return (
-        json.loads(lines) if lines else {},
-        perf_counter() - begin,
-        used.ru_utime + used.ru_stime,
-        used.ru_maxrss / 2**20,
-    )
-
-
-def _command(folder: Path, width: int, height: int) -> list[str]:
-    """Files of an image with 40 landmarks, and the command that warps it."""
-    x, y = np.arange(width), np.arange(height)[:, None]
-    picture = (127 + 60 * np.sin(x / 37) + 60 * np.sin(y / 51)).astype(np.uint8)
-    Image.fromarray(picture).save(folder / "a.png", compress_level=1)
-    pairs = in_pixels(read_points(TRILOBITES, 2), min(width, height))
-    table = np.hstack([pairs.moving, pairs.fixed])
-    np.savetxt(folder / "a.csv", table, delimiter=",", header="moving_x,moving_y,fixed_x,fixed_y", comments="")
-    files = [str(folder / "a.png"), "--landmarks", str(folder / "a.csv"), "--out", str(folder / "b.png")]
-    return [sys.executable, "-m", "codegen", "warp", *files, "--json"]
-
-
-SPLINE = """
-import sys, numpy as np
-from skimage.transform import ThinPlateSplineTransform, warp
-table = np.loadtxt(sys.argv[1], delimiter=",", skiprows=1)
-width, height, scale = (float(word) for word in sys.argv[2:])
-picture = np.zeros((int(height), int(width)), np.uint8)
-spline = ThinPlateSplineTransform.from_estimate(table[:, 2:] * scale, table[:, :2] * scale)
-warp(picture, spline, order=1, preserve_range=True)
-"""
-
-
-def large(count: int, repeat: int) -> None:
-    """8000 x 6000 pixels and 40 landmarks by the command, and scikit-image's thin-plate spline on fewer pixels."""
-    del count, repeat
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        command = _command(folder, 8000, 6000)
-        for option in ((), ("--exact",)):
-            record, wall, used, memory = measured([*command, *option])
-            parts = {part: round(seconds, 1) for part, seconds in record["seconds"].items()}
-            share, seen = (
-                record["seconds"]["certify"] / wall,
-                f"{wall:.1f} s ({used:.1f} s of processors), {memory:.2f} GB",
-            )
-            CONSOLE.print(f"8000 x 6000 {' '.join(option)}: {seen}, "
-                          f"certificate {share:.0%}; {record['status']}, {parts}")  # fmt: skip
-        for width, height in ((1000, 750), (2000, 1500)):
-            scale = str(width / 8000)
-            spline = [sys.executable, "-c", SPLINE, str(folder / "a.csv"), str(width), str(height), scale]
-            _, wall, used, memory = measured(spline)
-            CONSOLE.print(
-                f"scikit-image, {width} x {height}: {wall:.1f} s ({used:.1f} s of processors), {memory:.2f} GB"
-            )
-
-
-def first(count: int, repeat: int) -> None:
-    """The first run on a machine, in which the solver is derived and compiled, and the second."""
-    del count, repeat
-    with TemporaryDirectory() as name:
-        command = _command(Path(name), 512, 512)
-        for run in ("first", "second"):
-            record, wall, used, _ = measured(command, cache=str(Path(name) / "cache"))
-            build = record["seconds"]["build"]
-            CONSOLE.print(f"{run} run: {wall:.1f} s ({used:.1f} s of processors), of which solver {build:.1f} s")
 
 
 def environment() -> str:

@@ -1,12 +1,13 @@
 """Errors of landmarks, measured: sigma, outliers, near duplicates, certificates; beside scikit-image's thin plate.
 
-    python tests/benchmarks/registration_noise.py [noise outliers certificates] [--repeat R]
+    python tests/benchmarks/registration_noise.py [noise rough outliers certificates] [--repeat R]
 
 `noise` registers known warps of 512 x 512 pixels by 20 to 200 landmarks with errors of 1, 3 and 10 pixels, with the
 true sigma and with an estimated one; errors of maps are root mean squares over the image, medians of R warps, beside
 scipy's smoothing thin-plate spline with residuals of the same standard deviation, and scikit-image's exact one.
-`outliers` plants 20 of 200. `certificates` times proof, every pixel and the positions that a warp needs, on 1024 x 1024
-pixels. The extra `bench` has what this needs.
+`rough` estimates errors of landmarks in random fields of known covariance, beside the Cramer-Rao bound of one who
+knows it. `outliers` plants 20 of 200. `certificates` times proof, every pixel and the positions that a warp needs, on
+1024 x 1024 pixels. The extra `bench` has what this needs.
 
 Of 20 landmarks with errors of 1, 3 and 10 pixels, an estimate by one who knew the covariance of the warps would have
 0.34, 0.23 and 0.17 for the standard deviation of its logarithm, by the Cramer-Rao bound, so that 76, 92 and 98 percent
@@ -19,6 +20,8 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import argparse
 import sys
+from itertools import product
+from math import erf
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -33,6 +36,7 @@ from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 from codegen.registration import LandmarkPairs, certify, find_outliers, register
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.frame import coarse_grid
+from codegen.registration.likelihood import likely_sigma
 from codegen.registration.warp import sources
 
 SHAPE = (SIDE, SIDE)
@@ -85,6 +89,48 @@ def _noise_of(count: int, size: float, seed: int) -> list[float]:
     return [deviations[0] / size, auto.sigma / size, *(distance(f, seed) for f in maps), solves, seconds]
 
 
+def gaussian_field(places: Any, logarithms: Any) -> Any:
+    """The covariance of displacements: errors, and a Gaussian field with a size and a length."""
+    errors, field, squared_length = np.exp(logarithms)
+    squares = ((places[:, None] - places) ** 2).sum(axis=-1)
+    return errors * np.eye(len(places)) + field * np.exp(-squares / (2.0 * squared_length))
+
+
+def bound_of_logarithm(places: Any, logarithms: Any) -> float:
+    """The least standard deviation of log(sigma), by Cramer and Rao, of who knows the kind of field."""
+    trend = np.hstack([np.ones((len(places), 1)), places - places.mean(axis=0)])
+    free = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
+    inverse = np.linalg.inv(free.T @ gaussian_field(places, logarithms) @ free)
+    slopes = [
+        free.T @ (gaussian_field(places, logarithms + d) - gaussian_field(places, logarithms - d)) @ free / 2e-5
+        for d in 1e-5 * np.eye(3)
+    ]
+    # Of two coordinates, of which each has half the trace for its information.
+    information = np.array([[np.trace(inverse @ a @ inverse @ b) for b in slopes] for a in slopes])
+    return float(np.sqrt(np.linalg.inv(information)[0, 0])) / 2.0
+
+
+def rough(repeat: int) -> None:
+    """Displacements of 12 pixels that change within a length, on 512 x 512 pixels."""
+    print("landmarks length noise | unpredictable, px | bound of log(sigma), within 1.5 by it | auto/noise, within 1.5")
+    for count, length, size in product((20, 80), (60.0, 100.0, 150.0), (1.0, 3.0)):
+        rows = np.array([_rough(count, length, size, seed) for seed in range(repeat)])
+        unknown, bound, found = np.median(rows, axis=0)
+        expected, share = erf(np.log(1.5) / bound / np.sqrt(2.0)), (np.abs(np.log(rows[:, 2])) < np.log(1.5)).mean()
+        said = f"{unknown:5.2f} | {bound:.2f}, {expected:.0%} | {found:.2f}, {share:.0%}"
+        print(f"{count:4d} {length:4.0f} {size:3.0f} | {said}", flush=True)
+
+
+def _rough(count: int, length: float, size: float, seed: int) -> tuple[float, float, float]:
+    """What of the field others do not predict at a landmark, the bound, and the estimate by the truth."""
+    generator = np.random.default_rng(seed)
+    places, logarithms = generator.uniform(0.05, 0.95, (count, 2)) * SIDE, np.log([size**2, 144.0, length**2])
+    whole = gaussian_field(places, logarithms)
+    exact = np.linalg.inv(whole - (size**2 - 1e-6) * np.eye(count))
+    found = likely_sigma(places, np.linalg.cholesky(whole) @ generator.normal(size=(count, 2))).sigma
+    return float(np.median(np.diag(exact) ** -0.5)), bound_of_logarithm(places, logarithms), found / size
+
+
 def outliers(repeat: int) -> None:
     """Planted landmarks that are found, and others that are named."""
     print("noise | found of 20, least | others, most")
@@ -122,7 +168,7 @@ def certificates(repeat: int) -> None:
         print(f"{count} | {spent} | {proof.proved} | {proof.det_min:.6f} {every.det_min:.6f}", flush=True)
 
 
-PARTS = {"noise": noise, "outliers": outliers, "certificates": certificates}
+PARTS = {"noise": noise, "rough": rough, "outliers": outliers, "certificates": certificates}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])

@@ -20,100 +20,34 @@ import os
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 import argparse
-import importlib.resources
-import json
-import resource
-import subprocess
-import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import SimpleITK as sitk
-from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
-from scipy.ndimage import gaussian_filter
+from known_volumes import (
+    UPRIGHT,
+    Map,
+    Points,
+    b_spline,
+    brains,
+    determinants,
+    inner_points,
+    known_map,
+    texture,
+    thin_plate,
+)
+from registration_volume_files import many, size
 
 from codegen.errors import CodegenError
 from codegen.registration import LandmarkPairs, certify, register
 from codegen.registration.certificate import in_provable_steps
-from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
 from codegen.registration.volumes.blocks import warped
 from codegen.registration.volumes.fields import write_field
-from codegen.registration.volumes.files import Volume, read_volume, write_volume
+from codegen.registration.volumes.files import Volume
 from codegen.registration.volumes.nodes import Nodes
-
-Points = NDArray[np.float64]
-Map = Callable[[Points], Points]
-UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def known_map(grid: Grid, strength: float, seed: int) -> Map:
-    """From the fixed volume to the moving one: waves of about two to an edge; `strength` is a share of the edge."""
-    generator = np.random.default_rng(seed)
-    length = float(np.min(np.array(grid.size) * grid.spacing))
-    waves = generator.normal(size=(3, 3)) * 2.0 / length
-    phases = generator.uniform(0.0, 6.0, 3)
-
-    def moved(points: Points) -> Points:
-        return points + strength * length * np.sin(points @ waves.T + phases)
-
-    return moved
-
-
-def texture(grid: Grid, seed: int = 0) -> Volume:
-    """Smooth grey of 16 bits."""
-    noise = gaussian_filter(np.random.default_rng(seed).normal(size=grid.shape), 2.5)
-    return Volume((8000.0 + 3000.0 * noise / noise.std()).clip(0, 30000).astype(np.int16), grid)
-
-
-def brains() -> list[tuple[str, Volume]]:
-    """Volumes of the package nibabel: a small anatomy, and the first of an oblique, anisotropic series."""
-    import nibabel
-
-    folder = Path(str(importlib.resources.files(nibabel))) / "tests" / "data"
-    found = [("anatomical.nii", read_volume(folder / "anatomical.nii"))]
-    series = sitk.ReadImage(str(folder / "example4d.nii.gz"))[:, :, :, 0]
-    with tempfile.TemporaryDirectory() as scratch:
-        sitk.WriteImage(series, f"{scratch}/first.nii.gz")
-        found.append(("example4d.nii.gz, first", read_volume(Path(scratch) / "first.nii.gz")))
-    return found
-
-
-def inner_points(grid: Grid, count: int, seed: int) -> Points:
-    share = np.random.default_rng(seed).uniform(0.12, 0.88, (count, 3))
-    return grid.to_places(share * (np.array(grid.size) - 1.0))
-
-
-def thin_plate(pairs: LandmarkPairs) -> Map:
-    return RBFInterpolator(pairs.fixed, pairs.moving, kernel="linear", degree=1)
-
-
-def b_spline(pairs: LandmarkPairs, grid: Grid, controls: int = 8) -> Map:
-    """SimpleITK's B-spline through landmarks, with so many control points along each axis, on an upright grid."""
-    axes = np.array(grid.direction)
-    fixed, moving = ((points - grid.origin) @ axes for points in (pairs.fixed, pairs.moving))
-    reference = sitk.Image([int(n) for n in grid.size], sitk.sitkUInt8)
-    reference.SetSpacing(grid.spacing)
-    transform = sitk.LandmarkBasedTransformInitializer(
-        sitk.BSplineTransform(3), fixed.ravel().tolist(), moving.ravel().tolist(), referenceImage=reference,
-        numberOfControlPoints=controls,
-    )  # fmt: skip
-
-    def mapped(points: Points) -> Points:
-        moved = [transform.TransformPoint(point) for point in ((points - grid.origin) @ axes).tolist()]
-        return np.array(moved) @ axes.T + grid.origin
-
-    return mapped
-
-
-def determinants(function: Map, points: Points, step: float) -> NDArray[np.float64]:
-    """By central differences."""
-    columns = [(function(points + step * e) - function(points - step * e)) / (2.0 * step) for e in np.eye(3)]
-    return np.asarray(np.linalg.det(np.stack(columns, axis=2)))
 
 
 def measured(function: Map, pairs: LandmarkPairs, truth: Map | None, points: Points, pixel: float) -> list[float]:
@@ -156,12 +90,12 @@ def folds(repeat: int) -> None:
     )
     grid = Grid((64, 64, 64), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), UPRIGHT, "mm")
     probe = grid.samples(20)
-    for count, size in ((10, 4.0), (20, 4.0), (20, 8.0), (40, 4.0), (40, 8.0)):
+    for count, far in ((10, 4.0), (20, 4.0), (20, 8.0), (40, 4.0), (40, 8.0)):
         counts, proved, worst, refused = np.zeros(3), 0, 0.0, 0
         for seed in range(repeat):
             generator = np.random.default_rng(seed)
             fixed = inner_points(grid, count, seed)
-            pairs = LandmarkPairs(fixed + size * generator.normal(size=fixed.shape) / np.sqrt(3.0), fixed)
+            pairs = LandmarkPairs(fixed + far * generator.normal(size=fixed.shape) / np.sqrt(3.0), fixed)
             # Folds are looked for where they are likely: about landmarks as well.
             near = np.vstack([probe, (fixed[:, None] + generator.normal(size=(count, 20, 3))).reshape(-1, 3)])
             try:
@@ -176,7 +110,7 @@ def folds(repeat: int) -> None:
             counts[1] += measured(thin_plate(pairs), pairs, None, near, 1.0)[2] > 0.0
             counts[2] += measured(b_spline(pairs, grid), pairs, None, near, 1.0)[2] > 0.0
         said = " ".join(f"{int(n):4d}" for n in counts)
-        print(f"{count:4d} {size:4.0f} | {said} of {repeat} | {proved}, refused {refused} | {worst:.1e}")
+        print(f"{count:4d} {far:4.0f} | {said} of {repeat} | {proved}, refused {refused} | {worst:.1e}")
 
 
 def labels(repeat: int) -> None:
@@ -250,64 +184,6 @@ def noise(repeat: int) -> None:
             ranges = " | ".join(f"{table[:, k].min():.2f}-{table[:, k].max():.2f}" for k in (0, 1))
             far = " ".join(f"{x:.2f}" for x in middle[2:6])
             print(f"{count:4d} {deviation:3.0f} | {ranges} | {far} | {middle[6]:.2f}")
-
-
-def size(repeat: int) -> None:
-    """256 x 256 x 256 voxels and 40 landmarks by the command, and its parts; the peak of its memory."""
-    grid = Grid((256, 256, 256), (-100.0, -90.0, -80.0), (0.8, 0.8, 0.8), UPRIGHT, "mm")
-    truth, fixed = known_map(grid, 0.02, 0), inner_points(grid, 40, 0)
-    pairs = LandmarkPairs(truth(fixed), fixed)
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        write_volume(folder / "moving.nii.gz", texture(grid).samples, grid)
-        write_volume(folder / "fixed.nii.gz", texture(grid, 1).samples, grid)
-        (folder / "pairs.csv").write_text(landmark_texts(pairs, "csv")[0])
-        names = "warp moving.nii.gz --landmarks pairs.csv --fixed fixed.nii.gz --out warped.nii.gz --json".split()
-        for more in ([], ["--field", "field.nii.gz", "--report", "r.html"], ["--interpolation", "cubic"]):
-            begin = perf_counter()
-            command = [sys.executable, "-m", "codegen", *names, *more]
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-            seconds = perf_counter() - begin
-            record = json.loads(done.stdout)
-            parts = ", ".join(f"{name} {value:.2f}" for name, value in record["seconds"].items())
-            peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
-            print(f"{' '.join(more) or 'warp alone'}: {seconds:.1f} s, at most {peak:.0f} MB so far ({parts})")
-        moving, reference = sitk.ReadImage(f"{scratch}/moving.nii.gz"), sitk.ReadImage(f"{scratch}/fixed.nii.gz")
-        flat = (pairs.fixed.ravel().tolist(), pairs.moving.ravel().tolist())
-        begin = perf_counter()
-        transform = sitk.LandmarkBasedTransformInitializer(
-            sitk.BSplineTransform(3), *flat, referenceImage=reference, numberOfControlPoints=8
-        )
-        sitk.Resample(moving, reference, transform, sitk.sitkLinear)
-        print(f"SimpleITK's B-spline and its resampling alone: {perf_counter() - begin:.1f} s")
-        begin = perf_counter()
-        thin_plate(pairs)(grid.samples(64))
-        print(f"thin plate at every 64th voxel, times 64: {64.0 * (perf_counter() - begin):.1f} s")
-
-
-def many(repeat: int) -> None:
-    """Batches of one worker, with a field of each specimen: memory must not grow with their number."""
-    grid = Grid((128, 128, 128), (-50.0, -45.0, -40.0), (0.8, 0.8, 0.8), UPRIGHT, "mm")
-    for count in (1, 2, 4, 8):
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(scratch) / "in"
-            folder.mkdir()
-            for seed in range(count):
-                fixed = inner_points(grid, 20, seed)
-                pairs = LandmarkPairs(known_map(grid, 0.02, seed)(fixed), fixed)
-                write_volume(folder / f"{seed}.nii.gz", texture(grid, seed).samples, grid)
-                (folder / f"{seed}.csv").write_text(landmark_texts(pairs, "csv")[0])
-            words = f"warp {folder} --out {scratch}/out --field {scratch}/fields --workers 1 --json".split()
-            begin = perf_counter()
-            # A process of its own, whose children are those of this batch alone.
-            script = (
-                "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL);"
-                "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
-            )
-            command = [sys.executable, "-c", script, sys.executable, "-m", "codegen", *words]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-            megabytes = int(done.stdout) / 1024.0
-            print(f"{count} volumes: {perf_counter() - begin:.1f} s, at most {megabytes:.0f} MB a process")
 
 
 def hard(repeat: int) -> None:

@@ -100,7 +100,6 @@ def test_pairs_are_added_dragged_undone_saved_and_exported_as_the_command_line_d
     assert read_landmarks(landmarks).fixed[5] == pytest.approx(dragged, abs=0)
     out = tmp_path / "by_command.png"
     command = ["warp", files / "moving.png", "--fixed", files / "fixed.png", "--landmarks", landmarks, "--out", out]
-    command += ["--align", "similarity"]  # which is the page's own
     done = CliRunner().invoke(main, [str(word) for word in command])
     assert done.exit_code == 0, done.output
     assert image.read_bytes() == out.read_bytes()
@@ -274,7 +273,7 @@ def test_what_is_shown_can_be_chosen_and_one_image_can_be_bent(visit, files, tmp
     np.testing.assert_array_equal(visit.points("moving"), pairs.moving)
     visit.wait_for("no folding")
     visit.menu("Registration")
-    visit.press("Choose sigma by leaving out")
+    visit.press("Estimate sigma")
     best = round(choose_sigma(pairs, SHAPE, fixed_shape=SHAPE), 3)
     visit.until(lambda v: float(v.page.locator("#sigma").input_value()) == best)
 

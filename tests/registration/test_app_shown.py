@@ -8,7 +8,7 @@ from PIL import Image
 from small_pictures import SHAPE, two_pictures
 
 from codegen.errors import CodegenError, RegistrationError
-from codegen.registration import LandmarkPairs, certificate, register, warp
+from codegen.registration import LandmarkPairs, certificate, chosen_alignment, register, warp
 from codegen.registration.app import exports, reading, solving
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Session
@@ -85,7 +85,7 @@ def test_downloads_are_what_the_core_makes(solved):
     solved.set(Settings(interpolation="cubic"))
     task = solved.task()
     pairs = task.work.landmarks()
-    registration = register(pairs, SHAPE, fixed_shape=(50, 70), align="similarity")
+    registration = register(pairs, SHAPE, fixed_shape=(50, 70))
     download = exports.warped_image(task)
     expected = warp(solved.moving.pixels, registration, interpolation="cubic")
     np.testing.assert_array_equal(read_image(download.data).pixels, expected)
@@ -122,6 +122,20 @@ def test_the_picture_on_the_screen_is_close_to_the_exact_one(solved):
     assert solving.certified(wanted, shown.registration, lambda: True) is None
     areas = shown.registration.determinant(shown.registration.map_points_inverse(grid[:1]))
     np.testing.assert_allclose(found.areas[0, 0], areas[0], rtol=1e-6)
+
+
+def test_landmarks_are_aligned_and_judged_as_by_the_command(solver):
+    """Of the example, which is right, none stands out; one that is moved does."""
+    session = reading.example()
+    for named in ((), (3,)):
+        for k in named:
+            session.move(session.work.pairs[k].identity, "fixed", (300.0, 350.0), True)
+        wanted = solving.Wanted(session.task())
+        shapes, registration = solving.arguments(wanted.task)[0], solving.found(wanted, None)
+        assert registration.alignment.kind == chosen_alignment(session.work.landmarks(), **shapes).kind
+        assert solving.certified(wanted, registration, lambda: False).outliers == named
+    hasty = solving.found(solving.Wanted(session.task(), hasty=True), registration)
+    assert hasty.alignment.kind == registration.alignment.kind
 
 
 def test_new_partners_are_where_the_registration_maps_them(solved):

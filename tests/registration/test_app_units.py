@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from browser import START, Visit, browser, server
 
-from codegen.registration import LandmarkPairs
-from codegen.registration.formats import write_landmarks
+from codegen.registration import LandmarkPairs, chosen_alignment, leave_one_out
+from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.images import write_image
 
 pytest.importorskip("tornado", reason="tornado is not installed")
@@ -67,7 +67,7 @@ def in_units(visit, chosen):
     visit.menu("View")
 
 
-def test_the_table_has_lengths_of_slices_and_errors_where_pixels_are_square(visit, files):
+def test_the_table_has_lengths_and_errors_of_slices_in_their_unit(visit, files):
     visit.until(lambda v: np.isfinite(cells(v, "left_out")).all())
     pixels, errors = {side: cells(visit, f"{side} input") for side in SIZES}, cells(visit, "left_out")
     assert heads(visit) == ["residual", "left out"]
@@ -85,14 +85,16 @@ def test_the_table_has_lengths_of_slices_and_errors_where_pixels_are_square(visi
     visit.until(lambda v: v.points("fixed")[0][0] == pytest.approx(25.0))
 
 
-def test_errors_stay_in_pixels_where_these_are_not_square(visit, files):
+def test_errors_have_a_unit_where_pixels_are_not_square(visit, files):
     visit.upload("Open fixed image …", files / "moving.nii.gz")
     visit.until(lambda v: v.page.evaluate("window.__page.model.images.fixed.name") == "moving.nii.gz")
     visit.until(lambda v: np.isfinite(cells(v, "left_out")).all())
-    errors = cells(visit, "left_out")
     in_units(visit, chosen=True)
-    assert heads(visit) == ["residual px", "left out px"]
-    np.testing.assert_array_equal(cells(visit, "left_out"), errors)
+    assert heads(visit) == ["residual mm", "left out mm"]
+    pairs, shape = read_landmarks(files / "pairs.csv"), (72, 96)
+    align = chosen_alignment(pairs, shape).kind
+    misses = leave_one_out(pairs, shape, align=align).misses
+    np.testing.assert_allclose(cells(visit, "left_out"), np.hypot(*(misses * SIZES["moving"]).T), atol=0.02)
 
 
 def test_a_volume_is_refused_in_one_line_and_the_session_goes_on(visit, files):

@@ -221,6 +221,7 @@ def test_tables_name_their_pairs(tmp_path):
         ("moving,landmarks,out\na.png,a.csv\n", "pairs.csv:2: not as many values"),
         ("moving,landmarks,out\na.png,a.csv,b,c\n", "pairs.csv:2: not as many values"),
         ("moving,landmarks,out\na.png,,b.png\n", "pairs.csv:2: an image and its landmarks are missing"),
+        ("moving,landmarks,out,interpolation\na.png,a.csv,b,best\n", "pairs.csv:2: unknown interpolation 'best'"),
         ("moving,landmarks\na.png,a.csv\n", "pairs.csv:2: there is no place for the result"),
         ("moving,landmarks,out\na.png,a.csv,b.png\nc.png,c.csv,b.png\n", "would both be written to"),
         ("moving,landmarks,out\n\xff\n".encode("latin-1"), "pairs.csv cannot be read"),

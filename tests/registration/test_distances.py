@@ -106,3 +106,38 @@ def test_specimens_of_a_tps_file_are_read(tmp_path):
     found = read_specimens(file)
     assert found.names == ("x", "b.jpg", "3")
     assert found.landmarks[2].tolist() == [[1.0, 2.0], [3.0, 6.0]]
+
+
+def test_the_mean_shape_is_written(specimens, tmp_path):
+    file, mean = tmp_path / "all.csv", tmp_path / "mean.csv"
+    rows = [(name, *point) for name, points in zip("abcde", specimens.landmarks) for point in points]
+    with file.open("w", newline="") as stream:
+        csv.writer(stream).writerows([("specimen", "x", "y"), *rows])
+    asked = [str(file), "--out", str(tmp_path / "d.csv"), "--mean", str(mean), "--workers", "1"]
+    assert CliRunner().invoke(main, ["distances", *asked]).exit_code == 0
+    found = np.loadtxt(mean, delimiter=",", skiprows=1)
+    assert found[:, 0].tolist() == list(range(1, 13))
+    # Of shapes of one size, the mean is the one that the sum of them is a multiple of, after turns onto it.
+    assert np.abs(found[:, 1:].mean(axis=0)).max() < 1e-9
+    assert (found[:, 1:] ** 2).sum() == pytest.approx(1.0)
+    summed = np.zeros(12, complex)
+    mean_shape = found[:, 1] + 1j * found[:, 2]
+    for points in specimens.landmarks:
+        one = points[:, 0] + 1j * points[:, 1]
+        one -= one.mean()
+        summed += one * np.vdot(one, mean_shape) / np.vdot(one, one).real  # the best similarity
+    np.testing.assert_allclose(summed / np.linalg.norm(summed), mean_shape, atol=1e-8)
+
+
+def test_specimens_without_distances_are_left_out_of_the_picture(specimens, monkeypatch):
+    whole = geodesic_distances(specimens)
+
+    def lacking(self, i, j):
+        return (np.nan, f"{i} and {j}: none") if 2 in (i, j) and j != 4 else (whole.table[i, j], "")
+
+    monkeypatch.setattr("codegen.registration.batches.distances.DistanceWork._compared", lacking)
+    found = geodesic_distances(specimens)
+    assert len(found.failed) == 3
+    kept = [0, 1, 3, 4]
+    np.testing.assert_array_equal(np.isfinite(found.points).all(axis=1), [True, True, False, True, True])
+    np.testing.assert_allclose(found.points[kept], classical_scaling(whole.table[np.ix_(kept, kept)])[0])

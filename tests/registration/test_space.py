@@ -298,6 +298,22 @@ def test_more_steps_are_made_where_few_prove_nothing():
     assert certify(more).proved
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_landmarks_in_another_order_are_proved_not_to_fold(seed):
+    """Landmarks that change places pull hard near each other, where small cells decide."""
+    fixed = wavy_pairs(12).fixed
+    found = register(LandmarkPairs(fixed[np.random.default_rng(seed).permutation(12)], fixed), GRID, align="none")
+    found = in_provable_steps(found)
+    assert certify(found).proved
+    bounds = bound_of_steps(found.flow, 200_000)
+    generator = np.random.default_rng(0)
+    for k in range(0, found.steps, 4):
+        places = found.flow.path[k, 0]
+        points = np.vstack([places + scale * generator.normal(size=places.shape) for scale in (1e-4, 0.01, 0.1)])
+        tangents = found.flow.carry_with_jacobian(points, k / found.steps, (k + 1) / found.steps)[1]
+        assert np.linalg.norm(tangents - np.eye(3), ord=2, axis=(1, 2)).max() <= bounds[k] < 1.0
+
+
 def test_voxels_are_evaluated_in_slabs_where_nothing_is_proved(monkeypatch):
     found = register(wavy_pairs(12), GRID)
     monkeypatch.setattr("codegen.registration.certificate.bound_of_steps", lambda flow, most: None)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dask_parts import cluster
 from typer.testing import CliRunner
 
 from codegen.cli import main
@@ -95,10 +96,35 @@ def test_failures_are_listed_by_specimen_and_pictures_go_beside_volumes(folder, 
 def test_labels_of_a_table_keep_their_values(folder, tmp_path, space_solver):
     labels = np.random.default_rng(5).choice([0, 3, 4000], GRID.shape).astype("u2")
     write_volume(folder / "a_labels.nrrd", labels, GRID)
-    table = folder / "labels.csv"
-    table.write_text(f"moving,landmarks,out\na_labels.nrrd,a.csv,{tmp_path / 'warped labels.nrrd'}\n")
-    run(table, "--interpolation", "nearest", "--workers", "1")
-    assert set(np.unique(read_volume(tmp_path / "warped labels.nrrd").samples)) == {0, 3, 4000}
+    table, warped = folder / "labels.csv", tmp_path / "warped labels.nrrd"
+    own = f"a.nii.gz,a.csv,{tmp_path / 'a.nrrd'},\na_labels.nrrd,a.csv,{warped},"
+    table.write_text(f"moving,landmarks,out,interpolation\n{own}nearest\n")
+    run(table, "--workers", "1")
+    assert set(np.unique(read_volume(warped).samples)) == {0, 3, 4000}
+    found = lines(folder / "labels.summary.csv")
+    assert {name: line["interpolation"] for name, line in found.items()} == {
+        "a.nii.gz": "linear", "a_labels.nrrd": "nearest"
+    }  # fmt: skip
+    # Another interpolation is another result, although nothing else of the pair has changed.
+    table.write_text(f"moving,landmarks,out,interpolation\n{own}linear\n")
+    assert json.loads(run(table, "--workers", "1", "--json").stdout)["unchanged"] == 1
+    assert len(np.unique(read_volume(warped).samples)) > 3
+
+
+def test_workers_of_a_cluster_make_the_volumes_and_fields_of_one_process(folder, tmp_path, monkeypatch, space_solver):
+    monkeypatch.chdir(tmp_path)
+    run(folder, "--out", "one", "--field", "one fields", "--workers", "1")
+    with cluster() as (address, _, _):
+        asked = [folder, "--out", "many", "--field", "many fields", "--cluster", address, "--json"]
+        record = json.loads(run(*asked).stdout)
+    assert (record["pairs"], record["failed"]) == (4, [])
+    for kind in ("", " fields"):
+        one, many = (
+            {path.name: path.read_bytes() for path in Path(f"{name}{kind}").iterdir() if path.suffix != ".csv"}
+            for name in ("one", "many")
+        )
+        assert one == many
+        assert len(one) >= 4
 
 
 def test_files_of_one_specimen_belong_together_whatever_the_ending(folder, tmp_path):

@@ -244,3 +244,21 @@ def test_sigma_loss_and_alignment_are_told(files):
     assert record["summary"]["folded"] == 0
     assert "by leave-one-out" in record["summary"]["alignment_choice"]
     assert "give a --sigma" in refused(*asked, "--loss", "huber")
+
+
+def test_errors_have_the_unit_that_the_fixed_picture_carries(files):
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(
+        files / "fixed.tif", picture((26, 28), seed=1), imagej=True, resolution=(2.0, 4.0), metadata={"unit": "mm"}
+    )
+    asked = ["--landmarks", files / "pairs.csv", "--fixed", files / "fixed.tif", "--sigma", "0.5", "--out"]
+    record = json.loads(run(files / "moving.png", *asked, files / "o.png", "--json").stdout)
+    pairs = read_landmarks(files / "pairs.csv")
+    misses = register(pairs, SHAPE, fixed_shape=(26, 28), sigma=0.5).map_points(pairs.moving) - pairs.fixed
+    seen = record["summary"]
+    assert (seen["length_unit"], seen["pixel_lengths"]) == ("mm", [0.5, 0.25])
+    np.testing.assert_allclose(seen["residual_lengths"], np.hypot(0.5 * misses[:, 0], 0.25 * misses[:, 1]), rtol=1e-6)
+    assert len(seen["leave_one_out_lengths"]) == 5
+    said = run(files / "moving.png", *asked, files / "o.png", "--report", files / "o.html").stdout
+    assert re.search(r"residual +[0-9.]+ px at most, standard deviation [0-9.]+ px \([0-9.]+ and [0-9.]+ mm\)", said)
+    assert "<th>residual, mm</th><th>left out, mm</th>" in (files / "o.html").read_text()

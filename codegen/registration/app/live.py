@@ -25,6 +25,7 @@ from codegen.registration.app.state import Work
 from codegen.registration.app.tabs import Line, Tab
 from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 from codegen.registration.maps import Registration
+from codegen.registration.noise import SigmaEstimate
 
 MOST_CLIENTS = 50
 """The last edits of so many pages are remembered."""
@@ -241,20 +242,21 @@ class LiveWork:
             raise RegistrationError("the solver is still being compiled", "try again when the image is warped")
 
     def _choose_sigma(self) -> None:
-        """Ask for the best sigma, which takes a while."""
+        """Ask for an estimate of sigma, which takes a while."""
         try:
             self.require_solver()
         except CodegenError as error:
             self._say(str(error))
             return
         settings = self.session.work.settings
-        self._say("choosing the distance by which landmarks may miss …", wrong=False)
+        self._say("estimating the errors of the landmarks …", wrong=False)
 
-        def take(sigma: float) -> None:
-            self._say(f"landmarks may miss by {sigma:.3g} pixels", wrong=False)
-            self.change(lambda: self.session.set(replace(settings, sigma=round(sigma, 3))))
+        def take(found: SigmaEstimate) -> None:
+            said = f"landmarks are off by about {found.sigma:.3g} pixels (standard deviation)"
+            self._say(f"{said}; {found.message}" if found.message else said, wrong=False)
+            self.change(lambda: self.session.set(replace(settings, sigma=round(found.sigma, 3))))
 
-        self._slow.ask("sigma", partial(solving.chosen_sigma, self.session.task()), take, self._failed)
+        self._slow.ask("sigma", partial(solving.estimated_sigma, self.session.task()), take, self._failed)
 
     # --- saving -----------------------------------------------------------------------------------------------------
 

@@ -11,9 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.registration.alignment import KINDS
 from codegen.registration.app import solving
-from codegen.registration.app.operations import INTERPOLATIONS, SCHEMES
+from codegen.registration.app.operations import ALIGNMENTS, INTERPOLATIONS, SCHEMES
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
 from codegen.registration.app.session import Session, Task
@@ -32,7 +31,7 @@ def offers() -> Values:
     return {
         "limits": {"image": LIMITS.bytes, "landmarks": MOST_LANDMARK_BYTES, "pairs": MOST_PAIRS},
         "tile": SIDE,
-        "alignments": KINDS,
+        "alignments": ALIGNMENTS,
         "schemes": SCHEMES,
         "interpolations": INTERPOLATIONS,
         "formats": {name: form.title for name, form in FORMATS.items()},
@@ -84,8 +83,10 @@ def solved(shown: Shown) -> Values:
     identities = [pair.identity for pair in task.work.active]
     told |= {
         "found": True, "steps": registration.steps, "met": registration.status == "solved",
-        "residuals": _by_identity(identities, registration.residuals),
+        "residuals": _by_identity(identities, registration.residuals), "alignment": registration.alignment.kind,
     }  # fmt: skip
+    if task.fixed.spacing is not None:
+        told["residual_lengths"] = _by_identity(identities, task.fixed.spacing.lengths(registration.misses))
     if shown.chart is not None:
         charts = {"moving": shown.chart.moving, "fixed": shown.chart.fixed}
         told["chart"] = {side: np.round(places, 3).tolist() for side, places in charts.items()}
@@ -97,12 +98,14 @@ def certified(found: Certified, task: Task) -> Values:
     told: Values = {
         "type": "certified", "revision": found.revision, "least": _number(found.det_min),
         "most": _number(found.det_max), "folded": found.folded, "round_trip": _number(found.round_trip),
-        "left_out": None, "outliers": [], "extreme": extreme(found),
+        "left_out": None, "extreme": extreme(found),
     }  # fmt: skip
     identities = [pair.identity for pair in task.work.active]
+    told["outliers"] = [identities[k] for k in found.outliers]
     if found.left_out is not None:
         told["left_out"] = _by_identity(identities, found.left_out.errors)
-        told["outliers"] = [identities[k] for k in found.left_out.outliers]
+        if task.fixed.spacing is not None:
+            told["left_out_lengths"] = _by_identity(identities, task.fixed.spacing.lengths(found.left_out.misses))
     elif len(identities) > solving.MOST_LEFT_OUT:
         told["note"] = f"of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn"
     return told

@@ -14,6 +14,7 @@ from codegen.registration.app.state import MOST_PAIRS, Place, Settings, Side
 Message: TypeAlias = Mapping[str, Any]
 SCHEMES = {"rk4": "fourth order", "midpoint": "second order", "explicit-euler": "first order"}
 """Schemes that the page offers, and what is said of them."""
+ALIGNMENTS = ("auto", *KINDS)
 INTERPOLATIONS = ("linear", "cubic", "nearest")
 _REMEDY = "load the page again"
 
@@ -57,7 +58,7 @@ def _remove(session: Session, message: Message) -> None:
 def _set(session: Session, message: Message) -> None:
     given = message["settings"]
     settings = Settings(**{f.name: type(f.default)(given[f.name]) for f in fields(Settings)})  # type: ignore[misc]
-    known = {"align": KINDS, "scheme": SCHEMES, "interpolation": INTERPOLATIONS}
+    known = {"align": ALIGNMENTS, "scheme": SCHEMES, "interpolation": INTERPOLATIONS}
     for name, choices in known.items():
         if getattr(settings, name) not in choices:
             raise ValueError(name)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from codegen.registration.app.spacing import Spacing
 from codegen.registration.app.state import Place
+from codegen.registration.images.spacing import Spacing
 
 PREVIEW = 512
 """Longest side, in pixels, of the copy on which areas are certified and that animations show."""

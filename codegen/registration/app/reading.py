@@ -11,7 +11,6 @@ from codegen.errors import ArgumentError, ImageError, PointsError
 from codegen.registration.app.picture import NAME_LENGTH, Picture
 from codegen.registration.app.session import Session
 from codegen.registration.app.slices import ending_of, read_slice
-from codegen.registration.app.spacing import spacing_of
 from codegen.registration.app.state import Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.images import Limits, read_image
@@ -33,7 +32,7 @@ def picture_from(data: bytes, name: str) -> Picture:
         pixels, kind, spacing = read_slice(data, ending, LIMITS, shown)
         return Picture(pixels, shown, data, kind, None, spacing)
     image = read_image(data, LIMITS, shown)
-    return Picture(image.pixels, shown, data, image.kind, image.profile, spacing_of(image.kind, data))
+    return Picture(image.pixels, shown, data, image.kind, image.profile, image.spacing)
 
 
 def picture_at(path: Path) -> Picture:

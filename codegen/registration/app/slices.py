@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ImageError
-from codegen.registration.app.spacing import Spacing, meant, named
 from codegen.registration.images import Limits
 from codegen.registration.images.by_tifffile import SAMPLES
+from codegen.registration.images.spacing import Spacing, meant, named
 from codegen.registration.volumes.files import library, require_whole, silent, telling
 
 _NIFTI = 352

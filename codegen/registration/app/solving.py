@@ -16,9 +16,11 @@ from codegen.errors import RegistrationError
 from codegen.registration.app.picture import Picture, rgba
 from codegen.registration.app.session import Task
 from codegen.registration.frame import coarse_grid
+from codegen.registration.jobs import out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration
-from codegen.registration.noise import choose_sigma
+from codegen.registration.noise import SigmaEstimate, estimate_sigma
+from codegen.registration.outliers import Outliers, outliers_of
 from codegen.registration.register import register
 
 COARSE = 8.0
@@ -31,6 +33,8 @@ HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * F
 """While a point is dragged, the first of these numbers of steps with which there is a solution is taken."""
 MOST_LEFT_OUT = 60
 """With more landmarks, leaving out each in turn takes longer than anyone waits."""
+MOST_JUDGED = 1000
+"""With more landmarks, finding those out of place takes longer than anyone waits."""
 PORTIONS, PAUSE = 20, 0.01
 """The certificate is computed in portions with pauses of so many seconds, which a dragged point may use."""
 GRID_LINES = 16
@@ -110,6 +114,7 @@ class Certified:
     folded: int
     round_trip: float
     left_out: LeaveOneOut | None
+    outliers: tuple[int, ...] = ()
 
 
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
@@ -119,6 +124,8 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
         return None
     shapes, method = arguments(wanted.task)
     if wanted.hasty and previous is not None:
+        if method["align"] == "auto":  # another alignment in the middle of a drag would move everything else
+            method["align"] = previous.matching.align
         rough = previous.flow.module.metadata["order"] == 1
         for steps in HASTY_STEPS_OF_FIRST_ORDER if rough else HASTY_STEPS:
             with suppress(RegistrationError):
@@ -266,6 +273,7 @@ def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bo
             return None
         parts.append(registration.arriving_determinant(points))
     determinants = np.concatenate(parts)
+    without = left_out(wanted, registration)
     return Certified(
         wanted.task.revision,
         areas,
@@ -273,7 +281,8 @@ def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bo
         float(determinants.max()),
         int((~(determinants > 0.0)).sum()),
         registration.round_trip,
-        left_out(wanted, registration),
+        without,
+        out_of_place(judged(registration), without),
     )
 
 
@@ -295,11 +304,16 @@ def left_out(wanted: Wanted, registration: Registration) -> LeaveOneOut | None:
     return leave_one_out(registration.pairs, **shapes, **method, start=registration)
 
 
-def chosen_sigma(task: Task) -> float:
-    """The distance by which landmarks may miss for which those that are left out are met best, in pixels."""
+def judged(registration: Registration) -> Outliers | None:
+    """Landmarks out of place, as `codegen warp` names them; None of very many."""
+    return None if len(registration.pairs) > MOST_JUDGED else outliers_of(registration.matching)
+
+
+def estimated_sigma(task: Task) -> SigmaEstimate:
+    """How large the errors of the landmarks are, in pixels, and what makes that doubtful."""
     shapes, method = arguments(task)
     method.pop("sigma")
-    return choose_sigma(task.work.landmarks(), **shapes, **method)
+    return estimate_sigma(task.work.landmarks(), **shapes, **method)
 
 
 def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:

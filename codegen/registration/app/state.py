@@ -56,7 +56,7 @@ class Pair:
 class Settings:
     """How pairs are registered: arguments of `register` and `warp`, distances in pixels."""
 
-    align: str = "similarity"
+    align: str = "auto"
     sigma: float = 0.0
     scheme: str = DEFAULT_SCHEME
     interpolation: str = "linear"

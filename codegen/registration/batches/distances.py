@@ -26,9 +26,19 @@ from codegen.files import replacing
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.smoothing import registered
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
-from codegen.registration.specimens import SIDE, Specimens, classical_scaling, pairs_of, superimposed, whole_table
+from codegen.registration.specimens import (
+    SIDE,
+    Specimens,
+    classical_scaling,
+    normal,
+    pairs_of,
+    superimposed,
+    whole_table,
+)
 
 FAILED = "not converged"
+FEWEST = 3
+"""Specimens that a picture in two dimensions needs."""
 MOST = 16
 """The most pairs of a chunk."""
 
@@ -37,8 +47,9 @@ MOST = 16
 class Distances:
     """Distances between m specimens, shape (m, m), NaN where none was found, and what is made of them.
 
-    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table; they are NaN
-    where a distance is missing. `mean` is the mean shape, shape (n, 2), in a square of SIDE pixels.
+    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table; NaN are those
+    that had to be left out because distances are missing. `mean` is the mean shape, shape (n, 2), about the origin,
+    with squares of distances from it that sum up to 1.
     """
 
     names: tuple[str, ...]
@@ -65,8 +76,19 @@ def geodesic_distances(
     rows = [row for number in work.chunks for row in found[number].rows]
     table = whole_table(count, [distance for distance, _ in rows])
     failed = tuple(said for _, said in rows if said)
-    points, share = (np.full((count, 2), np.nan), np.nan) if failed else classical_scaling(table)
-    return Distances(specimens.names, table, points, share, mean, failed)
+    points, share = _scaled(table)
+    return Distances(specimens.names, table, points, share, normal(mean), failed)
+
+
+def _scaled(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Specimens in two dimensions; left out, one after the other, are those that lack most distances to others."""
+    points, kept = np.full((len(table), 2), np.nan), np.arange(len(table))
+    while (lacking := np.isnan(table[np.ix_(kept, kept)]).sum(axis=1)).any():
+        kept = np.delete(kept, lacking.argmax())
+    if len(kept) < FEWEST:
+        return points, np.nan
+    points[kept], share = classical_scaling(table[np.ix_(kept, kept)])
+    return points, share
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +169,14 @@ def write_distances(path: Path, found: Distances) -> None:
         writer.writerow(["specimen", "mds_1", "mds_2", *found.names])
         for name, point, row in zip(found.names, found.points, found.table, strict=True):
             writer.writerow([name, *(_text(value) for value in (*point, *row))])
+
+
+def write_mean(path: Path, found: Distances) -> None:
+    """The mean shape as CSV: landmark, x and y."""
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["landmark", "x", "y"])
+        writer.writerows([k, *map(_text, point)] for k, point in enumerate(found.mean, 1))
 
 
 def _text(value: Any) -> str:

@@ -19,7 +19,8 @@ from codegen.registration.volumes.two_files import written_with
 
 SUMMARY = "summary.csv"
 COLUMNS = (
-    "moving", "fixed", "landmarks", "out", "status", "message", "count", "align", "sigma", "steps", "residual",
+    "moving", "fixed", "landmarks", "out", "status", "message", "count", "align", "sigma", "steps", "interpolation",
+    "unit", "residual", "residual_length", "length_unit",
     "det_min", "det_max", "folded", "round_trip", "leave_one_out", "outliers", "seconds", "options",
     "read", "written",
 )  # fmt: skip
@@ -48,6 +49,7 @@ def line_of(record: Mapping[str, Any], digests: Digests) -> Line:
         "landmarks": ";".join(record["landmarks"]),
         "message": one_line(record["message"], 300),
         "count": record["summary"].get("landmarks"),
+        "residual_length": max(seen["residual_lengths"]) if "length_unit" in seen else None,
         "leave_one_out": sorted(errors)[len(errors) // 2] if errors and None not in errors else None,
         "outliers": ";".join(seen.get("outliers") or []),
         "seconds": round(sum(record["seconds"].values()), 3),
@@ -80,7 +82,8 @@ def read_by(job: Job) -> str:
     if not all(digests):
         return ""
     names = [path.name for path in job.read]  # TPS files name images
-    return hashlib.sha256(repr((digests, names)).encode()).hexdigest()[:_DIGITS]
+    own = [] if job.interpolation is None else [job.interpolation]
+    return hashlib.sha256(repr((digests, names, *own)).encode()).hexdigest()[:_DIGITS]
 
 
 def options_digest(options: Options) -> str:

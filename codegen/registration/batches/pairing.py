@@ -6,15 +6,18 @@ import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 from codegen.errors import ArgumentError, one_line
 from codegen.files import refused
 from codegen.registration.images.kinds import KINDS
 from codegen.registration.jobs import Job
 from codegen.registration.volumes.files import READ, ending, is_volume
+from codegen.registration.warp import Interpolation
 
 MOST_PAIRS = 100_000
 _SINGLE, _DOUBLE = (".csv", ".tps"), (".pts", ".mrk.json", ".fcsv")
+_TABLE = ("moving", "fixed", "landmarks", "out", "interpolation")
 _HEADERS = {".nhdr": ".nrrd"}
 """Kinds of volumes that are read and not written, and what is written instead."""
 
@@ -27,7 +30,14 @@ class Places:
     field: Path | None = None
     report: Path | None = None
 
-    def job(self, moving: Path, landmarks: tuple[Path, ...], fixed: Path | None, out: Path | None = None) -> Job:
+    def job(
+        self,
+        moving: Path,
+        landmarks: tuple[Path, ...],
+        fixed: Path | None,
+        out: Path | None = None,
+        interpolation: Interpolation | None = None,
+    ) -> Job:
         """The job of one pair; its outputs are named after the moving image unless `out` names the image.
 
         Fields of pictures are .npz, those of volumes .nii.gz.
@@ -36,7 +46,7 @@ class Places:
         kind = ".nii.gz" if self.field is not None and is_volume(moving) else ".npz"
         field = self.field / f"{_stem(out)}{kind}" if self.field is not None else None
         report = self.report / f"{_stem(out)}.html" if self.report is not None else None
-        return Job(moving, landmarks, out, fixed, field, report)
+        return Job(moving, landmarks, out, fixed, field, report, interpolation)
 
 
 def _stem(image: Path) -> str:
@@ -95,8 +105,9 @@ def _landmarks_of(image: Path) -> tuple[Path, ...]:
 
 
 def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
-    """The pairs of a table with the columns moving and landmarks, and optionally fixed and out.
+    """The pairs of a table with the columns moving and landmarks, and optionally fixed, out and interpolation.
 
+    An interpolation is that of one pair alone, such as nearest for labels; empty: that of all.
     Names are relative to the table's folder; two landmark files of one pair are separated by a semicolon. Raises
     ArgumentError, naming the line, for what is no such table.
     """
@@ -110,10 +121,21 @@ def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
             raise ArgumentError(f"{table}:{line}: there is no place for the result", "fill out, or give --out FOLDER")
         other = table.parent / row["fixed"] if row.get("fixed") else fixed
         files = tuple(table.parent / name.strip() for name in names)
-        jobs.append(places.job(table.parent / moving, files, other, out))
+        jobs.append(places.job(table.parent / moving, files, other, out, _interpolation(table, line, row)))
     if not jobs:
         raise ArgumentError(f"{table} holds no pairs", "give one row for every pair")
     return _distinct(jobs)
+
+
+def _interpolation(table: Path, line: int, row: dict[str, str]) -> Interpolation | None:
+    named = row.get("interpolation", "")
+    if not named:
+        return None
+    choices: tuple[Interpolation, ...] = get_args(Interpolation)
+    known = next((own for own in choices if own == named), None)
+    if known is None:
+        raise ArgumentError(f"{table}:{line}: unknown interpolation {named!r}", f"fill in one of {', '.join(choices)}")
+    return known
 
 
 def _rows(table: Path) -> Iterable[tuple[int, dict[str, str]]]:
@@ -122,13 +144,13 @@ def _rows(table: Path) -> Iterable[tuple[int, dict[str, str]]]:
         with table.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
             header = set(reader.fieldnames or ())
-            if not {"moving", "landmarks"} <= header <= {"moving", "landmarks", "fixed", "out"}:
+            if not {"moving", "landmarks"} <= header <= set(_TABLE):
                 finding = f"{table}: the columns are {','.join(map(str, reader.fieldnames or ()))[:100] or 'missing'}"
-                raise ArgumentError(finding, "name them moving,fixed,landmarks,out in the first line")
+                raise ArgumentError(finding, f"name them {','.join(_TABLE)} in the first line")
             for row in reader:
                 if None in row or None in row.values():
                     finding = f"{table}:{reader.line_num}: not as many values as columns"
-                    raise ArgumentError(finding, "give moving,fixed,landmarks,out, empty where there is none")
+                    raise ArgumentError(finding, f"give {','.join(_TABLE)}, empty where there is none")
                 if reader.line_num > MOST_PAIRS:
                     raise ArgumentError(f"{table} holds more than {MOST_PAIRS} lines", "give several tables")
                 yield reader.line_num, {name: value.strip() for name, value in row.items()}

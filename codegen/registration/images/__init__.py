@@ -21,6 +21,7 @@ from codegen.files import replacing
 from codegen.registration.images import by_pillow, by_tifffile
 from codegen.registration.images.header import header_of
 from codegen.registration.images.kinds import KINDS, Header, readable
+from codegen.registration.images.spacing import Spacing, spacing_of
 
 Pixels: TypeAlias = NDArray[Any]
 """An image of shape (h, w), or (h, w, c) with c = 2 (grey, opacity), 3 (RGB) or 4 (RGB, opacity)."""
@@ -38,11 +39,15 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels as they are stored, the kind of file ("PNG", "JPEG" or "TIFF"), and its colour profile (ICC) if any."""
+    """Pixels as they are stored, and the kind of file ("PNG", "JPEG" or "TIFF").
+
+    Where a file has them, its colour profile (ICC) and the size of a pixel.
+    """
 
     pixels: Pixels
     kind: str
     profile: bytes | None = None
+    spacing: Spacing | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -73,7 +78,10 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
     if pixels.shape[:2] != (header.height, header.width):
         raise ImageError(f"{name} announces {header.width} x {header.height} pixels and holds others", "save it anew")
     turned = _ORIENTATIONS.get(orientation, _ORIENTATIONS[1])(pixels)
-    return Image(np.ascontiguousarray(turned), header.kind, profile)
+    spacing = spacing_of(header.kind, data)
+    if spacing is not None and orientation in _SIDEWAYS:
+        spacing = Spacing(spacing.y, spacing.x, spacing.unit)
+    return Image(np.ascontiguousarray(turned), header.kind, profile, spacing)
 
 
 def _contents(source: Path | str | bytes, limits: Limits, name: str) -> tuple[bytes, str]:
@@ -113,6 +121,7 @@ _ORIENTATIONS: dict[int, Callable[[Pixels], Pixels]] = {
     7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
     8: lambda a: a[:, ::-1].swapaxes(0, 1),
 }
+_SIDEWAYS = (5, 6, 7, 8)
 
 
 def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> None:

@@ -109,7 +109,7 @@ export const acts = {
     if (!model.images) return
     for (const another of panes) {
       if (another === pane) continue
-      if (another.side === pane.side) another.viewport.show(pane.viewport.centre, pane.viewport.zoom)
+      if (another.side === pane.side) copy(pane, another)
       else if (moved && options.linked) follow(pane, another)
       another.paint()
     }
@@ -133,7 +133,7 @@ export const acts = {
     results.root.hidden = !is
     document.getElementById("third").setAttribute("aria-pressed", is)
     results.resize()
-    results.viewport.show(fixed.viewport.centre, fixed.viewport.zoom)
+    copy(fixed, results)
     say.legend(panes)
     looksOtherwise()
   },
@@ -142,6 +142,12 @@ export const acts = {
     looksOtherwise()
   },
   images: () => panes,
+}
+
+// Another view of the same image shows the same; the whole of it where that is seen, whatever the sizes of the views.
+function copy({ viewport }, another) {
+  if (viewport.isWhole) another.viewport.fit()
+  else another.viewport.show(viewport.centre, viewport.zoom)
 }
 
 function follow(pane, another) {

@@ -54,17 +54,26 @@ export class Say {
         verdict.textContent = folds ? "folds" : "no folding"
         state.append(verdict, " ")
       }
-      parts.push(`${residuals.length} ${residuals.length === 1 ? "pair" : "pairs"}`, `${solved.steps} steps`)
-      parts.push(`residual ≤ ${short(Math.max(...residuals.map((residual) => residual ?? NaN)))} px`)
+      parts.push(`${residuals.length} ${residuals.length === 1 ? "pair" : "pairs"}`)
+      if (isNew && certified.outliers.length) {
+        const names = certified.outliers.map((id) => this.model.label(id))
+        parts.push(`out of place: ${names.slice(0, 8).join(", ")}${names.length > 8 ? " …" : ""}`)
+      }
+      parts.push(`residual ≤ ${short(largest(solved.residuals))} px${this.#length(solved)}`)
       if (isNew) {
         parts.push(`areas × ${short(certified.least)} to ${short(certified.most)}`, `round trip ${short(certified.round_trip)} px`)
-        const names = certified.outliers.map((id) => this.model.label(id))
-        if (names.length) parts.push(`look again at ${names.slice(0, 8).join(", ")}`)
-        else if (certified.note) parts.push(certified.note)
       } else if (!solved.hasty && !this.#doing) parts.push("certifying …")
+      parts.push(`${solved.alignment} alignment, ${solved.steps} steps`)
+      if (isNew && certified.note) parts.push(certified.note)
     }
     state.append(parts.join(" · "))
     state.title = state.textContent
+  }
+
+  // The largest residual in the unit of the fixed image, if it has one.
+  #length({ residual_lengths }) {
+    const spacing = this.model.images?.fixed.spacing
+    return spacing && residual_lengths ? ` (${short(largest(residual_lengths))} ${spacing.unit})` : ""
   }
 
   pointer(side, place) {
@@ -131,6 +140,10 @@ function written([x, y], spacing) {
   if (!spacing) return pixels
   const lengths = [x * spacing.x, y * spacing.y].map((length) => Number(length.toPrecision(5)))
   return `${pixels} (${lengths.join(", ")} ${spacing.unit})`
+}
+
+function largest(errors) {
+  return Object.values(errors).reduce((most, error) => Math.max(most, error ?? NaN), 0)
 }
 
 function short(value) {

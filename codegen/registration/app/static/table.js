@@ -7,6 +7,8 @@ const ROW = 27 // height of a row in pixels, as in the style sheet
 const BEYOND = 6 // rows above and below those that are seen
 const PLACES = [["moving", 0], ["moving", 1], ["fixed", 0], ["fixed", 1]]
 const ERRORS = ["residual", "left_out"]
+const PIXELS = { residual: "residuals", left_out: "left_out" }
+const LENGTHS = { residual: "residual_lengths", left_out: "left_out_lengths" }
 const HEADS = { residual: "residual", left_out: "left out" }
 
 export class Table {
@@ -64,8 +66,13 @@ export class Table {
   }
 
   #error(kind, id) {
-    if (kind === "residual") return this.model.solved?.residuals?.[id] ?? null
-    return this.#certified?.left_out?.[id] ?? null
+    const told = kind === "residual" ? this.model.solved : this.#certified
+    return told?.[this.#spacing ? LENGTHS[kind] : PIXELS[kind]]?.[id] ?? null
+  }
+
+  // The size of the fixed image's pixels, in whose unit errors are shown; null where they are shown in pixels.
+  get #spacing() {
+    return (this.units && this.model.images?.fixed.spacing) || null
   }
 
   // What certifies the present pairs, if it is known.
@@ -107,7 +114,7 @@ export class Table {
     const { model } = this
     const open = this.#shown.includes(model.selected) && this.#rows.has(model.selected) ? model.selected : this.#shown[this.#first]
     const outliers = new Set(this.#certified?.outliers)
-    const factor = this.#length()
+    const size = this.#titled()
     for (const [id, row] of this.#rows) {
       const pair = model.pairs.get(id)
       if (!pair) continue
@@ -132,20 +139,19 @@ export class Table {
       })
       ERRORS.forEach((kind) => {
         const error = this.#error(kind, id)
-        row.querySelector(`.${kind}`).textContent = error === null ? "" : inDigits(error * factor, factor)
+        row.querySelector(`.${kind}`).textContent = error === null ? "" : inDigits(error, size)
       })
     }
   }
 
-  // What errors are multiplied by, which are distances in the fixed image: those have a length where its pixels are square.
-  #length() {
-    const spacing = this.units ? this.model.images?.fixed.spacing : null
-    const isSquare = spacing && Math.abs(spacing.x - spacing.y) <= 1e-6 * spacing.x
+  // Say which unit errors have; the size of a pixel in it, by which digits are chosen.
+  #titled() {
+    const spacing = this.#spacing
+    const unit = !this.units ? "" : spacing ? spacing.unit : "px"
     for (const kind of ERRORS) {
-      const unit = !this.units ? "" : isSquare ? spacing.unit : "px"
       this.root.querySelector(`th [data-by=${kind}]`).textContent = [HEADS[kind], unit].filter(Boolean).join(" ")
     }
-    return isSquare ? spacing.x : 1
+    return spacing ? Math.min(spacing.x, spacing.y) : 1
   }
 
   #factor(side, axis) {

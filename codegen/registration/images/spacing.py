@@ -1,6 +1,6 @@
 """How large the pixels of an image are, where its file says so: TIFF files of ImageJ, of OME and with a resolution.
 
-What NIfTI, NRRD and MetaImage say is read with their samples, in `slices.py`.
+What NIfTI, NRRD and MetaImage say is read with their samples, in `codegen.registration.app.slices`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,9 @@ import io
 import re
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 _NAMES = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "inch": "in", "": "mm"}
 _PRINT = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
@@ -24,6 +27,10 @@ class Spacing:
     x: float
     y: float
     unit: str
+
+    def lengths(self, misses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The lengths in the unit of vectors in pixels, shape (n, 2): pixels need not be square."""
+        return np.asarray(np.linalg.norm(misses * [self.x, self.y], axis=1))
 
 
 def spacing_of(kind: str, data: bytes) -> Spacing | None:
