@@ -44,8 +44,13 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
         for values, colour in zip(shown.values.T, colours, strict=True):
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
     _highlight(axes, shown.t, shown.values, shown.active())
-    axes.set_ylabel(label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}")
-    _widen_if_flat(axes, shown.values if second is None else np.vstack([shown.values, second.values]))
+    name = label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}"
+    axes.set_ylabel(f"{name} ({shown.unit})" if shown.unit else name)
+    drawn = shown.values if second is None else np.vstack([shown.values, second.values])
+    if shown.kind == "momentum" and single:
+        say_if_conserved(axes, drawn)
+    else:
+        widen_if_flat(axes, drawn)
     _bounds(axes, shown)
 
 
@@ -205,14 +210,27 @@ def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
     return bounds[1:] if len(bounds) == t.size else bounds
 
 
-def _widen_if_flat(axes: Any, values: Matrix) -> None:
-    """Do not blow rounding errors of a constant up to the height of the panel."""
+def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
+    """Do not blow rounding errors of a constant up to the height of the panel; whether it is one."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
-        return
+        return False
     middle, spread = float(np.mean(finite)), float(np.ptp(finite))
-    if spread <= 1e-9 * max(1.0, abs(middle)):
+    is_flat = spread <= 1e-9 * max(1.0, abs(middle))
+    if is_flat:
         axes.set_ylim(middle - 0.5 * max(1.0, abs(middle)), middle + 0.5 * max(1.0, abs(middle)))
+    return is_flat
+
+
+def say_if_conserved(axes: Any, momenta: np.ndarray) -> None:
+    """Above the panel of a momentum that does not change but for rounding, how well it is conserved."""
+    if widen_if_flat(axes, momenta) and np.isfinite(momenta).all():
+        axes.set_title(conserved_to(float(np.ptp(momenta))), loc="right")
+
+
+def conserved_to(spread: float) -> str:
+    """How well something is conserved that should be."""
+    return f"conserved to {spread:.0e}" if spread > 0.0 else "conserved exactly"
 
 
 def lengths(axes: Any, t: Vector) -> None:
