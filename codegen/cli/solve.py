@@ -18,6 +18,8 @@ from codegen.cli.options import (
     Log,
     Method,
     Out,
+    PictureStyle,
+    PictureStyles,
     Problem,
     Repeat,
     Scheme,
@@ -81,6 +83,7 @@ def solve(
         bool, typer.Option("--sensitivities", help="Derivatives by parameters, boundary values and a given duration.")
     ] = False,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
+    style: PictureStyle = PictureStyles.PAGE,
     animate: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a film: .gif or .mp4.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Save all arrays.")] = None,
     out: Out = None,
@@ -103,7 +106,7 @@ def solve(
         output.require_writable(save, output.ARCHIVES, "--save")
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
-    wanted = pictures.requested(request, plot, animate)
+    wanted = pictures.requested(request, plot, animate, style.value)
     outcome = with_options(outcome_of(request, working, following))
     if save is not None:
         output.save(outcome.result, outcome.record, save)

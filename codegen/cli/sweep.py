@@ -9,7 +9,19 @@ from typing import Annotated, Any
 
 import typer
 
-from codegen.cli.options import Controls, ControlSites, Every, Json, Problem, Scheme, Set, Steps, positive
+from codegen.cli.options import (
+    Controls,
+    ControlSites,
+    Every,
+    Json,
+    PictureStyle,
+    PictureStyles,
+    Problem,
+    Scheme,
+    Set,
+    Steps,
+    positive,
+)
 from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
@@ -76,6 +88,7 @@ def sweep(
         bool, typer.Option("--sensitivities", help="Derivatives of the cost by all quantities; of others by --keep.")
     ] = False,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")] = None,
+    style: PictureStyle = PictureStyles.PAGE,
     pareto: Annotated[
         str | None,
         typer.Option(metavar="A,B", help="The picture is the Pareto front of two numbers of each case; -A: large."),
@@ -115,7 +128,7 @@ def sweep(
     outcome = outcome_of(request, working, progress, partial(_require_front, pareto))
     if plot is not None:
         with working("Drawing"):
-            _draw(outcome, plot, pareto)
+            _draw(outcome, plot, pareto, style.value)
     _tell(outcome, json)
     if outcome.tally.failed:
         raise typer.Exit(1)
@@ -129,12 +142,12 @@ def _require_front(pareto: str | None, outlined: Any) -> None:
         require_objectives(objectives_of(pareto), outlined)
 
 
-def _draw(outcome: Any, path: Path, pareto: str | None) -> None:
+def _draw(outcome: Any, path: Path, pareto: str | None, style: str) -> None:
     from codegen import plots
     from codegen.files import replacing
 
     with replacing(path) as temporary:
-        plots.save_sweep(outcome.dataset(), temporary, pareto)
+        plots.save_sweep(outcome.dataset(), temporary, pareto, style)
 
 
 def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

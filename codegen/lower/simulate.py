@@ -294,7 +294,7 @@ def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Seque
 
 
 def _is_conservative(model: Model) -> bool:
-    """Whether nothing drives or damps the motion, as far as it can be read off: no force, and nothing depends on time."""
+    """Whether nothing drives or damps the motion, as far as forms tell: no force, and nothing depends on time."""
     return not any(model.force) and not model.function.has(model.time)
 
 

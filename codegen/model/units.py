@@ -1,8 +1,8 @@
 """Units that an author gives: what follows from them, and whether they agree.
 
 Where every quantity of an expression has a unit, the expression has one, by pint: terms must agree in dimension and in
-size, so that metres beside kilometres are refused like metres beside seconds, and functions such as sin take what has no
-dimension. An angle has none, and a degree is no radian. Where a unit is missing nothing is said, and nothing refused.
+size, so that metres beside kilometres are refused like metres beside seconds, and functions such as sin take pure
+numbers. An angle has none, and a degree is no radian. Where a unit is missing nothing is said, and nothing refused.
 Numbers are taken as pure numbers in dynamics, forces and costs; values, bounds and sides of relations may be plain
 numbers, which count in the units of what they are compared with.
 """
@@ -12,11 +12,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from tokenize import TokenError
 from typing import Any
 
 import sympy
 
-from codegen.author.symbols import Coordinate, Delayed, EndValue, Momentum, Quantity, Time, Velocity
+from codegen.author.symbols import Coordinate, Delayed, EndValue, Quantity, Time, Velocity
 from codegen.errors import UnitError, clause
 from codegen.model.relations import Entry
 
@@ -29,7 +30,7 @@ _NUMBERS = "write a number that has a unit as a parameter, as in parameters(g=(9
 _VALUES = frozenset(
     {"start", "end", "guess", "first guess", "lower bound", "upper bound", "history", "jump", "scale", "duration"}
 )
-_OF_TIME_AND_ANGLE = ({}, {"[time]": 1})
+_OF_TIME_AND_ANGLE: tuple[dict[str, int], ...] = ({}, {"[time]": 1})
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _DYNAMICS = frozenset({"lagrangian", "hamiltonian", "dynamics", "force", "cost", "terminal_cost"})
 
@@ -49,7 +50,7 @@ def checked_unit(text: str, name: str) -> Any:
     registry = _registry()
     try:
         unit = registry.Unit("dimensionless" if text.strip() in ("", "1") else text)
-    except (pint.errors.PintError, ValueError, TypeError, AttributeError, SyntaxError) as error:
+    except (pint.errors.PintError, TokenError, ValueError, TypeError, AttributeError, AssertionError) as error:
         raise UnitError(
             clause(f"the unit {text!r} of {name} is unknown ({error})"), "write one that pint knows, as in kg*m/s**2"
         ) from None
@@ -161,7 +162,7 @@ class _Found:
         if isinstance(expression, sympy.Mul):
             return None if any(part is None for part in parts) else _product(parts)
         if isinstance(expression, sympy.Pow):
-            return self._power(expression, *parts, where)
+            return self._power(expression, parts[0], parts[1], where)
         if isinstance(expression, _KEPT[:3]):
             return self._sum(expression.args, where, is_strict)
         if isinstance(expression, sympy.Function) and type(expression).__module__.startswith("sympy."):
@@ -190,10 +191,10 @@ class _Found:
     def _function(self, expression: sympy.Function, parts: Sequence[Any], where: str) -> Any:
         if isinstance(expression, sympy.atan2):
             self._sum(expression.args, where, True)
-        elif not isinstance(expression, sympy.sign):
-            for part, unit in zip(expression.args, parts, strict=True):
-                if unit is not None:
-                    _require_pure(unit, f"{part} in {expression.func.__name__}", where)
+            return _registry().Unit("dimensionless")
+        for part, unit in zip(expression.args, parts, strict=True):
+            if unit is not None:
+                _require_pure(unit, f"{part} in {expression.func.__name__}", where)
         return _registry().Unit("dimensionless")
 
 
@@ -242,6 +243,7 @@ def _text(unit: Any) -> str:
     if unit is None:
         return ""
     registry = _registry()
+    # A rate of an angle keeps its radian, a moment of inertia loses it.
     powers = dict(registry.Quantity(1.0, unit).unit_items())
     if powers.get("radian", 0) and not all(registry.Unit(name).dimensionality in _OF_TIME_AND_ANGLE for name in powers):
         unit = unit / registry.Unit("radian") ** powers["radian"]

@@ -18,7 +18,7 @@ from codegen.plots import measured, panels, shapes, tornado
 from codegen.plots.measured import Measured
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.segments import inequalities, quantities
-from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
+from codegen.plots.style import MOST_BODY_COLOURS, body_map, letter_size, new_figure, title
 from codegen.plots.units import Units
 from codegen.solutions.result import Result
 from codegen.solutions.sensitivities import quantity_values
@@ -84,9 +84,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     blocks = [states] if beside else [states, _in_rows(others, len(states[0]))]
     count = sum(map(len, blocks))
     height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
-    figure = Figure(
-        figsize=(width, 0.9 + shape.height + height), layout=ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05)
-    )
+    figure = new_figure(width, 0.9 + shape.height + height, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
     phases = int(module.metadata.get("phases", 1))
     label, switches = Units.of(result, unit).time, result.t[result.steps : -1 : result.steps]
@@ -274,7 +272,7 @@ def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
     scenes = {"initial guess": drawings.guess, outcome: drawings.solution}
     for axes, (name, scene) in zip(figure.subplots(1, 2), scenes.items(), strict=True):
         shapes.course(axes, scene, room)
-        axes.set_title(name, fontsize=11)
+        axes.set_title(name, fontsize=letter_size(11))
 
 
 def _notes(result: Result, module: ControlModule, groups: dict[str, list[Quantity]]) -> list[str]:

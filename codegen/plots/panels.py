@@ -11,7 +11,20 @@ from matplotlib.patches import Patch
 
 from codegen.loading import Matrix, Vector
 from codegen.plots.quantities import Inequality, Quantity
-from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation
+from codegen.plots.style import (
+    AMBER,
+    BLUE,
+    DARK,
+    FORBIDDEN,
+    GREEN,
+    GREY,
+    PINK,
+    RED,
+    body_colours,
+    label,
+    letter_size,
+    relation,
+)
 
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
 """The colour of each kind of quantity, where there is one body."""
@@ -63,7 +76,7 @@ def inequality(axes: Any, shown: Inequality) -> None:
     highest = float(np.nanmax(shown.distance, initial=0.0))
     axes.axhline(0.0, **_BOUND)
     axes.set_ylabel("distance")
-    axes.set_title(relation(shown.name), loc="left", fontsize=8.5)
+    axes.set_title(relation(shown.name), loc="left", fontsize=letter_size(8.5))
     if highest > 0.0:
         axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
     axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
@@ -74,9 +87,9 @@ def strip(axes: Any, shown: Sequence[Inequality]) -> None:
     for row, one in enumerate(shown):
         where = one.active().any(axis=1)
         axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
-    axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=7.5)
+    axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=letter_size(7.5))
     axes.set_ylim(len(shown) - 0.5, -0.5)
-    axes.set_title("path inequalities that are active", loc="left", fontsize=8.5)
+    axes.set_title("path inequalities that are active", loc="left", fontsize=letter_size(8.5))
 
 
 def iterations(axes: Any, log: Matrix) -> None:
@@ -91,7 +104,14 @@ def iterations(axes: Any, log: Matrix) -> None:
     axes.set_ylabel("max-norm")
     axes.xaxis.get_major_locator().set_params(integer=True)
     # Above the panel, where no curve can be.
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=8, columnspacing=1.0, handlelength=1.5)
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.97),
+        ncols=3,
+        fontsize=letter_size(8),
+        columnspacing=1.0,
+        handlelength=1.5,
+    )
 
 
 def handles(
@@ -177,7 +197,7 @@ def _bounds(axes: Any, shown: Quantity) -> None:
     axes.set_ylim(low, high)
     _shade(axes, shown)
     if far:
-        axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=7.5, color=GREY)
+        axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=letter_size(7.5), color=GREY)
 
 
 def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from codegen.drawing import Scene
 from codegen.loading import Vector
 from codegen.plots import panels, shapes
-from codegen.plots.style import AMBER, BLUE, RED, title
+from codegen.plots.style import AMBER, BLUE, RED, new_figure, title
 from codegen.plots.units import Units
 from codegen.solutions.result import Result
 
@@ -19,7 +19,7 @@ _MOST_COORDINATES = 12
 _MOST_IN_A_COLUMN = 4
 _MOST_POINTS = 20_000
 _MOST_DOTS = 400
-_ENERGY = 1.7
+_ENERGY = 2.0
 """Inches of the panel of the energy."""
 
 _ROUNDING = 1e-12
@@ -62,20 +62,20 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
 def _parts(drawing: Scene | None, width: float, height: float) -> tuple[Figure, Any]:
     """The figure, with the drawing above the curves where it is wide, else at their left, and the place of curves."""
     if drawing is None:
-        figure = Figure(figsize=(width, height + 0.8), layout="constrained")
+        figure = new_figure(width, height + 0.8)
         return figure, figure
     room = shapes.extent([drawing])
     ratio = (room[3] - room[2]) / (room[1] - room[0])
     if ratio < 0.5:
-        band = max(0.9, ratio * (width - 0.6)) + 0.4
-        figure = Figure(figsize=(width, height + band + 0.8), layout="constrained")
-        above, curves = figure.subfigures(2, 1, height_ratios=[band, height])
+        band = min(2.0, max(0.9, ratio * (width - 0.6))) + 0.4
+        figure = new_figure(width, height + band + 0.8)
+        above, curves = cast("Any", figure.subfigures(2, 1, height_ratios=[band, height]))
     else:
         # As high as the curves, which keep most of the width.
         high = max(height, 4.5)
         left = min(0.5 * width, max(0.25 * width, high / ratio))
-        figure = Figure(figsize=(width + left, high + 0.8), layout="constrained")
-        above, curves = figure.subfigures(1, 2, width_ratios=[left, width])
+        figure = new_figure(width + left, high + 0.8)
+        above, curves = cast("Any", figure.subfigures(1, 2, width_ratios=[left, width]))
     # Instants of an oscillation, taken at long intervals, would show another one.
     shapes.course(above.add_subplot(), drawing, room, instants=2)
     return figure, curves

@@ -24,6 +24,8 @@ from codegen.plots.style import (
     body_map,
     heading,
     label,
+    letter_size,
+    new_figure,
     quantity,
     statuses,
 )
@@ -103,7 +105,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
     names += ["."] * (-len(names) % columns)
     rows += [names[first : first + columns] for first in range(0, len(names), columns)]
-    figure = Figure(figsize=(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows)), layout="constrained")
+    figure = new_figure(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
     failed, jumps = (_rows(table, data, dims)[:, order] for table in (_is_failed(data), _has_jump(data)))
     for i, (name, values) in enumerate(measures.items()):
@@ -187,7 +189,7 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
     shown = [(part, k, name, values) for part, k in panels for name, values in _measures(part).items()]
     columns = _columns(len(shown))
     size = max(6.4, 4.3 * columns), 1.2 + 3.7 * math.ceil(len(shown) / columns)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = new_figure(*size)
     grid = figure.subplots(math.ceil(len(shown) / columns), columns, squeeze=False)
     for axes in grid.ravel()[len(shown) :]:
         axes.set_visible(False)
@@ -236,7 +238,7 @@ def _map(
         halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
         lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
         lines.set_path_effects(halo)
-        for text in axes.clabel(lines, fontsize=7.5, fmt="%.4g"):
+        for text in axes.clabel(lines, fontsize=letter_size(7.5), fmt="%.4g"):
             text.set_path_effects(halo)
     for table, look, name in ((laid(_is_failed(data)), _FAILED, "failed"), (laid(_has_jump(data)), _JUMP, "jump")):
         if table.any():
@@ -290,7 +292,7 @@ def _samples(data: Dataset) -> Figure:
         [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
         for block in blocks for first in range(0, len(block), columns)
     ]  # fmt: skip
-    figure = Figure(figsize=(3.6 * columns, 1.0 + 2.9 * len(rows)), layout="constrained")
+    figure = new_figure(3.6 * columns, 1.0 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
     failed, linear = _is_failed(data), prediction(data, every)
     for i, (name, values) in enumerate(measures.items()):

@@ -228,6 +228,12 @@ class Result(Display):
             raise ArgumentError("this result has no sensitivities", "solve with sensitivities=True")
         return self.sensitivity
 
+    def unit_of(self, entry: str) -> str:
+        """The unit of an entry of the summary, as far as it is known; nothing for others."""
+        of_time = {"duration": "t", "energy_drift": "energy", "energy_change": "energy"}
+        name = of_time.get(entry, entry.removeprefix("final_"))
+        return self.units.get(name, "")
+
     def label(self, entry: str) -> str:
         """An entry of the summary for people to read: an author's names as written, blanks between other words."""
         return self.labels.get(entry, entry.replace("_", " "))
@@ -320,6 +326,8 @@ def component_units(metadata: Mapping[str, Any]) -> dict[str, str]:
     units: dict[str, str] = dict(metadata.get("units", {}))
     if units and metadata.get("bodies", 1) > 1:
         for row in component_names({**metadata, "bodies": 1}).values():
-            each = {f"{name}_{body}": units[name] for name in row for body in range(metadata["bodies"]) if name in units}
+            each = {
+                f"{name}_{body}": units[name] for name in row for body in range(metadata["bodies"]) if name in units
+            }
             units |= each
     return units
