@@ -9,7 +9,6 @@ numbers, which count in the units of what they are compared with.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from tokenize import TokenError
@@ -19,6 +18,7 @@ import sympy
 
 from codegen.author.symbols import Coordinate, Delayed, EndValue, Quantity, Time, Velocity
 from codegen.errors import UnitError, clause
+from codegen.lettering import written_unit
 from codegen.model.relations import Entry
 
 _EQUAL = 1e-9
@@ -31,7 +31,6 @@ _VALUES = frozenset(
     {"start", "end", "guess", "first guess", "lower bound", "upper bound", "history", "jump", "scale", "duration"}
 )
 _OF_TIME_AND_ANGLE: tuple[dict[str, int], ...] = ({}, {"[time]": 1})
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _DYNAMICS = frozenset({"lagrangian", "hamiltonian", "dynamics", "force", "cost", "terminal_cost"})
 
 
@@ -74,7 +73,7 @@ def units_of(
         found.look_at(entry)
     own = [symbol for symbol in quantities if not isinstance(symbol, (Time, EndValue, Delayed))]
     pairs = [
-        (plain[symbol].name, _written(symbol.unit) if hasattr(symbol, "unit") else _text(found.unit(symbol)))
+        (plain[symbol].name, written_unit(symbol.unit) if hasattr(symbol, "unit") else _text(found.unit(symbol)))
         for symbol in own
     ]
     pairs += [("t", _text(found.time)), *((name, _text(unit)) for name, unit in found.others())]
@@ -229,13 +228,6 @@ def _require_pure(unit: Any, what: str, where: str) -> None:
     ratio = (1.0 * unit).to_base_units()
     if not ratio.dimensionless or abs(ratio.magnitude - 1.0) > _EQUAL:
         raise UnitError(clause(f"{where}: {what} is in {_text(unit)}"), f"let it have no dimension, and {_NUMBERS}")
-
-
-def _written(unit: str) -> str:
-    """A unit as its author wrote it, with the signs of mathematics; one of pure numbers is not told."""
-    if unit.strip() in ("", "1", "dimensionless"):
-        return ""
-    return re.sub(r"(?:\*\*|\^)(-?\d+)", lambda found: found[1].translate(_RAISED), unit).replace("*", "·")
 
 
 def _text(unit: Any) -> str:

@@ -12,12 +12,14 @@ from codegen.author.description import quantities_in
 from codegen.author.measurements import Measurements
 from codegen.author.particles import Connect, Pairwise
 from codegen.author.problem import Control, Phases, Problem, Waypoint
-from codegen.author.quantities import Moving, Quantity
+from codegen.author.quantities import Moving, Parameter, Quantity
 from codegen.author.symbols import Coordinate, FreeParameter
-from codegen.lettering import in_latex
+from codegen.lettering import in_latex, written_unit
 from codegen.notebooks.printer import Printer
 
 _NEVER = (None, None)
+_IN_A_ROW = 4
+"""Quantities with units that stand side by side."""
 
 
 def latex(problem: Problem | Phases) -> str:
@@ -44,7 +46,7 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
 class _Part:
     """A problem, or one of several phases, with its two ends of time as they are written; alone its number is 0.
 
-    Of free parameters those are its `own` that no earlier phase has.
+    Of free parameters those are its `own` that no earlier phase has; `quantities` are those of the whole problem.
     """
 
     problem: Problem
@@ -53,6 +55,7 @@ class _Part:
     last: str
     own: tuple[FreeParameter, ...]
     number: int = 0
+    quantities: tuple[Quantity, ...] = ()
 
     @classmethod
     def alone(cls, problem: Problem) -> _Part:
@@ -60,7 +63,7 @@ class _Part:
         quantities, duration = quantities_in(problem), problem.duration
         is_taken = any(symbol.name == "T" for symbol in quantities)
         last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
-        return cls(problem, Printer(quantities), "0", last, _free(quantities))
+        return cls(problem, Printer(quantities), "0", last, _free(quantities), quantities=tuple(quantities))
 
     @classmethod
     def phase(cls, problem: Phases, number: int) -> _Part:
@@ -69,7 +72,8 @@ class _Part:
         known = {symbol for part in earlier for symbol in _free(quantities_in(part))}
         own = tuple(symbol for symbol in _free(quantities_in(phase)) if symbol not in known)
         first = f"t_{{{number - 1}}}" if number > 1 else "0"
-        return cls(phase, Printer(quantities_in(problem)), first, f"t_{{{number}}}", own, number)
+        whole = quantities_in(problem)
+        return cls(phase, Printer(whole), first, f"t_{{{number}}}", own, number, tuple(whole))
 
 
 def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
@@ -93,6 +97,20 @@ def _rows(part: _Part) -> Iterator[str]:
         yield from _conditions(problem, part)
         yield from _waypoints(problem, part)
         yield from _bounds(problem, part)
+    if part.number <= 1:
+        yield from _units(part)
+
+
+def _units(part: _Part) -> Iterator[str]:
+    """What has a unit, in a row: parameters with their values, others in brackets."""
+    told = []
+    for symbol in part.quantities:
+        if hasattr(symbol, "unit"):
+            unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
+            given = rf" = {symbol.value:g}\," if isinstance(symbol, Parameter) else r"\;"
+            told.append(part.print_(symbol) + given + (unit if isinstance(symbol, Parameter) else f"[{unit}]"))
+    for first in range(0, len(told), _IN_A_ROW):
+        yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(told[first : first + _IN_A_ROW])
 
 
 def _objective(problem: Control, part: _Part) -> Iterator[str]:

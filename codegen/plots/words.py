@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-_MOST_PANELS = 24
+_MOST_PANELS = 16
 
 
 def words_of(figure: Figure) -> str:
     """The title of a figure, and what each of its panels shows, from where to where."""
-    title = _plain(figure.get_label() or " ".join(figure.get_suptitle().split()))
+    title = _plain(str(figure.get_label()) or " ".join(figure.get_suptitle().split()))
     panels = list(dict.fromkeys(text for axes in figure.axes if (text := _panel(axes))))
     shown = "; ".join(panels[:_MOST_PANELS])
-    more = f"; and {len(panels) - _MOST_PANELS} panels more" if len(panels) > _MOST_PANELS else ""
+    more = f"; and {len(panels) - _MOST_PANELS} more" if len(panels) > _MOST_PANELS else ""
     return ". ".join(part for part in (title, f"Shown: {shown}{more}" if shown else "") if part) + "."
 
 
@@ -25,16 +25,20 @@ def _panel(axes: Any) -> str:
     name, over = _plain(axes.get_ylabel()), _plain(axes.get_xlabel())
     titles = [_plain(axes.get_title(loc=side)) for side in ("left", "center", "right")]
     if not name and not over:
-        legend = axes.get_legend()
-        entries = [_plain(text.get_text()) for text in legend.get_texts()] if legend is not None else []
-        what = ", ".join([*filter(None, titles), *entries])
+        what = ", ".join([*filter(None, titles), *_entries(axes)])
         return f"a drawing of the system{f' ({what})' if what else ''}" if axes.has_data() or axes.artists else what
     low, high = _range(axes)
-    words = [name or next(filter(None, titles), "")]
-    words += [f"from {low:.3g} to {high:.3g}"] if low <= high else []
+    words = [name or next(filter(None, titles), "") or ", ".join(_entries(axes))]
+    words += [f"from {low:.3g} to {high:.3g}"] if low <= high and name else []
     words += [f"over {over}"] if over and not over.startswith("time") else []
     words += [f"({titles[2]})"] if titles[2] else []
     return " ".join(filter(None, words))
+
+
+def _entries(axes: Any) -> list[str]:
+    """The entries of a panel's legend."""
+    legend = axes.get_legend()
+    return [_plain(text.get_text()) for text in legend.get_texts()] if legend is not None else []
 
 
 def _range(axes: Any) -> tuple[float, float]:
