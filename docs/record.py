@@ -36,7 +36,7 @@ from codegen.drawing import Item
 from codegen.machine import machine
 from codegen.plots import animation
 
-WIDTH, COLOURS = 900, 32
+WIDTH, COLOURS = 900, 64
 """Pixels across a figure, and how many colours it has."""
 FILM_WIDTH, FILM_COLOURS, EVERY = 420, 24, 2
 """The same of a film, and which of its frames are kept."""

@@ -46,6 +46,9 @@ def simulation_figure(result: Result, drawing: Scene | None = None, unit: str = 
         axes = curves.add_subplot(grid[place, 3 * column : 3 * column + 2])
         _over_time(axes, result.t[::stride], result.q[::stride, i], BLUE)
         axes.set_ylabel(units.label(names[i]))
+        if i == 0:
+            # Above the panel, where no curve can be.
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), handletextpad=0.1, borderaxespad=0.0)
         is_lowest = place == rows - 1 or i == shown - 1
         axes.set_xlabel(units.time if is_lowest else "")
         axes.tick_params(labelbottom=is_lowest)
@@ -77,13 +80,15 @@ def _parts(drawing: Scene | None, width: float, height: float) -> tuple[Figure, 
         figure = new_figure(width + left, high + 0.8)
         above, curves = cast("Any", figure.subfigures(1, 2, width_ratios=[left, width]))
     # Instants of an oscillation, taken at long intervals, would show another one.
-    shapes.course(above.add_subplot(), drawing, room, instants=2)
+    axes = above.add_subplot()
+    shapes.course(axes, drawing, room, instants=2)
+    axes.set_anchor("C")
     return figure, curves
 
 
 def _over_time(axes: Any, t: Vector, values: Vector, colour: str) -> None:
     axes.plot(t, values, color=colour, linewidth=1.2)
-    axes.plot(t[0], values[0], "o", color=AMBER, markersize=5)
+    axes.plot(t[0], values[0], "o", color=AMBER, markersize=5, label="start")
     axes.margins(x=0.01)
     panels.widen_if_flat(axes, values)
 
@@ -93,14 +98,11 @@ def _phase_portrait(axes: Any, result: Result, i: int, stride: int, units: Units
     axes.plot(q, p, color=BLUE, linewidth=0.8 if q.size <= 2000 else 0.5, alpha=0.6)
     if q.size <= _MOST_DOTS:
         axes.plot(q, p, ".", color=BLUE, markersize=2.5)
-    axes.plot(q[0], p[0], "o", color=AMBER, markersize=5, label="start")
+    axes.plot(q[0], p[0], "o", color=AMBER, markersize=5)
     axes.set_xlabel(units.label(result.names["q"][i]))
     axes.set_ylabel(units.label(result.names["p"][i]))
     axes.margins(0.08)
     panels.say_if_conserved(axes, p)
-    if i == 0:
-        # Above the panel, where no curve can be.
-        axes.legend(loc="lower left", bbox_to_anchor=(-0.05, 0.97), handletextpad=0.1, borderaxespad=0.0)
 
 
 def _energy(axes: Any, result: Result, stride: int, units: Units) -> None:

@@ -37,7 +37,7 @@ def _panel(axes: Any) -> str:
 
 def _entries(axes: Any) -> list[str]:
     """The entries of a panel's legend."""
-    legend = axes.get_legend()
+    legend = axes.get_legend() or next(iter(axes.figure.legends), None)
     return [_plain(text.get_text()) for text in legend.get_texts()] if legend is not None else []
 
 

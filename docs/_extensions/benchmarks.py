@@ -103,7 +103,7 @@ def peers() -> Figure:
         axes.set_xscale("log")
         axes.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
         axes.set_xlabel("time of CasADi with IPOPT, by that of the generated solver")
-        axes.legend(loc="lower right")
+        figure.legend(loc="outside lower center", ncols=2)
         titled(figure, f"CasADi with IPOPT takes {ratio()}")
     return figure
 
@@ -182,7 +182,7 @@ def robustness_figure(record: dict[str, Any]) -> Figure:
         axes.set_yticks(range(len(differ)), [f"{case['problem']}, N = {case['steps']}" for case in differ], fontsize=8)
         axes.set_xlim(-3.0, 103.0)
         axes.set_xlabel("% of guesses that are solved")
-        axes.legend(loc="lower left")
+        figure.legend(loc="outside lower center", ncols=2)
         titled(figure, f"Cases that one of both does not always solve, {len(differ)} of {len(record['cases'])}")
     return figure
 
