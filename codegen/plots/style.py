@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -174,10 +175,15 @@ def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
     )
 
 
-def quantity(name: str) -> str:
-    """What a varied quantity is called; prescribed values have the end and the name, as in `start.r`."""
+def quantity(name: str, data: Dataset | None = None) -> str:
+    """What a varied quantity is called; prescribed values have the end and the name, as in `start.r`.
+
+    The units of a sweep's `data` stand behind it, where its author gave them.
+    """
     end, dot, own = name.partition(".")
-    return f"{label(own)} at the {end}" if dot else label(name)
+    text = f"{label(own)} at the {end}" if dot else label(name)
+    unit = json.loads(data.attrs.get("units", "{}")).get(own or name, "") if data is not None else ""
+    return f"{text} ({unit})" if unit else text
 
 
 def statuses(data: Dataset) -> NDArray[np.str_]:

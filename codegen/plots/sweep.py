@@ -111,14 +111,14 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     for i, (name, values) in enumerate(measures.items()):
         _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by, bool(words))
         panels[f"m{i}"].set_ylabel(name)
-        panels[f"m{i}"].set_xlabel(quantity(dims[0]))
+        panels[f"m{i}"].set_xlabel(quantity(dims[0], data))
         if words:
             panels[f"m{i}"].set_xticks(x, words)
     if any(name != "." for name in names):
         flat = data if by is None else data.isel({by: 0})
         shades = fans.graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
         bar = figure.colorbar(
-            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0]), aspect=30
+            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0], data), aspect=30
         )
         bar.outline.set_visible(False)
         if words:
@@ -247,8 +247,8 @@ def _map(
                 x[j], y[i], **{**look, "markersize": max(1.5, look["markersize"] * _crowd(table.size))}, label=name
             )
     axes.grid(visible=False)
-    axes.set_xlabel(quantity(dims[0]))
-    axes.set_ylabel(quantity(dims[1]))
+    axes.set_xlabel(quantity(dims[0], data))
+    axes.set_ylabel(quantity(dims[1], data))
     for words, at, put in ((x_words, x, axes.set_xticks), (y_words, y, axes.set_yticks)):
         if words:
             put(at, words)
@@ -300,7 +300,7 @@ def _samples(data: Dataset) -> Figure:
         fans.histogram(panels[f"m{i}"], name, values, _is_wide(values), (float(mean), float(deviation)))
         for j, varied_one in enumerate(varied):
             _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, failed)
-            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one))
+            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one, data))
             panels[f"s{i},{j}"].set_ylabel(name)
     for i, group in enumerate(groups):
         fans.fan(panels[f"g{i}"], data, group, linear)
