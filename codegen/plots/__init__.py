@@ -16,9 +16,10 @@ from codegen.plots.control import Drawings, control_figure
 from codegen.plots.objectives import Objective, objectives_of, require_objectives
 from codegen.plots.pareto import pareto_figure
 from codegen.plots.picture import write
+from codegen.plots.purposes import finished, using
 from codegen.plots.simulation import simulation_figure
 from codegen.plots.specimens import specimen_figure
-from codegen.plots.style import finished, label, using
+from codegen.plots.style import label
 from codegen.plots.sweep import sweep_figure
 from codegen.solutions.result import Result
 

@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from codegen.loading import ConnectModule
-from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, new_figure, title
+from codegen.plots.purposes import new_figure
+from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, title
 from codegen.solutions.result import Result
 
 

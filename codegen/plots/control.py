@@ -16,9 +16,10 @@ from codegen.drawing import Scene
 from codegen.loading import ControlModule, Matrix, time_grid
 from codegen.plots import measured, panels, shapes, tornado
 from codegen.plots.measured import Measured
+from codegen.plots.purposes import letter_size, new_figure
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.segments import inequalities, quantities
-from codegen.plots.style import MOST_BODY_COLOURS, body_map, letter_size, new_figure, title
+from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
 from codegen.plots.units import Units
 from codegen.solutions.result import Result
 from codegen.solutions.sensitivities import quantity_values

@@ -10,21 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from codegen.loading import Matrix, Vector
+from codegen.plots.purposes import letter_size
 from codegen.plots.quantities import Inequality, Quantity
-from codegen.plots.style import (
-    AMBER,
-    BLUE,
-    DARK,
-    FORBIDDEN,
-    GREEN,
-    GREY,
-    PINK,
-    RED,
-    body_colours,
-    label,
-    letter_size,
-    relation,
-)
+from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation
 
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
 """The colour of each kind of quantity, where there is one body."""

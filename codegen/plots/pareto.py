@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.plots.objectives import Objective, is_dominated, values_of
-from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, body_map, heading, label, new_figure, quantity, statuses
+from codegen.plots.purposes import new_figure
+from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, body_map, heading, label, quantity, statuses
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from codegen.errors import ArgumentError
 from codegen.files import replacing
-from codegen.plots.style import using
+from codegen.plots.purposes import using
 from codegen.plots.words import words_of
 
 _DPI = 110

@@ -10,7 +10,8 @@ from matplotlib import patches
 from matplotlib.lines import Line2D
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
-from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours, letter_size
+from codegen.plots.purposes import letter_size
+from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
 
 SHOTS, MANY_SHOTS = 9, 7
 """Instants at which a picture shows one body, and the arrows of several bodies."""

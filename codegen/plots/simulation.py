@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from codegen.drawing import Scene
 from codegen.loading import Vector
 from codegen.plots import panels, shapes
-from codegen.plots.style import AMBER, BLUE, RED, new_figure, title
+from codegen.plots.purposes import new_figure
+from codegen.plots.style import AMBER, BLUE, RED, title
 from codegen.plots.units import Units
 from codegen.solutions.result import Result
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from codegen.plots.style import BLUE, DARK, letter_size, new_figure
+from codegen.plots.purposes import letter_size, new_figure
+from codegen.plots.style import BLUE, DARK
 
 MOST_NAMED = 80
 """Of more specimens, names would cover each other."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from codegen.plots import fans
 from codegen.plots.first_order import prediction
+from codegen.plots.purposes import letter_size, new_figure
 from codegen.plots.style import (
     BLUE,
     CRIMSON,
@@ -24,8 +25,6 @@ from codegen.plots.style import (
     body_map,
     heading,
     label,
-    letter_size,
-    new_figure,
     quantity,
     statuses,
 )

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from codegen.loading import Vector
-from codegen.plots.style import AMBER, BLUE, DARK, letter_size, quantity
+from codegen.plots.purposes import letter_size
+from codegen.plots.style import AMBER, BLUE, DARK, quantity
 from codegen.solutions.derivatives import Sensitivities
 
 PART = 0.01

@@ -12,7 +12,8 @@ from references import ROOT
 from speed import ratio, read_speed
 
 from codegen.plots.picture import Picture
-from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, using
+from codegen.plots.purposes import using
+from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 
 MEASURED = ROOT / "docs" / "measured"
 _OURS, _THEIRS = "codegen", "IPOPT"
