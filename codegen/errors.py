@@ -51,6 +51,10 @@ class ExpressionError(CodegenError):
     """A Lagrangian, Hamiltonian, force, cost or boundary value cannot be used as it is written."""
 
 
+class UnitError(CodegenError):
+    """A unit is unknown, or units that were given do not agree."""
+
+
 class DegenerateError(CodegenError):
     """A Legendre transform does not exist because velocities (or momenta) cannot be solved for."""
 

@@ -1,4 +1,4 @@
-"""Names of quantities in LaTeX: Greek letters, indices, words upright."""
+"""Names of quantities in LaTeX: Greek letters, indices, words upright; units as they are written."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ _CAPITAL = set("Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega".spli
 _VARIANTS = {"phi": r"\varphi", "epsilon": r"\varepsilon"}
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)$")
 _NUMBERED = re.compile(r"(?<=[^\W\d_])(\d+)$")
+
+
+_POWER = re.compile(r"(?:\*\*|\^)(-?\d+)")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def in_latex(name: str) -> str:
@@ -36,3 +40,10 @@ def word(text: str) -> str:
         return _VARIANTS.get(text, "\\" + text)
     is_letter = len(text) == 1 and text.isalpha()
     return text if is_letter or text.isdigit() else r"\mathrm{" + text.replace("_", r"\_") + "}"
+
+
+def written_unit(unit: str) -> str:
+    """A unit as its author wrote it, with the signs of mathematics; nothing for one of pure numbers."""
+    if unit.strip() in ("", "1", "dimensionless"):
+        return ""
+    return _POWER.sub(lambda found: found[1].translate(_RAISED), unit).replace("*", "·")

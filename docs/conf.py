@@ -55,4 +55,5 @@ nb_execution_show_tb = True
 nb_execution_in_temp = True
 nb_merge_streams = True
 nb_output_stderr = "remove"
+nb_render_markdown_format = "myst"  # formulas in what cells show, as derived equations do
 nb_mime_priority_overrides = [("html", "text/markdown", 0), ("html", "text/latex", 1)]

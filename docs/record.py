@@ -36,7 +36,7 @@ from codegen.drawing import Item
 from codegen.machine import machine
 from codegen.plots import animation
 
-WIDTH, COLOURS = 900, 32
+WIDTH, COLOURS = 900, 64
 """Pixels across a figure, and how many colours it has."""
 FILM_WIDTH, FILM_COLOURS, EVERY = 420, 24, 2
 """The same of a film, and which of its frames are kept."""
@@ -45,13 +45,7 @@ FILM_WIDTH, FILM_COLOURS, EVERY = 420, 24, 2
 def recorded(path: Path) -> dict[str, Any]:
     """Solve a problem with its defaults and in every case of which something is known; write its figure and film."""
     plain = codegen.solve(path, repeat=3)
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "figure.png"
-        plain.plot(whole)
-        with Image.open(whole) as image:
-            size = WIDTH, round(image.height * WIDTH / image.width)
-            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-            small.quantize(COLOURS, dither=Image.Dither.NONE).save(STORED / f"{path.stem}.png", optimize=True)
+    size, text = drawn(path, plain)
     return {
         "digest": digest(path),
         "version": codegen.__version__,
@@ -59,9 +53,22 @@ def recorded(path: Path) -> dict[str, Any]:
         "machine": {key: machine()[key] for key in ("processor", "processors", "numba", "numpy", "scipy", "python")},
         "solution": outcome(plain),
         "size": size,
+        "text": text,
         "film": filmed(path, plain),
         "cases": [{**outcome(solved(path, known)), "of": known.title} for known in known_of(path.stem)],
     }
+
+
+def drawn(path: Path, solution: Any) -> tuple[tuple[int, int], str]:
+    """Write the figure of a solution, smaller than `codegen solve --plot` does; its size, and what it shows."""
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "figure.png"
+        picture = solution.plot(whole)
+        with Image.open(whole) as image:
+            size = WIDTH, round(image.height * WIDTH / image.width)
+            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+            small.quantize(COLOURS, dither=Image.Dither.NONE).save(STORED / f"{path.stem}.png", optimize=True)
+    return size, picture.text
 
 
 def drawing_of(path: Path) -> list[Item]:

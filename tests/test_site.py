@@ -92,6 +92,16 @@ def test_every_status_and_every_kind_of_error_has_an_anchor():
     assert of_sweeps == set(re.findall(r"^(.*)\n: ", page, re.MULTILINE))
 
 
+def test_the_page_on_benchmarks_says_when_and_on_what_everything_was_measured():
+    records = [json.loads(text_of(path)) for path in sorted((DOCS / "measured").glob("*.json"))]
+    assert {"pendulum", "orbital_transfer"} <= {record.get("problem") for record in records}
+    for record in records:
+        assert re.fullmatch(r"\d{4}-\d\d-\d\d", record["date"])
+        assert record["machine"]["processor"]
+    cases = json.loads(text_of(DOCS / "measured" / "robustness.json"))["cases"]
+    assert all(set(case["solvers"]) == {"generated", "IPOPT"} for case in cases)
+
+
 def test_every_problem_is_in_the_gallery():
     everything = {path for path in PROBLEMS.rglob("*.py") if "__pycache__" not in path.parts}
     assert set(problem_files()) == everything

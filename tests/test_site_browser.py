@@ -141,6 +141,11 @@ def test_downloaded_notebooks_are_code_between_plain_markdown():
         assert sum(cell["cell_type"] == "code" for cell in cells) >= 3
 
 
+def test_formulas_are_no_raw_text():
+    for page in PAGES:
+        assert "$$" not in (SITE / page).read_text(encoding="utf-8"), page
+
+
 def test_links_hold():
     pages = {page: Links(page) for page in PAGES}
     for page, found in pages.items():

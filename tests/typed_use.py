@@ -46,8 +46,8 @@ def double_integrator() -> Control:
 
 def oscillator() -> Simulate:
     """A mass on a spring, by its Hamiltonian."""
-    q, p = codegen.canonical_pair("q", "p")
-    k, m = codegen.parameters(k=1.0, m=1.0)
+    q, p = codegen.canonical_pair("q", "p", unit="m", momentum_unit="kg*m/s")
+    k, m = codegen.parameters(k=(1.0, "N/m"), m=(1.0, "kg"))
     return Simulate(hamiltonian=p**2 / (2 * m) + k * q**2 / 2, duration=1, start={q: 1, p: 0}, steps=20)
 
 
@@ -147,6 +147,7 @@ def pictured(solver: Solver, folder: Path) -> str:
     """A picture and a film, in a notebook and as files; or why there is no film."""
     solution = solver.solve()
     assert solution.plot(folder / "push.svg").figure.axes
+    assert solution.plot(style="paper").text.startswith(solution.title.rstrip("."))
     try:
         solution.animate().save(folder / "push.gif")
     except CodegenError as error:

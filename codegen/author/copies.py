@@ -97,6 +97,9 @@ def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
             q = symbol if isinstance(symbol, Coordinate) else symbol.partner
             pair = coordinate if isinstance(q.partner, Velocity) else canonical_pair
             found[q], found[q.partner] = pair(f"{q.name}_{number}", f"{q.partner.name}_{number}")
+    for symbol, copy in found.items():
+        if hasattr(symbol, "unit"):
+            copy.unit = symbol.unit
     return found
 
 

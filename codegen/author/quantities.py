@@ -27,11 +27,12 @@ _recorder: ContextVar[list[Quantity] | None] = ContextVar("declared quantities",
 class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
     """A declared real symbol; `declared` orders symbols as their author wrote them.
 
-    One that is not `own` follows from another one, so that nobody has to use it.
+    One that is not `own` follows from another one, so that nobody has to use it. `unit` is there where one was given.
     """
 
-    __slots__ = ("declared",)
+    __slots__ = ("declared", "unit")
     declared: int
+    unit: str
     own: ClassVar[bool] = True
 
     def __new__(cls, name: str) -> Quantity:

@@ -7,7 +7,7 @@ how a name that is used twice is found out.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import sympy
@@ -46,6 +46,9 @@ __all__ = [
     "states",
     "time",
 ]
+
+
+_Declared = TypeVar("_Declared", bound=Quantity)
 
 
 class _Variable(Moving):
@@ -142,95 +145,118 @@ class BodyNumber(_Common):
 
 
 class Time(_Common):
-    """The independent variable."""
+    """The independent variable; in another unit it is another one."""
 
     __slots__ = ()
 
+    def _hashable_content(self) -> tuple[Any, ...]:
+        return (*super()._hashable_content(), getattr(self, "unit", ""))
 
-def coordinate(name: str, velocity: str | None = None) -> tuple[Coordinate, Velocity]:
-    """Declare one coordinate and its velocity, which is called `d<name>` unless told otherwise."""
-    (q,), (v,) = coordinates(name, velocity)
+
+def coordinate(name: str, velocity: str | None = None, *, unit: str | None = None) -> tuple[Coordinate, Velocity]:
+    """Declare one coordinate and its velocity, which is called `d<name>` unless told otherwise.
+
+    A `unit` as pint reads it, such as "rad" or "kg*m/s**2", stands on axes, in tables and in data sets.
+    """
+    (q,), (v,) = coordinates(name, velocity, unit=unit)
     return q, v
 
 
-def coordinates(names: str, velocities: str | None = None) -> tuple[tuple[Coordinate, ...], tuple[Velocity, ...]]:
+def coordinates(
+    names: str, velocities: str | None = None, *, unit: str | None = None
+) -> tuple[tuple[Coordinate, ...], tuple[Velocity, ...]]:
     """Declare several coordinates and their velocities.
 
     For example `(r, phi), (dr, dphi) = coordinates("r phi")`; a velocity is called `d<name>` unless told otherwise.
-    "x1:4" stands for x1, x2 and x3, as in sympy.symbols, here and wherever several are declared. Raises SymbolError
-    when a name is no identifier or when the two lists differ in length.
+    "x1:4" stands for x1, x2 and x3, as in sympy.symbols, here and wherever several are declared. The `unit` is that of
+    all, or one for each as in "m rad"; velocities have it by that of the time. Raises SymbolError when a name is no
+    identifier or when two lists differ in length.
     """
     qs = _split(names)
     vs = [f"d{name}" for name in qs] if velocities is None else _split(velocities)
-    return _pairs(qs, vs, Velocity)
+    pairs = _pairs(qs, vs, Velocity)
+    _with_units(pairs[0], unit)
+    return pairs
 
 
-def canonical_pair(coordinate: str, momentum: str) -> tuple[Coordinate, Momentum]:
-    """Declare one coordinate and its conjugate momentum.
+def canonical_pair(
+    coordinate: str, momentum: str, *, unit: str | None = None, momentum_unit: str | None = None
+) -> tuple[Coordinate, Momentum]:
+    """Declare one coordinate and its conjugate momentum, each with its unit if it has one.
 
     For example `q, p = canonical_pair("q", "p")`.
     """
-    (q,), (p,) = canonical_pairs(coordinate, momentum)
+    (q,), (p,) = canonical_pairs(coordinate, momentum, unit=unit, momentum_unit=momentum_unit)
     return q, p
 
 
-def canonical_pairs(coordinates: str, momenta: str) -> tuple[tuple[Coordinate, ...], tuple[Momentum, ...]]:
+def canonical_pairs(
+    coordinates: str, momenta: str, *, unit: str | None = None, momentum_unit: str | None = None
+) -> tuple[tuple[Coordinate, ...], tuple[Momentum, ...]]:
     """Declare several coordinates and their conjugate momenta.
 
-    For example `(r, phi), (pr, pphi) = canonical_pairs("r phi", "pr pphi")`.
+    For example `(r, phi), (pr, pphi) = canonical_pairs("r phi", "pr pphi")`. A unit is that of all, or one for each.
     """
-    return _pairs(_split(coordinates), _split(momenta), Momentum)
+    pairs = _pairs(_split(coordinates), _split(momenta), Momentum)
+    _with_units(pairs[0], unit)
+    _with_units(pairs[1], momentum_unit)
+    return pairs
 
 
-def state(name: str) -> State:
-    """Declare one state of a first-order system."""
-    return State(name)
+def state(name: str, *, unit: str | None = None) -> State:
+    """Declare one state of a first-order system, with its unit if it has one."""
+    return _with_units((State(name),), unit)[0]
 
 
-def states(names: str) -> tuple[State, ...]:
+def states(names: str, *, unit: str | None = None) -> tuple[State, ...]:
     """Declare the states of a first-order system, which `dynamics={x: ..., v: ...}` gives the derivatives of.
 
-    For example `x, v = states("x v")`.
+    For example `x, v = states("x v")`, or with units `x, v = states("x v", unit="m m/s")`.
     """
-    return tuple(State(name) for name in _split(names))
+    return _with_units(tuple(State(name) for name in _split(names)), unit)
 
 
-def control(name: str) -> ControlInput:
-    """Declare one control."""
-    return ControlInput(name)
+def control(name: str, *, unit: str | None = None) -> ControlInput:
+    """Declare one control, with its unit if it has one."""
+    return _with_units((ControlInput(name),), unit)[0]
 
 
-def controls(names: str) -> tuple[ControlInput, ...]:
+def controls(names: str, *, unit: str | None = None) -> tuple[ControlInput, ...]:
     """Declare several controls.
 
-    For example `f1, f2 = controls("f1 f2")`.
+    For example `f1, f2 = controls("f1 f2")`. The `unit` is that of all, or one for each, as in "N N*m".
     """
-    return tuple(ControlInput(name) for name in _split(names))
+    return _with_units(tuple(ControlInput(name) for name in _split(names)), unit)
 
 
-def parameter(name: str, value: float) -> Parameter:
-    """Declare one parameter with its default value, a finite real number."""
+def parameter(name: str, value: Any, *, unit: str | None = None) -> Parameter:
+    """Declare one parameter with its default value, a finite real number, or a pair of that and its unit."""
+    if isinstance(value, tuple) and len(value) == 2 and isinstance(value[1], str):
+        value, unit = value
     symbol = Parameter(name)
     symbol.value = finite_number(value, f"parameter {name}")
-    return symbol
+    return _with_units((symbol,), unit)[0]
 
 
-def parameters(**values: float) -> tuple[Parameter, ...]:
+def parameters(**values: Any) -> tuple[Parameter, ...]:
     """Declare several parameters with their default values.
 
-    For example `m, g = parameters(m=1, g=9.81)`. Raises SymbolError when a value is not a finite real number.
+    For example `m, g = parameters(m=1, g=9.81)`, or with units `parameters(m=(1, "kg"), g=(9.81, "m/s**2"))`. Raises
+    SymbolError when a value is not a finite real number.
     """
     return tuple(parameter(name, value) for name, value in values.items())
 
 
-def free_parameter(name: str, guess: Any, lower: Any = None, upper: Any = None) -> FreeParameter:
-    """Declare a number that is optimised along with the motion, such as a duration.
+def free_parameter(
+    name: str, guess: Any, lower: Any = None, upper: Any = None, *, unit: str | None = None
+) -> FreeParameter:
+    """Declare a number that is optimised along with the motion, such as a duration, with its unit if it has one.
 
     The first guess and the bounds are numbers or expressions of parameters; None stands for no bound.
     """
     symbol = FreeParameter(name)
     symbol.guess, symbol.lower, symbol.upper = guess, lower, upper
-    return symbol
+    return _with_units((symbol,), unit)[0]
 
 
 def body_number() -> BodyNumber:
@@ -249,9 +275,12 @@ def each_body(*values: float) -> sympy.Expr:
     return EachBodyBase(body_number(), *map(sympy.Float, numbers))
 
 
-def time(name: str = "t") -> Time:
-    """Declare the time, for Lagrangians, forces, costs and guesses that depend on it explicitly."""
-    return Time(name)
+def time(name: str = "t", *, unit: str | None = None) -> Time:
+    """Declare the time, for Lagrangians, forces, costs and guesses that depend on it explicitly.
+
+    Where quantities have units, time is in seconds unless it has a `unit` of its own.
+    """
+    return _with_units((Time(name),), unit)[0]
 
 
 def finite_number(value: Any, what: str) -> float:
@@ -280,6 +309,23 @@ def _expanded(name: str) -> list[str]:
         return [symbol.name for symbol in sympy.symbols(name, seq=True)]
     except ValueError as error:
         raise SymbolError(f"{name!r} is no range of names ({error})", "write x1:4 for x1, x2 and x3") from None
+
+
+def _with_units(symbols: tuple[_Declared, ...], unit: str | None) -> tuple[_Declared, ...]:
+    """The symbols, with one unit for all or one for each; what units are is seen when a problem is made of them."""
+    if unit is None:
+        return symbols
+    if not isinstance(unit, str):
+        raise SymbolError(f"the unit of {symbols[0]} is {unit!r}", 'give a text, as in unit="m/s"')
+    units = unit.replace(",", " ").split() or [""]
+    if len(units) not in (1, len(symbols)):
+        raise SymbolError(
+            f"{len(units)} units ({unit}) of {len(symbols)} quantities",
+            'give one for all or one for each, without blanks inside, as in "kg*m/s"',
+        )
+    for symbol, own in zip(symbols, units if len(units) > 1 else units * len(symbols), strict=True):
+        symbol.unit = own
+    return symbols
 
 
 def _pairs(qs: list[str], partners: list[str], kind: type[Any]) -> tuple[tuple[Coordinate, ...], tuple[Any, ...]]:

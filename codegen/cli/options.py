@@ -26,6 +26,14 @@ class Controls(StrEnum):
     NODAL = "nodal"
 
 
+class PictureStyles(StrEnum):
+    """What a picture is for."""
+
+    PAGE = "page"
+    PAPER = "paper"
+    TALK = "talk"
+
+
 Problem = Annotated[Path, typer.Argument(metavar="PROBLEM.py", help="The problem file.", show_default=False)]
 Set = Annotated[list[str], typer.Option("--set", metavar="NAME=VALUE", help="An argument of problem(); repeatable.")]
 Scheme = Annotated[str | None, typer.Option(help="Discretisation, such as midpoint or stormer-verlet.")]
@@ -40,6 +48,9 @@ Steps = Annotated[
 Every = Annotated[int, typer.Option(parser=positive, metavar="N", help="Store every so many-th step of a simulation.")]
 Repeat = Annotated[int, typer.Option(parser=positive, metavar="N", help="Time the best of so many solves.")]
 Log = Annotated[bool, typer.Option("--log", help="Print the iterates of the generated solver (newton).")]
+PictureStyle = Annotated[
+    PictureStyles, typer.Option(help="What the picture is for: a page, a paper's two columns, or slides.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")]

@@ -32,6 +32,7 @@ class Pictures:
     animation: Path | None = None
     model: Model | PairwiseModel | None = None
     unit: str = ""
+    style: str = "page"
 
     def save(self, module: GeneratedModule, result: Result) -> None:
         """Write the files, each as a whole or not at all."""
@@ -43,9 +44,8 @@ class Pictures:
     def _save_plot(self, path: Path, module: GeneratedModule, result: Result) -> None:
         from codegen.pictures import figure_of
         from codegen.plots.picture import Picture
-        from codegen.plots.style import STYLE
 
-        Picture(figure_of(module, self.model, result, self.unit), STYLE).save(path)
+        Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(path)
 
     def _save_animation(self, path: Path, result: Result) -> None:
         from codegen.pictures import save_film
@@ -54,7 +54,7 @@ class Pictures:
             save_film(self.model, result, temporary, _with_progress)
 
 
-def requested(request: Request, plot: Path | None, animation: Path | None) -> Pictures:
+def requested(request: Request, plot: Path | None, animation: Path | None, style: str = "page") -> Pictures:
     """Check, before anything is solved, that the wanted pictures can be drawn.
 
     Raises ArgumentError for files that cannot be written, for a film of type .mp4 without ffmpeg and for a film of a
@@ -80,7 +80,7 @@ def requested(request: Request, plot: Path | None, animation: Path | None) -> Pi
     if animation is not None and not (model and model.drawing):
         finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
-    return Pictures(plot, animation, model, unit)
+    return Pictures(plot, animation, model, unit, style)
 
 
 def _with_progress(frames: Iterable[Any], count: int) -> Iterable[Any]:

@@ -18,6 +18,8 @@ from codegen.cli.options import (
     Log,
     Method,
     Out,
+    PictureStyle,
+    PictureStyles,
     Plot,
     Problem,
     Repeat,
@@ -90,6 +92,7 @@ def solve(
     guesses: Guesses = 1,
     sensitivities: Sensitivities = False,
     plot: Plot = None,
+    style: PictureStyle = PictureStyles.PAGE,
     animate: Animate = None,
     save: Save = None,
     out: Out = None,
@@ -112,7 +115,7 @@ def solve(
         output.require_writable(save, output.ARCHIVES, "--save")
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
-    wanted = pictures.requested(request, plot, animate)
+    wanted = pictures.requested(request, plot, animate, style.value)
     outcome = with_options(outcome_of(request, working, following))
     if save is not None:
         output.save(outcome.result, outcome.record, save)

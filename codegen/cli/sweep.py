@@ -9,7 +9,20 @@ from typing import Annotated, Any
 
 import typer
 
-from codegen.cli.options import Controls, ControlSites, Every, Json, Plot, Problem, Scheme, Set, Steps, positive
+from codegen.cli.options import (
+    Controls,
+    ControlSites,
+    Every,
+    Json,
+    PictureStyle,
+    PictureStyles,
+    Plot,
+    Problem,
+    Scheme,
+    Set,
+    Steps,
+    positive,
+)
 from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
@@ -97,6 +110,7 @@ def sweep(
     scaling: Scaling = "auto",
     sensitivities: Sensitivities = False,
     plot: Plot = None,
+    style: PictureStyle = PictureStyles.PAGE,
     pareto: Pareto = None,
     json: Json = False,
 ) -> None:
@@ -123,7 +137,7 @@ def sweep(
     outcome = outcome_of(request, working, progress, partial(_require_front, pareto))
     if plot is not None:
         with working("Drawing"):
-            _draw(outcome, plot, pareto)
+            _draw(outcome, plot, pareto, style.value)
     _tell(outcome, json)
     if outcome.tally.failed:
         raise typer.Exit(1)
@@ -153,12 +167,12 @@ def _require_front(pareto: str | None, outlined: Any) -> None:
         require_objectives(objectives_of(pareto), outlined)
 
 
-def _draw(outcome: Any, path: Path, pareto: str | None) -> None:
+def _draw(outcome: Any, path: Path, pareto: str | None, style: str) -> None:
     from codegen import plots
     from codegen.files import replacing
 
     with replacing(path) as temporary:
-        plots.save_sweep(outcome.dataset(), temporary, pareto)
+        plots.save_sweep(outcome.dataset(), temporary, pareto, style)
 
 
 def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

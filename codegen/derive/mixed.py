@@ -21,7 +21,8 @@ from codegen.model import Model
 from codegen.model.pairwise import PairwiseModel
 from codegen.tasks import TASKS
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.transcribe.program import ControlProgram, EndElement, StepProgram
+from codegen.transcribe.program import ControlProgram, EndElement
+from codegen.transcribe.step_program import StepProgram
 
 
 @dataclass(frozen=True)

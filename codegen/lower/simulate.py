@@ -24,6 +24,7 @@ from codegen.lower.tables import (
     table_metadata,
     table_runtime,
 )
+from codegen.model import Model
 from codegen.transcribe.step_program import StepProgram
 
 _LONG = 1000
@@ -286,8 +287,15 @@ def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Seque
         ("unknowns", repr(tuple(s.name for s in program.unknowns))),
         ("start", repr(tuple(value.quantity for value in program.start_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *([] if _is_conservative(model) else [("conservative", repr(False))]),
+        *([("units", repr(dict(model.units)))] if model.units else []),
         *([("unused", repr(model.unused))] if model.unused else []),
     ]
+
+
+def _is_conservative(model: Model) -> bool:
+    """Whether nothing drives or damps the motion, as far as forms tell: no force, and nothing depends on time."""
+    return not any(model.force) and not model.function.has(model.time)
 
 
 def _listed(symbols: Sequence[Symbol]) -> str:

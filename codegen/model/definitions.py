@@ -155,7 +155,8 @@ class Model:
     With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
     of `end_values` and parameters. The duration may depend on free parameters. `scales` are typical sizes of unknowns
-    that the author knows. `drawing` is for pictures alone.
+    that the author knows. `drawing` is for pictures alone, and so are `units`: names of coordinates, rates, momenta,
+    controls, parameters, of the time `t`, and of `cost` and `energy`, with texts.
 
     A problem of several phases has a model for each in `phases`; with P of them, the P - 1 `jumps` give pairs
     (coordinate or rate, value after the switch in terms of those before). The model itself then holds what belongs to
@@ -209,6 +210,7 @@ class Model:
     measurements: tuple[MeasurementData, ...] = ()
     loss: str = "squares"
     unused: tuple[str, ...] = ()
+    units: tuple[tuple[str, str], ...] = ()
 
     @property
     def with_free_ends(self) -> Model:

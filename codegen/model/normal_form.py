@@ -26,6 +26,7 @@ from codegen.model.relations import Entry, text
 from codegen.model.scope import Kinds, kinds_of, require_keys, require_scope
 from codegen.model.segments import in_segments
 from codegen.model.singular_guesses import with_regular_guesses
+from codegen.model.units import units_of
 from codegen.model.written import maximises, used_quantities, written_costs, written_entries
 
 
@@ -54,7 +55,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     plain = plain_symbols(used, problem.task)
     model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
-    model = with_positive_durations(replace(model, unused=unused))
+    model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
     return in_segments(with_regular_guesses(drawings.with_drawing(model, drawing, plain)))
 
 

@@ -22,6 +22,7 @@ from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import FreeParameter, Model, prescribed
 from codegen.model.relations import Entry
 from codegen.model.scope import Kinds, kinds_of
+from codegen.model.units import units_of
 from codegen.model.written import jump_entries, maximises, used_quantities, written_costs, written_entries
 
 Jump = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
@@ -53,7 +54,8 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     entries = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
     chain = _chain(models, entries, kinds, plain, name, title)
     _require_values(chain, entries)
-    chain = normal_form.with_positive_durations(replace(chain, unused=unused))
+    units = units_of(used, (entry for phase in written for entry in phase), plain)
+    chain = normal_form.with_positive_durations(replace(chain, unused=unused, units=units))
     return drawings.with_drawing(chain, drawing, plain)
 
 

@@ -11,11 +11,14 @@ import sympy
 from codegen.author.description import quantities_in
 from codegen.author.particles import Connect, Pairwise
 from codegen.author.problem import Control, Phases, Problem
-from codegen.author.quantities import Moving, Quantity
+from codegen.author.quantities import Moving, Parameter, Quantity
 from codegen.author.symbols import Coordinate, FreeParameter
-from codegen.lettering import in_latex
+from codegen.lettering import in_latex, written_unit
 from codegen.model.conditions.table import CONDITIONS
 from codegen.notebooks.printer import Printer
+
+_IN_A_ROW = 4
+"""Quantities with units that stand side by side."""
 
 
 def latex(problem: Problem | Phases) -> str:
@@ -24,8 +27,8 @@ def latex(problem: Problem | Phases) -> str:
         return _aligned(_rows(_Part.alone(problem)))
     parts = [_Part.phase(problem, number) for number in range(1, len(problem.phases) + 1)]
     blocks = [rf"\text{{Phase {part.number}:}}\quad {_aligned(_rows(part))}\\[1ex]" for part in parts]
-    told = [row for part, jump in zip(parts, problem.jumps, strict=False) for row in _jump(part, jump)]
-    return "\n".join([*blocks, *([rf"\text{{Jumps:}}\quad {_aligned(told)}\\[1ex]"] if told else [])])
+    written = [row for part, jump in zip(parts, problem.jumps, strict=False) for row in _jump(part, jump)]
+    return "\n".join([*blocks, *([rf"\text{{Jumps:}}\quad {_aligned(written)}\\[1ex]"] if written else [])])
 
 
 def displayed(problem: Problem | Phases) -> str:
@@ -42,13 +45,14 @@ def _aligned(rows: Iterator[str] | Sequence[str]) -> str:
 class _Part:
     """A problem, or one of several phases, and what writes it; alone its number is 0.
 
-    Of free parameters those are its `own` that no earlier phase has.
+    Of free parameters those are its `own` that no earlier phase has; `quantities` are those of the whole problem.
     """
 
     problem: Problem
     print_: Printer
     own: tuple[FreeParameter, ...]
     number: int = 0
+    quantities: tuple[Quantity, ...] = ()
 
     @classmethod
     def alone(cls, problem: Problem) -> _Part:
@@ -56,7 +60,8 @@ class _Part:
         quantities, duration = quantities_in(problem), problem.duration
         is_taken = any(symbol.name == "T" for symbol in quantities)
         last = in_latex(duration.name) if isinstance(duration, Quantity) else r"t_\mathrm{f}" if is_taken else "T"
-        return cls(problem, Printer(quantities, "0", last), _free(quantities))
+        printer = Printer(quantities, "0", last)
+        return cls(problem, printer, _free(quantities), quantities=tuple(quantities))
 
     @classmethod
     def phase(cls, problem: Phases, number: int) -> _Part:
@@ -65,7 +70,8 @@ class _Part:
         known = {symbol for part in earlier for symbol in _free(quantities_in(part))}
         own = tuple(symbol for symbol in _free(quantities_in(phase)) if symbol not in known)
         first = f"t_{{{number - 1}}}" if number > 1 else "0"
-        return cls(phase, Printer(quantities_in(problem), first, f"t_{{{number}}}"), own, number)
+        whole = quantities_in(problem)
+        return cls(phase, Printer(whole, first, f"t_{{{number}}}"), own, number, tuple(whole))
 
 
 def _free(quantities: Sequence[Quantity]) -> tuple[FreeParameter, ...]:
@@ -89,6 +95,20 @@ def _rows(part: _Part) -> Iterator[str]:
         yield from _history(problem, print_)
         yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
         yield from _bounds(problem, part)
+    if part.number <= 1:
+        yield from _units(part)
+
+
+def _units(part: _Part) -> Iterator[str]:
+    """What has a unit, in a row: parameters with their values, others in brackets."""
+    written = []
+    for symbol in part.quantities:
+        if hasattr(symbol, "unit"):
+            unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
+            given = rf" = {symbol.value:g}\," if isinstance(symbol, Parameter) else r"\;"
+            written.append(part.print_(symbol) + given + (unit if isinstance(symbol, Parameter) else f"[{unit}]"))
+    for first in range(0, len(written), _IN_A_ROW):
+        yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(written[first : first + _IN_A_ROW])
 
 
 def _objective(problem: Control, part: _Part) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,44 +12,40 @@ from codegen.errors import ArgumentError, CodegenError
 from codegen.model.from_file import load_problem
 from codegen.notebooks.tables import number, table
 from codegen.plots.picture import Film, Picture
-from codegen.plots.style import STYLE
 from codegen.solutions.display import Background
+from codegen.solutions.output import with_unit
 from codegen.solutions.result import Result
 
 
 def html(result: Result) -> str:
     """How it ended, with its figure where there may be one."""
+    units = result.units
     rows = [
         ("problem", f"{result.problem} ({result.task})"),
         ("discretisation", f"{result.method}, {result.scheme}, {result.intervals}"),
         ("status", f"{result.status}: {result.message}"),
-        *([("cost", number(result.cost, 12))] if result.cost is not None else []),
+        *([("cost", with_unit(number(result.cost, 12), units.get("cost", "")))] if result.cost is not None else []),
         ("residual", number(result.residual)),
         ("iterations", f"{result.iterations} ({result.driver})"),
-        *((result.label(name), number(value)) for name, value in result.summary.items()),
+        *(
+            (result.label(name), with_unit(number(value), result.unit_of(name)))
+            for name, value in result.summary.items()
+        ),
         ("seconds", number(result.seconds_solve, 3)),
     ]
     own = table(rows, caption=result.title)
     try:
-        png = base64.b64encode(picture(result)._repr_png_()).decode()
+        return own + picture(result)._repr_html_()
     except CodegenError:  # the table says what there is; `plot` says why there is no figure
         return own
-    words = f"Figure of {result.title.rstrip('.')}: {result.status}"
-    return f'{own}<img alt="{table_text(words)}" src="data:image/png;base64,{png}" style="max-width:100%">'
 
 
-def table_text(text: str) -> str:
-    """A text as the value of an attribute."""
-    from html import escape
-
-    return escape(text)
-
-
-def picture(result: Result) -> Picture:
-    """The figure of everything about a solution."""
+def picture(result: Result, style: str = "page") -> Picture:
+    """The figure of everything about a solution; ArgumentError for a style that there is not."""
     own = _background(result)
     module: Any = own.module if own.module is not None else loading.load(own.path or "")
-    return Picture(pictures.figure_of(module, _model(own), result, "" if own.source is None else _unit(own)), STYLE)
+    unit = "" if own.source is None else _unit(own)
+    return Picture(pictures.figure_of(module, _model(own), result, unit, style), style)
 
 
 def film(result: Result) -> Film:

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from codegen.model.pairwise import PairwiseModel
 
 
-def figure_of(module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "") -> Figure:
+def figure_of(
+    module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "", style: str = "page"
+) -> Figure:
     """The figure of a result, with the drawing of its model, if there are any; `unit` is that of the time."""
     drawings: Any = None
     if isinstance(model, Model) and model.drawing:
@@ -31,7 +33,7 @@ def figure_of(module: GeneratedModule, model: Model | PairwiseModel | None, resu
         if is_control(module):
             guess = first_guess(module, result)
             drawings = plots.Drawings(drawings, scene(model.authored, guess, fine_times(guess.t)))
-    return plots.figure(module, result, drawings, unit)
+    return plots.figure(module, result, drawings, unit, style)
 
 
 def save_film(

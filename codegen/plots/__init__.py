@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
@@ -16,9 +15,11 @@ from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.objectives import Objective, objectives_of, require_objectives
 from codegen.plots.pareto import pareto_figure
+from codegen.plots.picture import write
+from codegen.plots.purposes import finished, using
 from codegen.plots.simulation import simulation_figure
 from codegen.plots.specimens import specimen_figure
-from codegen.plots.style import STYLE, label
+from codegen.plots.style import label
 from codegen.plots.sweep import sweep_figure
 from codegen.solutions.result import Result
 
@@ -44,37 +45,46 @@ __all__ = [
 ]
 
 
-def figure(module: GeneratedModule, result: Result, drawings: Drawings | Scene | None = None, unit: str = "") -> Figure:
-    """Draw a module's result; `unit` is that of the time."""
-    with matplotlib.rc_context(STYLE):
+def figure(
+    module: GeneratedModule,
+    result: Result,
+    drawings: Drawings | Scene | None = None,
+    unit: str = "",
+    style: str = "page",
+) -> Figure:
+    """Draw a module's result for a page, a paper or a talk; `unit` is that of the time where no other is known.
+
+    Raises ArgumentError for another style.
+    """
+    with using(style):
         if is_connect(module):
-            return connect_figure(module, result)
+            return finished(connect_figure(module, result))
         if is_control(module):
             assert not isinstance(drawings, Scene)
-            return control_figure(module, result, drawings, unit)
+            return finished(control_figure(module, result, drawings, unit))
         assert not isinstance(drawings, Drawings)
-        return simulation_figure(result, drawings, unit)
+        return finished(simulation_figure(result, drawings, unit))
 
 
 def save(
     module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
 ) -> None:
     """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
-    _write(figure(module, result, drawings, unit), path)
+    write(figure(module, result, drawings, unit), path)
 
 
-def save_sweep(data: Dataset, path: Path, pareto: str | None = None) -> None:
+def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str = "page") -> None:
     """Draw a sweep into a file whose ending matplotlib knows, or its front in two objectives, as "cost,duration".
 
-    Raises ArgumentError for objectives that the data set does not have.
+    Raises ArgumentError for objectives that the data set does not have, and for another style than `figure` knows.
     """
-    _write(figure_of_sweep(data, pareto), path)
+    write(figure_of_sweep(data, pareto, style), path, style)
 
 
-def figure_of_sweep(data: Dataset, pareto: str | None = None) -> Figure:
+def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page") -> Figure:
     """Draw a sweep, or its front in two objectives; ArgumentError for objectives that the data set does not have."""
-    with matplotlib.rc_context(STYLE):
-        return sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto))
+    with using(style):
+        return finished(sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto)))
 
 
 def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
@@ -84,19 +94,13 @@ def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
 
 def save_closed_loop(loop: ClosedLoopData, path: Path, references: References) -> None:
     """Draw what came of a closed loop, and what it was to follow, into a file whose ending matplotlib knows."""
-    with matplotlib.rc_context(STYLE):
+    with using("page"):
         drawn = closed_loop_figure(loop, references)
-    _write(drawn, path)
+    write(drawn, path)
 
 
 def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:
     """Draw specimens in two dimensions into a file whose ending matplotlib knows."""
-    with matplotlib.rc_context(STYLE):
+    with using("page"):
         drawn = specimen_figure(points, names, share)
-    _write(drawn, path)
-
-
-def _write(drawn: Figure, path: Path) -> None:
-    metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
-    with matplotlib.rc_context(STYLE):
-        drawn.savefig(path, dpi=150, metadata=metadata)
+    write(drawn, path)

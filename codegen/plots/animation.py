@@ -22,7 +22,7 @@ from PIL import Image
 from codegen.drawing import Scene
 from codegen.errors import ArgumentError
 from codegen.plots import shapes
-from codegen.plots.style import STYLE
+from codegen.plots.purposes import STYLE
 
 RATE = 25
 """Frames per second; a GIF counts hundredths of a second, and can keep this rate exactly."""

@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from codegen.loading import Matrix, Vector
+from codegen.plots.purposes import letter_size, letters_across, new_figure
 from codegen.plots.style import AMBER, BLUE, CRIMSON, GREY, RED, label
 
 MOST_STATES, MOST_INPUTS = 12, 8
@@ -90,7 +91,7 @@ def closed_loop_figure(loop: ClosedLoopData, references: References) -> Figure:
     columns = 2 if len(states) <= 4 else 3
     parts = math.lcm(columns, _COLUMNS[len(inputs)])
     rows = [*_rows("state", len(states), columns, parts), *_rows("input", len(inputs), _COLUMNS[len(inputs)], parts)]
-    figure = Figure(figsize=(3.4 * columns + 1.0, 1.0 + 1.7 * len(rows) + 2.0), layout="constrained")
+    figure = new_figure(3.4 * columns + 1.0, 1.0 + 1.7 * len(rows) + 2.0)
     panels = figure.subplot_mosaic([*rows, ["latency"] * parts], height_ratios=[1.7] * len(rows) + [2.0])
     for i, name in enumerate(states):
         _state(panels[f"state {i}"], loop, i)
@@ -149,7 +150,7 @@ def _latencies(axes: Any, loop: ClosedLoopData) -> None:
     axes.set_ylabel("latency (ms)")
     axes.margins(x=0)
     # Above the panel, where no point can be.
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=8, columnspacing=1.0)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=letter_size(8), columnspacing=1.0)
 
 
 def _title(figure: Figure, loop: ClosedLoopData, notes: Sequence[str]) -> None:
@@ -158,6 +159,8 @@ def _title(figure: Figure, loop: ClosedLoopData, notes: Sequence[str]) -> None:
     if loop.deadline is not None:
         outcome += [f"{int((~loop.in_time).sum())} of {loop.in_time.size} deadlines missed"]
     outcome += [f"ENDED EARLY: {loop.message}"] if loop.message else []
-    letters = int(10.0 * figure.get_figwidth())
+    letters = letters_across(figure)
     texts = loop.title.rstrip("."), ", ".join([f"{loop.in_time.size} sampling times", *outcome, *notes])
-    figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
+    figure.suptitle(
+        "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)
+    )

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from codegen.loading import ConnectModule
+from codegen.plots.purposes import new_figure
 from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, title
 from codegen.solutions.result import Result
 
@@ -17,7 +18,7 @@ def connect_figure(module: ConnectModule, result: Result) -> Figure:
     dimension = len(module.metadata["coordinates"])
     paths = result.q.reshape(result.t.size, -1, dimension)
     second = 1 if dimension > 1 else 0
-    figure = Figure(figsize=(7.0, 8.6), layout="constrained")
+    figure = new_figure(7.0, 8.6)
     axes, below = figure.subplots(2, 1, height_ratios=[5.0, 1.2])
     x, y = paths[:, :, 0], paths[:, :, second]
     axes.plot(x, y, color=BLUE, linewidth=1.1, alpha=0.9)

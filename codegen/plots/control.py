@@ -16,18 +16,21 @@ from codegen.drawing import Scene
 from codegen.loading import ControlModule, Matrix, time_grid
 from codegen.plots import measured, panels, shapes, tornado
 from codegen.plots.measured import Measured
+from codegen.plots.purposes import letter_size, new_figure
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.segments import inequalities, quantities
 from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
+from codegen.plots.units import Units
 from codegen.solutions.result import Result
 from codegen.solutions.sensitivities import quantity_values
 
-WIDTH = 12.0
-"""Of the figure, in inches."""
+WIDTH, WIDE = 12.0, 16.0
+"""Of the figure, in inches; that of many coordinates with momenta is wide, and has two of them in each row."""
 
 _MOST_ROWS = 12
 _MOST_INEQUALITIES = 4
-_MOST_BESIDE = 4
+_MANY = 6
+_MOST_BESIDE, _MOST_COLUMNS_BESIDE = 4, 3
 _TITLES = {"state": "states", "momentum": "momenta", "multiplier": "multipliers", "control": "controls"}
 
 
@@ -75,24 +78,24 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
     others += _of_sensitivities(module, result)
     others.sort(key=lambda panel: not panel.over_time)
-    shape = _shape(drawings)
-    beside = 0.0 < shape.left < 1.0 and len(others) <= _MOST_BESIDE
+    width = WIDE if len(states[0]) > 4 else WIDTH
+    shape = _shape(drawings, width)
+    columns = math.ceil(len(others) / _MOST_BESIDE)
+    beside = 0.0 < shape.left < 1.0 and columns <= (_MOST_COLUMNS_BESIDE if width == WIDE else 1)
     blocks = [states] if beside else [states, _in_rows(others, len(states[0]))]
     count = sum(map(len, blocks))
     height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
-    figure = Figure(
-        figsize=(WIDTH, 0.9 + shape.height + height), layout=ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05)
-    )
+    figure = new_figure(width, 0.9 + shape.height + height, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
     phases = int(module.metadata.get("phases", 1))
-    label, switches = f"time ({unit})" if unit else "time", result.t[result.steps : -1 : result.steps]
+    label, switches = Units.of(result, unit).time, result.t[result.steps : -1 : result.steps]
     inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if _inner_times(module) else ()
     time = Time(label, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)), tuple(map(float, inner)))
     outcome = "optimum" if result.solved else "last iterate"
     if drawings is not None and beside:
         left, right = _halves(upper, shape.left, 1.0 - shape.left, vertically=False)
         _draw(left, drawings, outcome)
-        _fill(right, [[[panel] for panel in others]], time)
+        _fill(right, [_in_rows(others, max(columns, 1))], time)
     elif drawings is not None:
         _draw(upper, drawings, outcome)
     axes = _fill(lower, blocks, time)
@@ -118,7 +121,7 @@ def _inner_times(module: ControlModule) -> str:
 def _state_rows(
     groups: dict[str, list[Quantity]], samples: Sequence[Measured], bands: Mapping[str, Matrix]
 ) -> list[Row]:
-    """A row for each state with its momentum and multiplier, or for two states where there are no momenta."""
+    """A row for each state with its momentum and multiplier, or for two where there are no momenta, or many states."""
     states, momenta, multipliers = groups["state"], groups["momentum"], groups["multiplier"]
     shown = min(len(states), _MOST_ROWS)
     rows: list[Row] = []
@@ -127,8 +130,8 @@ def _state_rows(
         pair = multipliers[i : i + 1] + multipliers[i + len(states) : i + len(states) + 1]
         own: Row = [_state_panel(states[i], samples, bands), *map(_panel, momenta[i : i + 1])]
         rows.append([*own, _panel(*pair) if pair else None])
-    if not momenta and shown > 2:
-        rows += [[None, None]] * (shown % 2)
+    if (not momenta and shown > 2) or shown > _MANY:
+        rows += [[None] * len(rows[0])] * (shown % 2)
         rows = [left + right for left, right in zip(rows[::2], rows[1::2], strict=True)]
     return rows
 
@@ -240,18 +243,18 @@ class _Shape:
     left: float
 
 
-def _shape(drawings: Drawings | None) -> _Shape:
+def _shape(drawings: Drawings | None, width: float) -> _Shape:
     if drawings is None:
         return _Shape(0.0, 0.0)
     if shapes.bodies_of(drawings.solution) > 1:
         left, right, bottom, top = shapes.extent([drawings.solution, drawings.guess])
-        return _Shape(min(5.6, max(2.4, (top - bottom) / (right - left) * (WIDTH / 2 - 0.6))) + 0.8, 1.0)
+        return _Shape(min(5.6, max(2.4, (top - bottom) / (right - left) * (width / 2 - 0.6))) + 0.8, 1.0)
     left, right, bottom, top = shapes.extent([drawings.solution])
     ratio = (top - bottom) / (right - left)
     if ratio < 0.5:
-        return _Shape(max(2.4, ratio * (WIDTH - 0.6)) + 0.8, 1.0)
-    height = min(5.2, max(4.0, 0.62 * WIDTH * ratio))
-    return _Shape(height + 0.8, min(0.66, max(0.4, (height / ratio + 0.6) / WIDTH)))
+        return _Shape(max(2.4, ratio * (width - 0.6)) + 0.8, 1.0)
+    height = min(5.2, max(4.0, 0.62 * width * ratio))
+    return _Shape(height + 0.8, min(0.66, max(0.4 * WIDTH / width, (height / ratio + 0.6) / width)))
 
 
 def _halves(figure: Any, first: float, second: float, vertically: bool = True) -> tuple[Any, Any]:
@@ -270,7 +273,7 @@ def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
     scenes = {"initial guess": drawings.guess, outcome: drawings.solution}
     for axes, (name, scene) in zip(figure.subplots(1, 2), scenes.items(), strict=True):
         shapes.course(axes, scene, room)
-        axes.set_title(name, fontsize=11)
+        axes.set_title(name, fontsize=letter_size(11))
 
 
 def _notes(result: Result, module: ControlModule, groups: dict[str, list[Quantity]]) -> list[str]:

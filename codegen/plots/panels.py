@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from codegen.loading import Matrix, Vector
+from codegen.plots.purposes import letter_size
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation
 
@@ -44,8 +45,13 @@ def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None
         for values, colour in zip(shown.values.T, colours, strict=True):
             axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
     _highlight(axes, shown.t, shown.values, shown.active())
-    axes.set_ylabel(label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}")
-    _widen_if_flat(axes, shown.values if second is None else np.vstack([shown.values, second.values]))
+    name = label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}"
+    axes.set_ylabel(f"{name} ({shown.unit})" if shown.unit else name)
+    drawn = shown.values if second is None else np.vstack([shown.values, second.values])
+    if shown.kind == "momentum" and single:
+        say_if_conserved(axes, drawn)
+    else:
+        widen_if_flat(axes, drawn)
     _bounds(axes, shown)
 
 
@@ -58,7 +64,7 @@ def inequality(axes: Any, shown: Inequality) -> None:
     highest = float(np.nanmax(shown.distance, initial=0.0))
     axes.axhline(0.0, **_BOUND)
     axes.set_ylabel("distance")
-    axes.set_title(relation(shown.name), loc="left", fontsize=8.5)
+    axes.set_title(relation(shown.name), loc="left", fontsize=letter_size(8.5))
     if highest > 0.0:
         axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
     axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
@@ -69,9 +75,9 @@ def strip(axes: Any, shown: Sequence[Inequality]) -> None:
     for row, one in enumerate(shown):
         where = one.active().any(axis=1)
         axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
-    axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=7.5)
+    axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=letter_size(7.5))
     axes.set_ylim(len(shown) - 0.5, -0.5)
-    axes.set_title("path inequalities that are active", loc="left", fontsize=8.5)
+    axes.set_title("path inequalities that are active", loc="left", fontsize=letter_size(8.5))
 
 
 def iterations(axes: Any, log: Matrix) -> None:
@@ -86,7 +92,14 @@ def iterations(axes: Any, log: Matrix) -> None:
     axes.set_ylabel("max-norm")
     axes.xaxis.get_major_locator().set_params(integer=True)
     # Above the panel, where no curve can be.
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, fontsize=8, columnspacing=1.0, handlelength=1.5)
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.97),
+        ncols=3,
+        fontsize=letter_size(8),
+        columnspacing=1.0,
+        handlelength=1.5,
+    )
 
 
 def handles(
@@ -172,7 +185,7 @@ def _bounds(axes: Any, shown: Quantity) -> None:
     axes.set_ylim(low, high)
     _shade(axes, shown)
     if far:
-        axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=7.5, color=GREY)
+        axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=letter_size(7.5), color=GREY)
 
 
 def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> None:
@@ -205,14 +218,27 @@ def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
     return bounds[1:] if len(bounds) == t.size else bounds
 
 
-def _widen_if_flat(axes: Any, values: Matrix) -> None:
-    """Do not blow rounding errors of a constant up to the height of the panel."""
+def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
+    """Do not blow rounding errors of a constant up to the height of the panel; whether it is one."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
-        return
+        return False
     middle, spread = float(np.mean(finite)), float(np.ptp(finite))
-    if spread <= 1e-9 * max(1.0, abs(middle)):
+    is_flat = spread <= 1e-9 * max(1.0, abs(middle))
+    if is_flat:
         axes.set_ylim(middle - 0.5 * max(1.0, abs(middle)), middle + 0.5 * max(1.0, abs(middle)))
+    return is_flat
+
+
+def say_if_conserved(axes: Any, momenta: np.ndarray) -> None:
+    """Above the panel of a momentum that does not change but for rounding, how well it is conserved."""
+    if widen_if_flat(axes, momenta) and np.isfinite(momenta).all():
+        axes.set_title(conserved_to(float(np.ptp(momenta))), loc="right")
+
+
+def conserved_to(spread: float) -> str:
+    """How well something is conserved that should be."""
+    return f"conserved to {spread:.0e}" if spread > 0.0 else "conserved exactly"
 
 
 def lengths(axes: Any, t: Vector) -> None:

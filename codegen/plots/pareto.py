@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.plots.objectives import Objective, is_dominated, values_of
+from codegen.plots.purposes import new_figure
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, body_map, heading, label, quantity, statuses
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
     The front is a line through its cases; what is dominated is lighter, and failed cases are crosses between their two
     nearest neighbours that are solved. Cases of the front have the colour of the first quantity that varies beside.
     """
-    figure = Figure(figsize=(8.6, 5.6), layout="constrained")
+    figure = new_figure(8.6, 5.6)
     axes = figure.subplots()
     one, other = (values_of(objective, data).ravel() for objective in objectives)
     solved = statuses(data).ravel() == "solved"

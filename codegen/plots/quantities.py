@@ -29,7 +29,7 @@ class Quantity:
 
     `values` belong to the times `t`, or to the intervals between them when there is one row less. Bounds are infinite
     where there are none, and have rows like the values where they may change. `kind` is state, momentum, multiplier or
-    control; `jumps` are the nodes after which another value follows at once.
+    control; `jumps` are the nodes after which another value follows at once; `unit` stands behind the name.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Quantity:
     upper: Vector
     guess: Matrix | None = None
     jumps: tuple[int, ...] = ()
+    unit: str = ""
 
     @property
     def on_intervals(self) -> bool:
@@ -117,6 +118,7 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
                 _limits(module, tables[3][:, :, i], np.inf) if is_bounded else none,
                 tables[1][:, :, i] if kind != "momentum" else None,
                 _jumps(module, result, name),
+                result.units.get(name, ""),
             )
             for i, name in enumerate(names)
         ]

@@ -65,4 +65,5 @@ def _joined(name: str, parts: list[Quantity], cut: Result) -> Quantity:
         first.lower,
         first.upper,
         rows(guesses, at_nodes and not first.on_intervals) if guesses else None,
+        unit=cut.units.get(name, ""),
     )

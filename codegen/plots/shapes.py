@@ -10,6 +10,7 @@ from matplotlib import patches
 from matplotlib.lines import Line2D
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
+from codegen.plots.purposes import letter_size
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
 
 SHOTS, MANY_SHOTS = 9, 7
@@ -53,7 +54,7 @@ def prepare(axes: Any, room: Extent) -> None:
     axes.set_xlim(room[0], room[1])
     axes.set_ylim(room[2], room[3])
     axes.set_aspect("equal", anchor="N")
-    axes.tick_params(length=0, labelsize=8, colors=GREY)
+    axes.tick_params(length=0, labelsize=letter_size(8), colors=GREY)
     for spine in axes.spines.values():
         spine.set_visible(False)
 
@@ -127,7 +128,7 @@ def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
         handles["end"] = Line2D([], [], color="black", marker="s", markersize=5, linestyle="")
     if handles:
         location = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": 5, "columnspacing": 1.4}
-        axes.legend(list(handles.values()), list(handles), fontsize=8.5, **location)
+        axes.legend(list(handles.values()), list(handles), fontsize=letter_size(8.5), **location)
 
 
 def _handle(item: Item, colour: Any) -> Any:

@@ -1,7 +1,8 @@
-"""What all pictures share: colours, fonts, symbols as mathematics, titles."""
+"""What all pictures share: colours, symbols as mathematics, titles."""
 
 from __future__ import annotations
 
+import json
 import re
 import textwrap
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen import lettering
+from codegen.plots.purposes import letter_size, letters_across
 from codegen.solutions.result import Result
 
 if TYPE_CHECKING:
@@ -28,27 +30,6 @@ FORBIDDEN = "#F6DFD3"
 
 MOST_BODY_COLOURS = 7
 """As many bodies have colours of their own; more are graded."""
-
-STYLE: dict[Any, Any] = {
-    "font.size": 9.5,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 10.5,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.formatter.use_mathtext": True,
-    "axes.formatter.limits": (-3, 4),
-    "grid.color": "#e2e2e2",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.5,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "svg.hashsalt": "codegen",
-}
-"""Settings of matplotlib, to be used in a context."""
 
 _SIGNS = (("**", "^"), ("<=", "≤"), (">=", "≥"), ("*", "·"))
 
@@ -94,15 +75,23 @@ def title(figure: Figure, result: Result, notes: Sequence[str] = ()) -> None:
     outcome = [f"{result.method}, {result.scheme}, {result.intervals}"]
     outcome += [f"cost {result.cost:.6g}"] if result.cost is not None else []
     outcome += [] if result.solved else [f"NOT SOLVED: {result.status}"]
-    letters = int(10.0 * figure.get_figwidth())
+    letters = letters_across(figure)
     texts = result.title.rstrip("."), ", ".join([*outcome, *notes])
-    figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
+    figure.set_label(". ".join(texts))
+    figure.suptitle(
+        "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)
+    )
 
 
-def quantity(name: str) -> str:
-    """What a varied quantity is called; prescribed values have the end and the name, as in `start.r`."""
+def quantity(name: str, data: Dataset | None = None) -> str:
+    """What a varied quantity is called; prescribed values have the end and the name, as in `start.r`.
+
+    The units of a sweep's `data` stand behind it, where its author gave them.
+    """
     end, dot, own = name.partition(".")
-    return f"{label(own)} at the {end}" if dot else label(name)
+    text = f"{label(own)} at the {end}" if dot else label(name)
+    unit = json.loads(data.attrs.get("units", "{}")).get(own or name, "") if data is not None else ""
+    return f"{text} ({unit})" if unit else text
 
 
 def statuses(data: Dataset) -> NDArray[np.str_]:
@@ -118,6 +107,9 @@ def heading(figure: Figure, data: Dataset) -> None:
     status = statuses(data)
     failed = int((status != "solved").sum())
     outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
-    letters = int(10.0 * figure.get_figwidth())
+    letters = letters_across(figure)
     texts = str(own["title"]).rstrip("."), ", ".join([own["formulation"], own["scheme"], *steps, outcome])
-    figure.suptitle("\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=11)
+    figure.set_label(". ".join(texts))
+    figure.suptitle(
+        "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)
+    )

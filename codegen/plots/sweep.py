@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from codegen.plots import fans
 from codegen.plots.first_order import prediction
+from codegen.plots.purposes import letter_size, new_figure
 from codegen.plots.style import (
     BLUE,
     CRIMSON,
@@ -103,20 +104,20 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
     names += ["."] * (-len(names) % columns)
     rows += [names[first : first + columns] for first in range(0, len(names), columns)]
-    figure = Figure(figsize=(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows)), layout="constrained")
+    figure = new_figure(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
     failed, jumps = (_rows(table, data, dims)[:, order] for table in (_is_failed(data), _has_jump(data)))
     for i, (name, values) in enumerate(measures.items()):
         _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by, bool(words))
         panels[f"m{i}"].set_ylabel(name)
-        panels[f"m{i}"].set_xlabel(quantity(dims[0]))
+        panels[f"m{i}"].set_xlabel(quantity(dims[0], data))
         if words:
             panels[f"m{i}"].set_xticks(x, words)
     if any(name != "." for name in names):
         flat = data if by is None else data.isel({by: 0})
         shades = fans.graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
         bar = figure.colorbar(
-            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0]), aspect=30
+            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0], data), aspect=30
         )
         bar.outline.set_visible(False)
         if words:
@@ -187,7 +188,7 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
     shown = [(part, k, name, values) for part, k in panels for name, values in _measures(part).items()]
     columns = _columns(len(shown))
     size = max(6.4, 4.3 * columns), 1.2 + 3.7 * math.ceil(len(shown) / columns)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = new_figure(*size)
     grid = figure.subplots(math.ceil(len(shown) / columns), columns, squeeze=False)
     for axes in grid.ravel()[len(shown) :]:
         axes.set_visible(False)
@@ -236,7 +237,7 @@ def _map(
         halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
         lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
         lines.set_path_effects(halo)
-        for text in axes.clabel(lines, fontsize=7.5, fmt="%.4g"):
+        for text in axes.clabel(lines, fontsize=letter_size(7.5), fmt="%.4g"):
             text.set_path_effects(halo)
     for table, look, name in ((laid(_is_failed(data)), _FAILED, "failed"), (laid(_has_jump(data)), _JUMP, "jump")):
         if table.any():
@@ -245,8 +246,8 @@ def _map(
                 x[j], y[i], **{**look, "markersize": max(1.5, look["markersize"] * _crowd(table.size))}, label=name
             )
     axes.grid(visible=False)
-    axes.set_xlabel(quantity(dims[0]))
-    axes.set_ylabel(quantity(dims[1]))
+    axes.set_xlabel(quantity(dims[0], data))
+    axes.set_ylabel(quantity(dims[1], data))
     for words, at, put in ((x_words, x, axes.set_xticks), (y_words, y, axes.set_yticks)):
         if words:
             put(at, words)
@@ -290,7 +291,7 @@ def _samples(data: Dataset) -> Figure:
         [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
         for block in blocks for first in range(0, len(block), columns)
     ]  # fmt: skip
-    figure = Figure(figsize=(3.6 * columns, 1.0 + 2.9 * len(rows)), layout="constrained")
+    figure = new_figure(3.6 * columns, 1.0 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
     failed, linear = _is_failed(data), prediction(data, every)
     for i, (name, values) in enumerate(measures.items()):
@@ -298,7 +299,7 @@ def _samples(data: Dataset) -> Figure:
         fans.histogram(panels[f"m{i}"], name, values, _is_wide(values), (float(mean), float(deviation)))
         for j, varied_one in enumerate(varied):
             _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, failed)
-            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one))
+            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one, data))
             panels[f"s{i},{j}"].set_ylabel(name)
     for i, group in enumerate(groups):
         fans.fan(panels[f"g{i}"], data, group, linear)

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from codegen.loading import Vector
+from codegen.plots.purposes import letter_size
 from codegen.plots.style import AMBER, BLUE, DARK, quantity
 from codegen.solutions.derivatives import Sensitivities
 
@@ -51,4 +52,11 @@ def tornado(axes: Any, shown: Mapping[str, float]) -> None:
     rest = len(shown) - len(names)
     axes.set_xlabel("change of the cost" + (f"; {rest} smaller not shown" if rest else ""))
     # Above the panel, where no bar can be.
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, fontsize=8, columnspacing=1.0, handlelength=1.2)
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.97),
+        ncols=2,
+        fontsize=letter_size(8),
+        columnspacing=1.0,
+        handlelength=1.2,
+    )

@@ -42,10 +42,19 @@ def as_dataset(result: Any) -> Dataset:
             variables[name] = _by_rows(array, result.t.size, dim)
     numbers = {"cost": result.cost, "residual": result.residual, "stationarity": result.stationarity}
     variables |= {name: ((), value) for name, value in numbers.items() if value is not None}
-    coordinates = {_COLUMNS[name]: list(result.names[name]) for name in _COLUMNS if name in variables}
+    coordinates: dict[str, Any] = {}
+    for name in (name for name in _COLUMNS if name in variables):
+        coordinates[_COLUMNS[name]] = list(result.names[name])
+        units = [result.units.get(column, "") for column in result.names[name]]
+        if any(units):
+            coordinates[f"{_COLUMNS[name]}_unit"] = (_COLUMNS[name], units)
     texts: dict[str, Any] = {name: getattr(result, name) for name in _TEXTS}
     attributes = {**texts, "formulation": result.method, "steps": result.steps, "iterations": result.iterations}
-    return xarray.Dataset(variables, coordinates, attributes | dict(result.summary))
+    data = xarray.Dataset(variables, coordinates, attributes | dict(result.summary))
+    for name in ("t", "energy", "cost"):
+        if name in data and result.units.get(name):
+            data[name].attrs["units"] = result.units[name]
+    return data
 
 
 def _by_rows(array: Any, nodes: int, dim: str) -> tuple[tuple[str, ...], Any]:
@@ -74,4 +83,6 @@ def as_frame(result: Any) -> Any:
         columns |= {name: controls[:, i] for i, name in enumerate(result.names["u"])}
     if result.energy is not None:
         columns["energy"] = result.energy
-    return pandas.DataFrame(columns, index=pandas.Index(result.t, name="t"))
+    frame = pandas.DataFrame(columns, index=pandas.Index(result.t, name="t"))
+    frame.attrs["units"] = {name: unit for name, unit in result.units.items() if name == "t" or name in columns}
+    return frame

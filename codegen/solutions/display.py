@@ -70,7 +70,8 @@ class Display:
         """An xarray.Dataset with the dimensions node, interval and stage, called as those of a sweep.
 
         `t` (node), `q` (node, coordinate), `p` (node, momentum), `u` and `multipliers` on nodes, intervals or stages,
-        `energy` (node) of a simulation, `cost` and `residual`; the rest are attributes. In the units of the problem.
+        `energy` (node) of a simulation, `cost` and `residual`; the rest are attributes. In the units of the problem,
+        which stand, where its author gave them, in `coordinate_unit`, `momentum_unit`, `control_unit` and attributes.
         Raises ExtraError without xarray, and ArgumentError for particles.
         """
         return as_dataset(cast(Any, self))
@@ -79,17 +80,19 @@ class Display:
         """A pandas.DataFrame with a row for each node, indexed by its time, and a column for each quantity by name.
 
         A control that is constant on intervals has the value that holds from the node on, at the last node that of the
-        last interval. In the units of the problem. Raises ExtraError without pandas, and ArgumentError for particles.
+        last interval. In the units of the problem, which `attrs["units"]` names where its author gave them. Raises
+        ExtraError without pandas, and ArgumentError for particles.
         """
         return as_frame(cast(Any, self))
 
-    def plot(self, path: Path | str | None = None) -> Picture:
+    def plot(self, path: Path | str | None = None, *, style: str = "page") -> Picture:
         """The figure of `codegen solve --plot`, which a notebook shows, written to `path` as well if that is given.
 
-        Its `figure` is matplotlib's. Raises ArgumentError for a file that is no .png, .pdf or .svg, and for a solution
-        that does not know its module.
+        Its `figure` is matplotlib's, and its `text` says what it shows. `style` is "page", "paper" for the width of a
+        journal's two columns, or "talk". Raises ArgumentError for another style, for a file that is no .png, .pdf or
+        .svg, and for a solution that does not know its module.
         """
-        picture: Picture = _PICTURE(self)
+        picture: Picture = _PICTURE(self, style)
         if path is not None:
             picture.save(path)
         return picture

@@ -94,6 +94,11 @@ def as_json(record: Mapping[str, Any]) -> str:
     return json.dumps(record, allow_nan=False)
 
 
+def with_unit(number: str, unit: str) -> str:
+    """A number with the unit behind it that its author gave, if any."""
+    return f"{number} {unit}" if unit else number
+
+
 def _finite(number: float | None) -> float | None:
     return float(number) if number is not None and math.isfinite(number) else None
 
@@ -114,7 +119,7 @@ def as_table(record: Mapping[str, Any], result: Result) -> Table:
     for note in record.get("notes", ()):
         table.add_row("[bold red]note[/]", f"[bold red]{_escaped(note)}[/]")
     if record["cost"] is not None:
-        table.add_row("cost", f"{record['cost']:.12g}")
+        table.add_row("cost", with_unit(f"{record['cost']:.12g}", result.units.get("cost", "")))
     table.add_row("residual", _number(record["residual"]))
     table.add_row("iterations", f"{record['iterations']} ({record['driver']})")
     for level in record.get("levels", ()):
@@ -127,7 +132,7 @@ def as_table(record: Mapping[str, Any], result: Result) -> Table:
         largest = f"{_number(accuracy['estimate'])}, largest of {accuracy['largest']['quantity']}"
         table.add_row("estimated error", f"{largest} at t = {_number(accuracy['largest']['t'])}")
     for name, value in record["summary"].items():
-        table.add_row(_escaped(result.label(name)), _number(value))
+        table.add_row(_escaped(result.label(name)), with_unit(_number(value), result.unit_of(name)))
     seconds = record["seconds"]
     table.add_row("time", ", ".join(f"{name} {_duration(value)}" for name, value in seconds.items()))
     return table

@@ -181,7 +181,8 @@ class Result(Display):
     say of free parameters; `sensitivity` is what `sensitivities()` gives. `notes` are sentences on a solution whose
     equations hold, and whose motion violates conditions between its nodes. `by_segments` is the result of a problem
     with delays as its module has it, with columns for every segment; `background` is what pictures need. `labels` are
-    entries of the summary as tables write them where an author's names are in them, which `label` looks up.
+    entries of the summary as tables write them where an author's names are in them, which `label` looks up. `units` are
+    those of columns by name, of the time `t`, and of `cost` and `energy`, as far as the author gave them.
     """
 
     problem: str
@@ -208,6 +209,7 @@ class Result(Display):
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
     labels: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
+    units: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
     seconds_solve: float = field(default=float("nan"), compare=False)
     seconds_first: float = field(default=float("nan"), compare=False)
     compiled: bool = field(default=False, compare=False)
@@ -231,6 +233,12 @@ class Result(Display):
         if self.sensitivity is None:
             raise ArgumentError("this result has no sensitivities", "solve with sensitivities=True")
         return self.sensitivity
+
+    def unit_of(self, entry: str) -> str:
+        """The unit of an entry of the summary, as far as it is known; nothing for others."""
+        of_time = {"duration": "t", "energy_drift": "energy", "energy_change": "energy"}
+        name = of_time.get(entry, entry.removeprefix("final_"))
+        return self.units.get(name, "")
 
     def label(self, entry: str) -> str:
         """An entry of the summary for people to read: an author's names as written, blanks between other words."""
@@ -284,7 +292,8 @@ Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
 def origin(metadata: Mapping[str, Any], driver: str, run: Run, attempt: Attempt, seconds: float) -> dict[str, Any]:
     """What a result says of where it comes from, whatever the task."""
     own = {name: metadata[name] for name in ("problem", "title", "task", "method", "scheme")}
-    return {**own, "driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
+    told = {"driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
+    return {**own, **told, "units": component_units(metadata)}
 
 
 def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:
@@ -316,3 +325,15 @@ def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     if bodies == 1:
         return names
     return {key: tuple(f"{name}_{body}" for body in range(bodies) for name in row) for key, row in names.items()}
+
+
+def component_units(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """The units of columns by their names, beside those of everything else that has one."""
+    units: dict[str, str] = dict(metadata.get("units", {}))
+    if units and metadata.get("bodies", 1) > 1:
+        for row in component_names({**metadata, "bodies": 1}).values():
+            each = {
+                f"{name}_{body}": units[name] for name in row for body in range(metadata["bodies"]) if name in units
+            }
+            units |= each
+    return units

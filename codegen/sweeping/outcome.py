@@ -20,7 +20,7 @@ from codegen.engines.tally import Tally
 from codegen.engines.team import Progress, Team, Working, silent
 from codegen.engines.work import Done
 from codegen.machine import versions
-from codegen.solutions.result import Run
+from codegen.solutions.result import Run, component_units
 from codegen.solving.request import Request
 from codegen.solving.run import require_memory
 from codegen.sweeping import store
@@ -220,6 +220,7 @@ def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str
         "task": own["task"],
         "formulation": own["method"],
         "scheme": own["scheme"],
+        **({"units": json.dumps(component_units(own), ensure_ascii=False)} if "units" in own else {}),
         "driver": work.driver,
         **steps,
         "cases": request.origin,

@@ -16,7 +16,7 @@ _ARRAY = re.compile(r"\\(begin|end)\{array\}(?:\{[lcr|]*\})?")
 
 
 def _written(node: nodes.Element, as_block: bool) -> str:
-    text = _ARRAY.sub(r"\\\1{matrix}", node.astext()).replace(r"\\[1ex]", r"\\")
+    text = _ARRAY.sub(r"\\\1{matrix}", node.astext()).replace(r"\\[1ex]", r"\\").replace(r"\dots", r"\ldots")
     if as_block and "\\\\" in text and "\\begin" not in text:
         text = rf"\begin{{aligned}}{text}\end{{aligned}}"
     try:

@@ -9,8 +9,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import benchmarks
 from references import PROBLEMS, ROOT, STORED, Known, digest, known_of, misses, problem_files
-from speed import ratio, read_speed, speed_section
+from speed import read_speed, speed_section
 from sphinx.errors import ExtensionError
 from sphinx.util import logging
 
@@ -81,7 +82,7 @@ def solution_section(path: Path, title: str, record: dict[str, Any]) -> list[str
         *(f"| {name} | {value} |" for name, value in numbers),
         "",
         f"```{{image}} stored/{path.stem}.png",
-        f":alt: Figure of the solution of {path.stem}. {title}",
+        f":alt: {record.get('text') or words_of_figure(path, title)}",
         ":class: figure-card\n:loading: lazy\n```\n",
         *film_section(path, title, record),
         *values_section(path, record),
@@ -89,6 +90,21 @@ def solution_section(path: Path, title: str, record: dict[str, Any]) -> list[str
         f"and numpy {own['numpy']}, on {own['processors']} cores of {own['processor']} that did other work as well; "
         "the time is the least of three solves.",
     ]
+
+
+def words_of_figure(path: Path, title: str) -> str:
+    """What a figure shows whose record has no words: its quantities, as the problem declares them."""
+    from codegen.author.description import quantities_in
+    from codegen.author.sources import ProblemFile
+    from codegen.author.symbols import ControlInput, Coordinate, State
+
+    found = quantities_in(ProblemFile(path).written({})[1])
+    shown = {
+        "over time": [one.name for one in found if isinstance(one, (Coordinate, State))],
+        "controls": [one.name for one in found if isinstance(one, ControlInput)],
+    }
+    parts = [f"{what} {', '.join(names)}" for what, names in shown.items() if names]
+    return f"Figure of the solution of {path.stem}. {title}. Shown: {'; '.join(parts)}"
 
 
 def film_section(path: Path, title: str, record: dict[str, Any]) -> list[str]:
@@ -242,30 +258,6 @@ def choices(own: Any) -> str:
     return "|".join(str(each.value) for each in type(own.default)) if isinstance(own.default, Enum) else "VALUE"
 
 
-# Benchmarks.
-
-
-def benchmarks() -> str:
-    """The page of benchmarks with the figures that are on record for this version."""
-    record = json.loads(newest_figures().read_text(encoding="utf-8"))
-    own = record["environment"]
-    rows = [
-        f"| `{case['case']}` | {case['iterations']} | {1e3 * case['seconds']:.3g} | {case['lines']} |"
-        for case in record["cases"]
-    ]
-    machine = (
-        f"{own['processors']} cores of {own['processor']}, Python {own['python']}, numba {own['numba']}, numpy "
-        f"{own['numpy']}, at a load of {own['load of the machine when the page was made']}"
-    )
-    front = (DOCS / "benchmarks.in").read_text(encoding="utf-8")
-    return front.replace("@ROWS@", "\n".join(rows)).replace("@MACHINE@", machine).replace("@RATIO@", ratio())
-
-
-def newest_figures() -> Path:
-    """The record that `tests/figures.py` keeps of the newest version."""
-    return max((ROOT / "tests" / "figures").glob("*.json"), key=lambda path: [int(n) for n in path.stem.split(".")])
-
-
 def make(app: Any) -> None:
     """Write all pages that are made."""
     makers = [
@@ -275,7 +267,7 @@ def make(app: Any) -> None:
     ]
     gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())
     write(DOCS / "reference" / "commands.md", commands())
-    write(DOCS / "benchmarks.md", benchmarks())
+    write(DOCS / "benchmarks.md", benchmarks.page())
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 from functools import reduce
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
+
+import codegen
 
 
 def found(name: str) -> Any:
@@ -18,10 +22,32 @@ def found(name: str) -> Any:
     return reduce(getattr, own.split("."), import_module(f"codegen.{module}" if module else "codegen"))
 
 
+def is_alias(thing: Any) -> bool:
+    """Whether a name stands for a type with a mark, whose own docstring is that of `Annotated`."""
+    return hasattr(thing, "__metadata__")
+
+
+def text(name: str) -> str:
+    """The docstring, which of an alias is the text below its definition."""
+    thing = found(name)
+    if not is_alias(thing):
+        return inspect.getdoc(thing) or ""
+    body = ast.parse(inspect.getsource(import_module(codegen._HOMES[name]))).body
+    below = [
+        after.value.value
+        for before, after in pairwise(body)
+        if isinstance(before, ast.AnnAssign) and ast.unparse(before.target) == name
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+    ]
+    return str(below[0]) if below else ""
+
+
 def call(name: str) -> str:
     """The call on as many lines as it needs, with annotations."""
     thing = found(name)
     own = name.rpartition(":")[2]
+    if is_alias(thing):
+        return f"{own} = {str(thing).removeprefix('typing.').replace('pathlib.', '')}"
     try:
         signature = inspect.signature(thing)
     except (TypeError, ValueError):
@@ -62,11 +88,11 @@ class Signature(SphinxDirective):
         """Parse the docstring where the directive stands."""
         name = self.arguments[0]
         block = nodes.literal_block("", call(name), language="python")
-        text = nodes.container()
+        shown = nodes.container()
         if "no-text" not in self.options:
-            lines = (inspect.getdoc(found(name)) or "").splitlines()
-            self.state.nested_parse(StringList(lines, source=name), 0, text)
-        return [block, *text.children]
+            lines = text(name).splitlines()
+            self.state.nested_parse(StringList(lines, source=name), 0, shown)
+        return [block, *shown.children]
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -54,6 +54,15 @@ def problem(**others):
     )
 
 
+def test_units_stand_in_a_last_row_with_the_values_of_parameters():
+    x, v = states("x v", unit="m m/s")
+    u, (m, c) = control("u", unit="N"), parameters(m=(2, "kg"), c=(0.5, "1"))
+    text = latex(Control(dynamics={x: v, v: c * u / m}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1}))
+    assert r"\text{units}\quad &x\;[\text{m}],\quad v\;[\text{m/s}],\quad u\;[\text{N}],\quad m = 2\,\text{kg}" in text
+    assert r"&c = 0.5\,\text{1}" in text
+    assert "units" not in latex(problem(duration=2))
+
+
 def test_words_stand_apart_in_products():
     text = latex(problem(duration=2))
     assert r"\frac{\mathrm{mass} \, \mathrm{rod}^{2} \, \dot{\theta_{1}}^{2}}{2}" in text

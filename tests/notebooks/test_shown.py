@@ -107,7 +107,8 @@ def test_a_solution_is_a_table_with_its_figure(solution):
     assert tags.texts[0] == "Push a cart."
     assert "solved: " in " ".join(tags.texts)
     (image,) = [given for tag, given in tags.found if tag == "img"]
-    assert image["alt"] == "Figure of Push a cart: solved"
+    assert str(image["alt"]).startswith("Push a cart. variational, midpoint, ")
+    assert f"; u from {solution.u.min():.3g} to {solution.u.max():.3g}" in str(image["alt"])
     data = str(image["src"]).removeprefix("data:image/png;base64,")
     assert Image.open(io.BytesIO(base64.b64decode(data))).size[0] > 400
 
@@ -148,7 +149,7 @@ def test_a_film_is_inline_and_a_file(solution, tmp_path):
     (image,) = [given for tag, given in Tags(film._repr_html_()).found if tag == "img"]
     data = base64.b64decode(str(image["src"]).removeprefix("data:image/gif;base64,"))
     assert data == film.data
-    assert image["alt"] == "Push a cart."
+    assert image["alt"] == "Film: Push a cart."
     assert repr(film) == "Film(title='Push a cart.')"
     film.save(tmp_path / "push.gif")
     assert (tmp_path / "push.gif").read_bytes() == data

@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 
 from codegen import plots, solving
 from codegen.drawing import Arrow, Mass, Scene, Trail
-from codegen.plots import panels, style
+from codegen.errors import ArgumentError
+from codegen.plots import panels, purposes, style, words
+from codegen.plots.picture import Picture
 from codegen.plots.quantities import Inequality, Quantity
 
 
@@ -142,7 +144,7 @@ class TestControlFigure:
 def test_nothing_overlaps(states, controls, bodies, form, conditions, height):
     module, result = invented(states, controls, bodies, form, conditions)
     drawn = picture(bodies, height) if height is not None else None
-    with matplotlib.rc_context(style.STYLE):
+    with matplotlib.rc_context(purposes.STYLE):
         figure = plots.control_figure(module, result, plots.Drawings(drawn, drawn) if drawn else None, "nondimensional")
         assert overlaps(figure) == []
     assert figure.get_figheight() < 30.0
@@ -174,8 +176,11 @@ class TestSimulation:
         module = interpreted("pendulum")
         result = solving.solve(module, steps=50)
         figure = plots.simulation_figure(result)
-        portrait, energy = figure.axes
+        over_time, portrait, energy = figure.axes
+        assert (over_time.get_xlabel(), over_time.get_ylabel()) == ("time", "$q$")
+        np.testing.assert_array_equal(over_time.lines[0].get_xydata(), np.column_stack([result.t, result.q[:, 0]]))
         assert (portrait.get_xlabel(), portrait.get_ylabel()) == ("$q$", "$p$")
+        assert energy.get_ylabel() == "change of energy"
         np.testing.assert_array_equal(portrait.lines[0].get_xdata(), result.q[:, 0])
         np.testing.assert_allclose(np.abs(energy.lines[0].get_ydata()).max(), result.summary["energy_drift"])
 
@@ -183,11 +188,44 @@ class TestSimulation:
         result = solving.solve(interpreted("pendulum"), steps=50)
         bob = np.sin(result.q.T), -np.cos(result.q.T)
         scene = Scene(result.t, (Trail(bob), Mass(bob, 0.1 + 0 * bob[0])))
-        with matplotlib.rc_context(style.STYLE):
+        with matplotlib.rc_context(purposes.STYLE):
             figure = plots.simulation_figure(result, scene, "nondimensional")
             assert overlaps(figure) == []
-        assert len(figure.axes) == 3
+        assert len(figure.axes) == 4
         assert figure.axes[-1].get_xlabel() == "time (nondimensional)"
+
+    @pytest.mark.parametrize(("coordinates", "height"), [(3, 8.0), (10, 11.0), (30, 13.0)])
+    def test_many_coordinates_stand_side_by_side(self, coordinates, height):
+        names = {"q": [f"x{i}" for i in range(coordinates)], "p": [f"p_x{i}" for i in range(coordinates)]}
+        result = replace(invented(coordinates, 1, 1, "lagrangian")[1], energy=np.linspace(1.0, 1.1, 7), names=names)
+        result = replace(result, summary={"energy_drift": 0.1})
+        with matplotlib.rc_context(purposes.STYLE):
+            figure = plots.simulation_figure(result)
+            assert overlaps(figure) == []
+        assert figure.get_figheight() <= height
+        assert len(figure.axes) == 2 * min(coordinates, 12) + 1
+        assert ("18 further coordinates not shown" in figure.get_suptitle()) is (coordinates == 30)
+
+    def test_what_is_conserved_is_said_in_place_of_rounding(self):
+        result = invented(1, 1, 1, "lagrangian")[1]
+        rounding = 1e-15 * np.array([0, 1, -2, 3, 0, 1, -1])
+        result = replace(
+            result, p=(8.775825619 + rounding)[:, None], energy=2.0 + rounding, summary={"energy_drift": 0}
+        )
+        result = replace(result, names={"q": ["x"], "p": ["p_x"]})
+        _, portrait, energy = plots.simulation_figure(result).axes
+        assert portrait.get_title(loc="right") == "conserved to 5e-15"
+        assert portrait.get_ylim() == pytest.approx((8.775825619 / 2, 1.5 * 8.775825619))
+        assert energy.get_title(loc="right") == "conserved to 5e-15"
+        assert max(map(abs, energy.get_ylim())) < 1e-8
+
+    def test_the_energy_of_what_is_driven_is_no_error(self, interpreted):
+        result = solving.solve(interpreted("driven", DRIVEN), steps=40)
+        assert "energy_drift" not in result.summary
+        assert result.summary["energy_change"] == result.energy[-1] - result.energy[0]
+        axes = plots.simulation_figure(result).axes[-1]
+        assert axes.get_ylabel() == "energy (J)"
+        np.testing.assert_array_equal(axes.lines[0].get_ydata(), result.energy)
 
     def test_long_paths_are_thinned(self):
         t = np.linspace(0.0, 1.0, 100_001)
@@ -195,6 +233,57 @@ class TestSimulation:
             invented(1, 1, 1, "lagrangian")[1], t=t, q=t[:, None], p=t[:, None], energy=t, names={"q": "x", "p": "p"}
         )
         assert plots.simulation_figure(result).axes[0].lines[0].get_xdata().size <= 20_001
+
+
+class TestStyles:
+    @pytest.mark.parametrize(
+        ("name", "width", "letters"), [("page", 12.0, 11.0), ("paper", 7.1, 8.7), ("talk", 13.3, 17.4)]
+    )
+    def test_sizes_and_that_nothing_overlaps(self, name, width, letters):
+        module, result = invented(2, 1, 1, "lagrangian", 1)
+        drawn = picture(1, 1.0)
+        figure = plots.figure(module, result, plots.Drawings(drawn, drawn), style=name)
+        assert figure.get_figwidth() == pytest.approx(width)
+        assert result.title.rstrip(".") in " ".join(figure.get_suptitle().split("\n"))
+        assert figure._suptitle.get_fontsize() == pytest.approx(letters, abs=0.1)
+        with purposes.using(name):
+            assert overlaps(figure) == []
+
+    def test_others_are_refused(self):
+        module, result = invented(1, 1, 1, "lagrangian")
+        with pytest.raises(ArgumentError, match="there is no style 'poster'; give one of page, paper, talk"):
+            plots.figure(module, result, style="poster")
+
+
+class TestWords:
+    def test_a_figure_says_what_it_shows_with_units(self, interpreted):
+        result = solving.solve(interpreted("driven", DRIVEN), steps=40)
+        text = words.words_of(plots.simulation_figure(result))
+        assert text.startswith("Drive an oscillator. variational, midpoint, 40 steps. Shown: theta_1 (m) from ")
+        low, high = result.q.min(), result.q.max()
+        assert f"theta_1 (m) from {low:.3g} to {high:.3g}; " in text
+        assert "p_theta,1 (kg·m/s) from " in text
+        assert "over theta_1 (m)" in text
+        assert "energy (J) from " in text
+
+    @pytest.mark.parametrize("ending", ["png", "svg"])
+    def test_files_have_the_text(self, tmp_path, ending):
+        module, result = invented(1, 1, 1, "lagrangian")
+        Picture(plots.figure(module, result)).save(tmp_path / f"a.{ending}")
+        assert b"; p_x,1 from 0 to 9.97e-05; " in (tmp_path / f"a.{ending}").read_bytes()
+
+
+DRIVEN = '''"""Drive an oscillator."""
+from codegen import Simulate, coordinate, parameters, time
+from sympy import cos
+def problem():
+    q, v = coordinate("theta1", unit="m")
+    t = time()
+    m, k, F, w = parameters(m=(1, "kg"), k=(4, "N/m"), F=(1, "N"), w=(1.5, "1/s"))
+    return Simulate(
+        lagrangian=m * v**2 / 2 - k * q**2 / 2, force={q: F * cos(w * t)}, start={q: 0, v: 0}, duration=5, steps=50
+    )
+'''
 
 
 @pytest.mark.parametrize(("suffix", "signature"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])

@@ -57,6 +57,13 @@ def test_a_line_over_one_quantity_with_failures_and_jumps_marked():
     np.testing.assert_allclose(curves.lines[0].get_ydata()[-1], X[0])
 
 
+def test_units_of_a_sweep_stand_on_its_axes():
+    data = made({"m": X, "start.r": Y})
+    data.attrs["units"] = '{"m": "kg", "r": "m"}'
+    axes = sweep_figure(data).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$m$ (kg)", "$r$ at the start (m)")
+
+
 def test_values_that_do_not_grow_are_drawn_in_order():
     axes = sweep_figure(made({"m": X[::-1]})).axes[0]
     np.testing.assert_allclose(axes.lines[0].get_xdata(), X)

@@ -83,6 +83,7 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("inequalities", repr(program.has_inequalities)),
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
+        *((("units", repr(dict(model.units))),) if model.units else ()),
         *((("scale", repr(_by_unknown(program, dict(model.scales)))),) if model.scales else ()),
         *((("angles", repr(angles)),) if (angles := _by_unknown(program, _angles(model))) else ()),
         *((("stage_abscissae", repr(_stage_abscissae(program))),) if program.controlled == "stages" else ()),

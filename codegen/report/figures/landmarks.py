@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from codegen.drivers import DRIVERS
-from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, STYLE
+from codegen.plots.purposes import STYLE
+from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.report.measure import accuracy, sweeps
 from codegen.report.settings import Settings, few_landmarks
 from codegen.report.store import Store, Values
