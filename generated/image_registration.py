@@ -1052,7 +1052,7 @@ def implicit_substep(before, step, a, b, own, parameters, near, gradient, point,
 
 @njit(cache=True, error_model="numpy")
 def newton_substep(before, step, a, b, own, parameters, gradient, point, after):
-    """The same by Newton's method from an explicit Euler step."""
+    """The same by Newton's method from an explicit Euler step; arrays (2, n, d)."""
     size = before.size
     hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
     wanted, right = np.empty(before.shape), np.empty(size)
@@ -2399,7 +2399,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_image_registration_0cf3e0cfa626ade6"
+_IDENTITY = "codegen_image_registration_8edb476132cb0c40"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

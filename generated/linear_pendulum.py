@@ -530,7 +530,7 @@ def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, 
 
 @njit(error_model="numpy", inline="always")
 def add_end_terms(unknowns, body, steps, h, parameters, sums):
-    """Add the absolute terms of the ends' own shares: there are none."""
+    """Add the absolute terms of the ends' own shares to `sums` (n,): there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -656,7 +656,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
+    """Subtract a multiple of row p of `source` (r, width) from row i of `target` (r, width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -1126,7 +1126,8 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
+    Arrays as in `forward`; `right` holds what is left of the right-hand side, zeros where that is a column of the
+    factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     front[RIGHT] = -1.0 if carried else 0.0
@@ -1250,6 +1251,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
+    `unknowns`, `sizes`, `is_multiplier` (n,), `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     Terms only add up: once the former has reached `enough` and the latter `as_many`, no more intervals are looked at.
@@ -1904,7 +1906,7 @@ def cost_not_finite(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def interval_costs(unknowns, steps, h, nodes, parameters, costs):
-    """Fill in the discrete cost of each interval of each body."""
+    """Fill in the discrete cost of each interval of each body: `costs` (BODIES, N), `unknowns` (n,)."""
     part = np.empty(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
@@ -2259,7 +2261,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_0460054baadf3a35"
+_IDENTITY = "codegen_linear_pendulum_b31fc8b3d817e4cb"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -234,7 +234,10 @@ def advance(state, t, h, given, work, interval):
 
 @njit(error_model="numpy", forceinline=True)
 def correct(state, t, h, parameters, unknowns, residual, jacobian, pivots):
-    """Make a Newton correction of the unknowns, which `residual` holds afterwards; return 1, or why there is none."""
+    """Make a Newton correction, which `residual` holds afterwards; return 1, or why there is none.
+
+    `state` has shape (STATE,), the other arrays those of `allocate_work`; `jacobian` then holds factors.
+    """
     step_jacobian(unknowns, state, t, h, parameters, residual, jacobian)
     total = 0.0
     for i in range(UNKNOWNS):
@@ -694,7 +697,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_pendulum_0c03fe7c083c99c2"
+_IDENTITY = "codegen_pendulum_1a61252e3d13620a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

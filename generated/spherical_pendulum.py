@@ -645,16 +645,16 @@ def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, 
 
 @njit(error_model="numpy")
 def note_ends(unknowns, body, steps, h, parameters, tables):
-    """Put derivatives of the ends' own shares into the tables of `sizes`: there are none."""
+    """Put derivatives of the ends' own shares into `tables` (3, KINDS, KINDS): there are none."""
 
 @njit(error_model="numpy", inline="always")
 def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
-    """Add to a product what the ends' own second derivatives make of a vector: there are none."""
+    """Add to `product` (n,) what the ends' own second derivatives make of `vector` (n,): there are none."""
 
 
 @njit(error_model="numpy", inline="always")
 def add_end_terms(unknowns, body, steps, h, parameters, sums):
-    """Add the absolute terms of the ends' own shares: there are none."""
+    """Add the absolute terms of the ends' own shares to `sums` (n,): there are none."""
 
 
 def end_entries(grid, unknowns):
@@ -780,7 +780,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_row(multiple, source, p, width, target, i):
-    """Subtract a multiple of row p of `source` (.., width) from row i of `target` (.., width), another or the same."""
+    """Subtract a multiple of row p of `source` (r, width) from row i of `target` (r, width), another or the same."""
     for j in range(0, width, 4):
         one = target[i, j] - multiple * source[p, j]
         two = target[i, j + 1] - multiple * source[p, j + 1]
@@ -1240,7 +1240,8 @@ def forward(upper, inverse, order, steps, right, last):
 def backward(upper, order, steps, carried, last, right):
     """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
 
-    `right`, as in `forward`, holds what is left of the right-hand side, zeros where that is a column of the factors.
+    Arrays as in `forward`; `right` holds what is left of the right-hand side, zeros where that is a column of the
+    factors.
     """
     front, first = zero_vector(WIDTH), steps * BLOCK
     solve_backward(upper[first:], order[first:], order.size - first, last.size, last)
@@ -1364,6 +1365,7 @@ WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could
 def term_sizes(unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, enough, as_many):
     """Largest sum of absolute terms |K| |x| in an equation of motion, and in a stationarity condition.
 
+    `unknowns`, `sizes`, `is_multiplier` (n,), `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
     Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
     Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     Terms only add up: once the former has reached `enough` and the latter `as_many`, no more intervals are looked at.
@@ -3100,7 +3102,7 @@ def cost_not_finite(grid, point):
 
 @njit(cache=True, error_model="numpy")
 def interval_costs(unknowns, steps, h, nodes, parameters, costs):
-    """Fill in the discrete cost of each interval of each body."""
+    """Fill in the discrete cost of each interval of each body: `costs` (BODIES, N), `unknowns` (n,)."""
     part = np.empty(ELEMENT)
     for body in range(BODIES):
         for k in range(steps):
@@ -3210,10 +3212,11 @@ def add_entry(row, column, value, tables):
 
 @njit(error_model="numpy")
 def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
-    """Fill three tables by kinds from some intervals.
+    """Fill three `tables` (3, KINDS, KINDS) from some intervals.
 
     The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
-    quadratic in time, of size one, the third the sums of the cost's curvatures.
+    quadratic in time, of size one, the third the sums of the cost's curvatures. `unknowns` are (n,), `nodes` (N + 1,),
+    `parameters` (BODIES, P + SHARED).
     """
     intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT, KINDS, 4))
     stride = max(1, intervals // SAMPLES)
@@ -3226,7 +3229,7 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
             first = body * (steps * STRIDE + NODE) + k * STRIDE
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
-            if np.abs(hessian).max() > steepest:
+            if largest_modulus(hessian) > steepest:
                 continue
             part = nodes[k + 1] - nodes[k]  # of a mean length
             moments[:] = 0.0
@@ -3248,7 +3251,7 @@ def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
 
 @njit(error_model="numpy")
 def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters):
-    """The median of the largest derivatives on the sampled intervals of the first body.
+    """The median of the largest derivatives on the sampled intervals of the first body; arrays as there.
 
     Between phases, or across what a straight line passes, a guess may be where exponentials leave all measure: a
     straight line through a planet's atmosphere made one of four samples 1e18 times as steep as the others.
@@ -3258,7 +3261,7 @@ def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters)
         if k % intervals % stride == 0:
             t, length = span(nodes, k, h)
             interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
-            largest[count] = np.abs(hessian).max()
+            largest[count] = largest_modulus(hessian)
             count += 1
     if count > 2:
         for i in range(count):  # a sort would take as long to compile as all else here
@@ -3269,6 +3272,17 @@ def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters)
             if lower == (count - 1) // 2 and largest[i] > 0.0:
                 return largest[i]
     return np.inf
+
+
+@njit(error_model="numpy")
+def largest_modulus(entries):
+    """The largest modulus of a vector's entries (n,); NaN where one is none. A loop is soon compiled."""
+    largest = 0.0
+    for i in range(entries.size):
+        if np.isnan(entries[i]):
+            return np.nan
+        largest = max(largest, abs(entries[i]))
+    return largest
 
 
 @njit(error_model="numpy")
@@ -3304,27 +3318,22 @@ def change(moments, intervals, part, powers):
     return max(largest, abs(moments[2]) * part**2 / intervals**2) if powers == 2 else largest
 
 
-# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
+# Sizes of the kinds of unknowns that the guess tells none of: found where they matter in the equations.
 #
-# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
-# which contains prescribed values, and from its bounds. What is zero there, and unbounded, has a size such that it
-# matters in the equations: each row of their Jacobian at the guess is applied to motions of the known sizes which are
-# constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x divided by the
-# duration. An angle so found is one radian at most: a sine tells no more apart. What has no effect on any equation at the
-# guess, such as the rate of a reaction between substances that are not there yet, or the slack of a condition in squares,
-# is looked at beside it, where all that has a size differs by a part of it. Where a size that was so found is no ordinary
-# number, a rate may be flat at the guess, as those that a substrate inhibits are while there is much of it: then a motion
-# of a tenth of all values tells whether it has to be far larger. Equations are divided by the largest product
-# of a derivative and a size, and the cost by how much it changes at most when all unknowns of one kind change by their
-# size.
+# A coordinate at all nodes, a control on all intervals, ... is a kind each. What is zero at the guess, and unbounded, has
+# a size such that it matters in the equations: each row of their Jacobian at the guess is applied to motions of the known
+# sizes which are constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x
+# divided by the duration. An angle so found is one radian at most: a sine tells no more apart. What has no effect on any
+# equation at the guess, such as the rate of a reaction between substances that are not there yet, or the slack of a
+# condition in squares, is looked at beside it, where all that has a size differs by a part of it. Where a size that was
+# so found is no ordinary number, a rate may be flat at the guess, as those that a substrate inhibits are while there is
+# much of it: then a motion of a tenth of all values tells whether it has to be far larger.
 #
-# Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
-# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
-# well, and so is the cost where its first derivatives decide. So problems in ordinary numbers are solved as they are, and
-# a change of units by a power of a million changes nothing but the sizes.
+# Of n unknowns of K kinds, `primal`, `inside`, `lower` and `upper`, which may be empty, and `kinds` are (n,); `size`,
+# `known`, `rest`, `bound` and `between` are (K,), zero where there is none; the tables of derivatives are (3, K, K), and
+# `effect` (K, K) is the second of them.
 
 SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
-LEAST = 1e-150  # what is below, or above its inverse, is no size
 LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
 NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
 BESIDE = 0.1  # part of all sizes by which unknowns differ from the guess where it says nothing of some
@@ -3339,49 +3348,7 @@ SCALE = metadata.get("scale", {})
 GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
 # One radian of an angle, which is all that a sine tells apart, and infinity for all else.
 RADIAN = np.array([metadata.get("angles", {}).get(name, np.inf) for name in NAMES])
-# Which kinds are a single unknown, such as a free duration, that no node equals.
-IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
 IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") for name in NAMES])
-
-
-@njit(cache=True, error_model="numpy")
-def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
-    """Fill in the size of every unknown; return the weight of the cost, and whether any differs from one.
-
-    `primal` are the unknowns without their multipliers, `inside` the same inside the bounds, and `slopes` the moduli of
-    the gradient of the Lagrangian, the lesser of both.
-    """
-    size, rest = zero_vector(KINDS), zero_vector(KINDS)
-    for i in range(kinds.size):
-        if KIND_IS_MULTIPLIER[kinds[i]]:
-            rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
-        else:
-            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
-    bound, between = fit_bounds(lower, upper, kinds, size)
-    tables = find_sizes(
-        primal, inside, lower, upper, kinds, steps, h, nodes, parameters, rest, bound, between, size
-    )  # fmt: skip
-    for j in range(KINDS):
-        size[j] = max(size[j], bound[j])
-    for i in range(KINDS):
-        if KIND_IS_MULTIPLIER[i]:
-            size[i] = size_of_equation(i, size, tables[0])
-            if size[i] == 0.0:
-                size[i] = rest[i]  # which is flat at the guess
-    digits = digits_of(size)
-    slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
-    is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
-    weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
-    is_scaled = weight != 1.0
-    for i in range(KINDS):
-        if not GIVEN[i] > 0.0:
-            size[i] = rounded(size[i], digits, IS_SINGLE[i])
-        is_scaled = is_scaled or size[i] != 1.0
-        if KIND_IS_MULTIPLIER[i]:
-            size[i] = 1.0 / (size[i] * weight)
-    for i in range(kinds.size):
-        sizes[i] = size[kinds[i]]
-    return weight, is_scaled
 
 
 @njit(error_model="numpy")
@@ -3394,12 +3361,12 @@ def find_sizes(
     and where all is less while it says something odd. `bound` becomes zero for what has a size of its own.
     """
     at_guess, looks_farther, tables = 1, False, np.zeros((3, KINDS, KINDS))
-    is_known, before, where = np.zeros(KINDS, np.bool_), zero_vector(KINDS), primal
+    known, before, where = zero_vector(KINDS), zero_vector(KINDS), primal
     for look in range(at_guess + ROUNDS + 1):
         here = np.zeros((3, KINDS, KINDS))
         measure_intervals(where, steps, h, nodes, parameters, here)  # once in this text: it takes long to compile
         if look < at_guess:
-            tables = here if look == 0 else np.fmin(tables, here)
+            tables = here
             where = inside
             if look + 1 < at_guess:
                 continue
@@ -3407,65 +3374,28 @@ def find_sizes(
             for j in range(KINDS):
                 if GIVEN[j] > 0.0:
                     size[j] = GIVEN[j]
-                is_known[j] = size[j] > 0.0
-                bound[j] = 0.0 if is_known[j] else bound[j]
+                known[j] = size[j] if size[j] > 0.0 else 0.0
+                bound[j] = 0.0 if known[j] > 0.0 else bound[j]
             here = tables
-        elif not np.isfinite(here[1]).all():
+        elif not is_finite(here[1]):
             break
         if looks_farther:
             for j in range(KINDS):
                 before[j] = size[j]
-                size[j] = size[j] if is_known[j] else 0.0
+                size[j] = known[j]
         balance_sizes(size, rest, here[1])
-        limit_angles(size, is_known)
+        limit_angles(size, known)
         if looks_farther:
             for j in range(KINDS):
                 size[j] = size[j] if size[j] > FAR_LARGER * before[j] else before[j]
             break
         if lacks_sizes(size, bound) and look < at_guess + ROUNDS - 1:
             where = displaced(inside, lower, upper, kinds, size)
-        elif has_odd_sizes(size, is_known):
+        elif has_odd_sizes(size, known):
             where, looks_farther = with_lessened_values(inside, lower, upper, kinds), True
         else:
             break
     return tables
-
-
-@njit(error_model="numpy")
-def digits_of(size):
-    """How many powers of ten sizes are apart: six where all are ordinary, but for powers of a million, else three."""
-    for i in range(KINDS):
-        if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
-            above = np.log10(size[i]) - SMALL
-            if above - 6.0 * np.floor(above / 6.0) > LARGE - SMALL:
-                return 3.0
-    return 6.0
-
-
-@njit(error_model="numpy")
-def rounded(value, digits, finer):
-    """The highest power of a million (`digits` are six) or a thousand below some thirty sizes, or one without a size.
-
-    `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
-    """
-    if not LEAST < value < 1.0 / LEAST:
-        return 1.0
-    above = np.log10(value) - SMALL
-    if finer and digits == 3.0:
-        million = np.floor(above / 6.0)
-        above -= 6.0 * million
-        return 10.0 ** (6.0 * million + (0.0 if above < 3.0 else 2.0 if above < 5.0 else 4.0))
-    return 10.0 ** (digits * np.floor(above / digits))
-
-
-@njit(error_model="numpy")
-def size_of_equation(row, size, slopes):
-    """The largest product of a derivative of an equation and the size of an unknown."""
-    largest = 0.0
-    for j in range(KINDS):
-        if not KIND_IS_MULTIPLIER[j]:
-            largest = max(largest, slopes[row, j] * size[j])
-    return largest
 
 
 @njit(error_model="numpy")
@@ -3535,10 +3465,10 @@ def balance_sizes(size, rest, effect):
 
 
 @njit(error_model="numpy")
-def limit_angles(size, is_known):
+def limit_angles(size, known):
     """Let sizes that were found, and not known, be one radian at most."""
     for j in range(KINDS):
-        if not is_known[j]:
+        if known[j] == 0.0:
             size[j] = min(size[j], RADIAN[j])
 
 
@@ -3565,12 +3495,12 @@ def displaced(primal, lower, upper, kinds, size):
 
 
 @njit(error_model="numpy")
-def has_odd_sizes(size, is_known):
+def has_odd_sizes(size, known):
     """Whether sizes that were found, and not known, are beyond those of ordinary numbers."""
     found = False
     for j in range(KINDS):
         is_odd = size[j] > 0.0 and not 10.0**SMALL <= size[j] <= 10.0**LARGE
-        found = found or (is_odd and not is_known[j])
+        found = found or (is_odd and known[j] == 0.0)
     return found
 
 
@@ -3584,6 +3514,112 @@ def with_lessened_values(primal, lower, upper, kinds):
             if lower.size:
                 lessened[i] = min(max(lessened[i], lower[i]), upper[i])
     return lessened
+
+
+@njit(error_model="numpy")
+def is_finite(matrix):
+    """Whether all entries of a matrix (K, K) are numbers."""
+    found = True
+    for i in range(KINDS):
+        for j in range(KINDS):
+            found = found and abs(matrix[i, j]) < np.inf
+    return found
+
+
+# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
+#
+# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
+# which contains prescribed values, and from its bounds, or found from the equations (`measured_sizes`). Equations are
+# divided by the largest product of a derivative and a size, and the cost by how much it changes at most when all unknowns
+# of one kind change by their size.
+#
+# Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
+# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
+# well, and so is the cost where its first derivatives decide. So problems in ordinary numbers are solved as they are, and
+# a change of units by a power of a million changes nothing but the sizes.
+
+LEAST = 1e-150  # what is below, or above its inverse, is no size
+
+# Which kinds are a single unknown, such as a free duration, that no node equals.
+IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
+
+
+@njit(cache=True, error_model="numpy")
+def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
+    """Fill in the `sizes` (n,) of all unknowns; return the weight of the cost, and whether any differs from one.
+
+    `primal` (n,) are the unknowns without their multipliers, `inside` (n,) the same inside the bounds `lower` and
+    `upper`, which are (n,) or empty, and `slopes` (n,) the moduli of the gradient of the Lagrangian, the lesser of
+    both; `kinds` (n,) are those of the unknowns, `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
+    """
+    size, rest = zero_vector(KINDS), zero_vector(KINDS)
+    for i in range(kinds.size):
+        if KIND_IS_MULTIPLIER[kinds[i]]:
+            rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
+        else:
+            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
+    bound, between = fit_bounds(lower, upper, kinds, size)
+    tables = find_sizes(
+        primal, inside, lower, upper, kinds, steps, h, nodes, parameters, rest, bound, between, size
+    )  # fmt: skip
+    for j in range(KINDS):
+        size[j] = max(size[j], bound[j])
+    for i in range(KINDS):
+        if KIND_IS_MULTIPLIER[i]:
+            size[i] = size_of_equation(i, size, tables[0])
+            if size[i] == 0.0:
+                size[i] = rest[i]  # which is flat at the guess
+    digits = digits_of(size)
+    slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
+    is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
+    weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
+    is_scaled = weight != 1.0
+    for i in range(KINDS):
+        if not GIVEN[i] > 0.0:
+            size[i] = rounded(size[i], digits, IS_SINGLE[i])
+        is_scaled = is_scaled or size[i] != 1.0
+        if KIND_IS_MULTIPLIER[i]:
+            size[i] = 1.0 / (size[i] * weight)
+    for i in range(kinds.size):
+        sizes[i] = size[kinds[i]]
+    return weight, is_scaled
+
+
+@njit(error_model="numpy")
+def digits_of(size):
+    """How many powers of ten sizes are apart: six where all are ordinary, but for powers of a million, else three."""
+    for i in range(KINDS):
+        if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
+            above = np.log10(size[i]) - SMALL
+            if above - 6.0 * np.floor(above / 6.0) > LARGE - SMALL:
+                return 3.0
+    return 6.0
+
+
+@njit(error_model="numpy")
+def rounded(value, digits, finer):
+    """The highest power of a million (`digits` are six) or a thousand below some thirty sizes, or one without a size.
+
+    `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
+    """
+    if not LEAST < value < 1.0 / LEAST:
+        return 1.0
+    above = np.log10(value) - SMALL
+    if finer and digits == 3.0:
+        million = np.floor(above / 6.0)
+        above -= 6.0 * million
+        return 10.0 ** (6.0 * million + (0.0 if above < 3.0 else 2.0 if above < 5.0 else 4.0))
+    return 10.0 ** (digits * np.floor(above / digits))
+
+
+@njit(error_model="numpy")
+def size_of_equation(row, size, slopes):
+    """The largest product of a derivative of an equation and the size of an unknown."""
+    largest = 0.0
+    for j in range(KINDS):
+        if not KIND_IS_MULTIPLIER[j]:
+            largest = max(largest, slopes[row, j] * size[j])
+    return largest
 
 
 @njit(error_model="numpy")
@@ -4075,7 +4111,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_5bbdc7a9fb09a778"
+_IDENTITY = "codegen_spherical_pendulum_7acd7c0538f0763f"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
