@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,9 @@ WITHOUT_END = 1e3
 """The same at the end: at a simple pole it is some 2.7^LEVELS, and less than one where a right-hand side is smooth."""
 GROWTH = 16.0
 """How many times as large it has become on the last levels: at a pole some hundred, at a jump it stays the same."""
-SHORTEST = 1e-5
-"""Part of an interval that is left where nothing has to be looked at: grids have no intervals without a length."""
+SHORTEST, ROOM, LEAST_FRACTION = 1e-5, 2e-10, 1e-8
+"""Part of an interval, and of the duration, that is left where nothing has to be looked at, since grids have no
+intervals without a length; and the shortest interval that can be cut so."""
 NEGLIGIBLE, ROUNDING = 1e-6, 1e-9
 """Parts of the largest value on all intervals, and of the largest terms of equations, below which a change is none."""
 
@@ -67,35 +68,71 @@ class _Equation:
 
 
 def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Pole]:
-    """The poles that a solution leaps over, one at most of each equation of motion.
+    """The poles that a solution leaps over, one at most of each equation of motion, and in each interval.
 
     `unknowns` (n,) are those of `steps` intervals in each phase, equal ones or those of `fractions`. The first interval
-    behind a switch is left out, since a state may jump there.
+    behind a switch is left out, since a state may jump there, and so are grids with intervals below `LEAST_FRACTION`.
     """
-    coarse, found = time_grid(module, steps, fractions), []
-    evenly = np.full((module.metadata.get("phases", 1) * steps, PARTS), 1.0 / PARTS)
+    coarse = time_grid(module, steps, fractions)
+    lengths = np.diff(coarse.nodes) / steps
+    if lengths.min() < LEAST_FRACTION:
+        return []
+    evenly = np.full((len(lengths), PARTS), 1.0 / PARTS)
     first = _Looked(module, coarse, unknowns, evenly)
-    # What is rounding of terms, by their size per length of an interval.
-    least = ROUNDING * float(module.sizes_of_terms(coarse, unknowns)[0]) / np.diff(coarse.nodes)
-    for equation in _equations(module):
-        changes, usual = first.changes(equation), np.maximum(first.usual(equation), least)
-        changes[:, np.flatnonzero(np.arange(len(evenly)) % steps == 0)[1:]] = 0.0
+    suspects = list(_suspects(first, module.sizes_of_terms(coarse, unknowns)[0], steps))
+    if not suspects:
+        return []
+    evenly = np.full((len(lengths), PARTS + 2), 1.0 / (PARTS + 2))
+    for level in range(LEVELS):
+        width = (BESIDE / PARTS) * (2.0 * BESIDE / PARTS) ** level
+        cuts = evenly.copy()
+        for suspect in suspects:
+            cuts[suspect.interval] = _around(suspect.middle, width, ROOM / lengths[suspect.interval])
+        closer = _Looked(module, coarse, unknowns, cuts)
+        suspects = [suspect.closer(closer) for suspect in suspects]
+    return [
+        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata["bodies"] > 1 else None)
+        for s in suspects
+        if s.grows_without_end
+    ]
+
+
+@dataclass(frozen=True)
+class _Suspect:
+    """An equation that changes much inside an interval: where, in parts of it, what is usual, and changes so far."""
+
+    equation: _Equation
+    body: int
+    interval: int
+    middle: float
+    usual: float
+    largest: tuple[float, ...] = ()
+
+    def closer(self, looked: _Looked) -> _Suspect:
+        """The same after a closer look."""
+        here = looked.changes(self.equation)[self.body, self.interval]
+        part = int(np.argmax(here))
+        middle = looked.middle(self.equation, self.interval, part)
+        return replace(self, middle=middle, largest=(*self.largest, float(here[part])))
+
+    @property
+    def grows_without_end(self) -> bool:
+        """Whether the changes say that there is a pole."""
+        return self.largest[-1] > max(WITHOUT_END * self.usual, GROWTH * min(self.largest[: LEVELS // 2]))
+
+
+def _suspects(first: _Looked, terms: float, steps: int) -> Iterator[_Suspect]:
+    """Of every equation the interval in which it changes most, if that is worth a closer look; each interval once."""
+    lengths, taken = np.diff(first.grid.nodes).reshape(first.cuts.shape).mean(axis=1), set[int]()
+    for equation in _equations(first.module):
+        changes = first.changes(equation)
+        changes[:, np.flatnonzero(np.arange(len(lengths)) % steps == 0)[1:]] = 0.0
+        usual = np.maximum(first.usual(equation), ROUNDING * terms / lengths)
         body, interval, part = map(int, np.unravel_index(int(np.argmax(changes / usual[..., None])), changes.shape))
-        ordinary = usual[body, interval]
-        if changes[body, interval, part] < CONSPICUOUS * ordinary:
-            continue
-        middle, width, largest = first.middle(equation, part), BESIDE / PARTS, list[float]()
-        for _ in range(LEVELS):
-            # An interval alone would do, but modules know no part of a grid.
-            closer = _Looked(module, coarse, unknowns, np.tile(_around(middle, width), (len(evenly), 1)))
-            here = closer.changes(equation)[body, interval]
-            part = int(np.argmax(here))
-            middle, width = closer.middle(equation, part), BESIDE * 2.0 * width / PARTS
-            largest.append(float(here[part]))
-        if largest[-1] > max(WITHOUT_END * ordinary, GROWTH * min(largest[: LEVELS // 2])):
-            time = first.time(interval, middle)
-            found.append(Pole(equation.state, time, body if module.metadata["bodies"] > 1 else None))
-    return found
+        ordinary = float(usual[body, interval])
+        if interval not in taken and changes[body, interval, part] >= CONSPICUOUS * ordinary:
+            taken.add(interval)
+            yield _Suspect(equation, body, interval, first.middle(equation, interval, part), ordinary)
 
 
 def _equations(module: Any) -> Iterator[_Equation]:
@@ -109,11 +146,15 @@ def _equations(module: Any) -> Iterator[_Equation]:
                 yield _Equation(met["name"], place, at_nodes)
 
 
-def _around(middle: float, width: float) -> Vector:
-    """Parts of an interval: those before and behind what is looked at, `width` to either side of its middle, inside."""
+def _around(middle: float, width: float, room: float) -> Vector:
+    """Parts of an interval: those before and behind what is looked at, `width` to either side of its middle, inside.
+
+    Each is `room` long at least.
+    """
     begin, end = max(0.0, middle - width), min(1.0, middle + width)
     parts = np.diff(np.concatenate([[0.0], np.linspace(begin, end, PARTS + 1), [1.0]]))
-    return np.maximum(parts, SHORTEST)
+    parts = np.maximum(parts, max(SHORTEST, room))
+    return np.asarray(parts / parts.sum())
 
 
 class _Looked:
@@ -148,9 +189,9 @@ class _Looked:
         usual: Matrix = np.median(self.changes(equation), axis=2)
         return np.maximum(usual, max(NEGLIGIBLE * largest, 1e-300))
 
-    def middle(self, equation: _Equation, part: int) -> float:
-        """Where a change is, in parts of an interval, all of which are cut alike."""
-        ends = np.concatenate([[0.0], np.cumsum(self.cuts[0])])
+    def middle(self, equation: _Equation, interval: int, part: int) -> float:
+        """Where a change is, in parts of an interval."""
+        ends = np.concatenate([[0.0], np.cumsum(self.cuts[interval])])
         looked = ends[1:-1] if equation.at_nodes else 0.5 * (ends[:-1] + ends[1:])
         return float(0.5 * (looked[part] + looked[part + 1]))
 

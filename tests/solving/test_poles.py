@@ -79,6 +79,17 @@ def test_the_gallery_has_none(name, steps):
         assert poles(module, solution.unknowns, steps, None) == []
 
 
+@pytest.mark.parametrize("least", [1e-6, 1e-9])
+def test_short_intervals_are_no_obstacle(least):
+    """Grids that --accuracy refines; the shortest that a module takes are not cut any more, and nothing is said."""
+    module = of_problem(burning(2.1))
+    fractions = np.array([*[(1.0 - 4 * least) / 10] * 5, *[least] * 4, *[(1.0 - 4 * least) / 10] * 5])
+    with np.errstate(all="ignore"):
+        solution = module.solve(steps=14, grid=fractions)
+        assert solution.status == "solved"
+        assert len(poles(module, solution.unknowns, 14, fractions)) == (1 if least > 1e-8 else 0)
+
+
 def test_what_is_solved_says_so():
     result = solve(burning(2.1), steps=10)
     assert result.solved
