@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from codegen.checks.base import Findings
     from codegen.compiler import Build
     from codegen.horizons.controller import Controller
-    from codegen.loading import GeneratedModule
+    from codegen.interfaces import GeneratedModule
     from codegen.show.shown import Equations
     from codegen.solutions.result import Result
 

@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 from codegen.cache import cache_folder
-from codegen.loading import GeneratedModule, has_machine_code, load
+from codegen.interfaces import GeneratedModule
+from codegen.loading import has_machine_code, load
 
 
 def compiled(path: Path) -> GeneratedModule:

@@ -28,7 +28,7 @@ from registered_images import SHAPE
 
 from codegen.author.points import read_points
 from codegen.compiler import build
-from codegen.loading import GeneratedModule
+from codegen.interfaces import GeneratedModule
 from codegen.registration import LandmarkPairs, Registration, register
 from codegen.registration.flow import FlowModule
 from codegen.registration.solver import registration_module

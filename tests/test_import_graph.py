@@ -18,7 +18,7 @@ PACKAGE = Path(__file__).parents[1] / "codegen"
 
 FLOORS = (
     ("__init__", "lettering", "mangling", "runtime"),
-    ("errors", "machine", "tasks"),
+    ("errors", "interfaces", "machine", "tasks"),
     ("tables",),
     ("drawing", "expressions", "files", "loading", "schemes"),
     ("author", "emit", "machine_code", "terminal"),
@@ -53,7 +53,18 @@ WITHIN = {
 }  # fmt: skip
 """The same for folders inside two of them, whose `__init__` calls the rest."""
 
-NUMERIC = ("tables", "tasks", "drawing", "loading", "runtime", "machine_code", "solutions", "drivers", "plots")
+NUMERIC = (
+    "tables",
+    "tasks",
+    "drawing",
+    "interfaces",
+    "loading",
+    "runtime",
+    "machine_code",
+    "solutions",
+    "drivers",
+    "plots",
+)
 """What runs without sympy."""
 
 SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",

@@ -42,7 +42,8 @@ from codegen.checks.particles import pairwise
 from codegen.checks.solution import delays, holonomic_drift, inner_times, optimum, second_order
 from codegen.checks.solution import sensitivities as of_sensitivities
 from codegen.deadline import CHECK, Overdue, interrupted_after
-from codegen.loading import is_of_particles, load
+from codegen.interfaces import is_of_particles
+from codegen.loading import load
 from codegen.model import Model
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.from_file import load_problem

@@ -14,7 +14,7 @@ from codegen.files import replacing
 from codegen.solutions.output import require_writable
 
 if TYPE_CHECKING:
-    from codegen.loading import GeneratedModule
+    from codegen.interfaces import GeneratedModule
     from codegen.model import Model
     from codegen.model.pairwise import PairwiseModel
     from codegen.solutions.result import Result

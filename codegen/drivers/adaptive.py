@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.loading import ConnectModule, Vector
+from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.result import ConnectAttempt, Run, max_norm
 
 TOLERANCE = 1e-8

@@ -15,7 +15,7 @@ from scipy.optimize import fsolve
 from codegen.drivers.particles import DENSE_LIMIT, finite, require_at_most, require_method, verdict
 from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError
-from codegen.loading import (
+from codegen.interfaces import (
     ConnectModule,
     ControlModule,
     ImplicitModule,

@@ -14,7 +14,7 @@ import numpy as np
 
 from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
 from codegen.errors import ArgumentError
-from codegen.loading import ControlModule, Vector
+from codegen.interfaces import ControlModule, Vector
 from codegen.solutions.result import ControlAttempt, Run
 
 TOLERANCE = 1e-8

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.drivers.adaptive import adaptive
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.loading import ConnectModule, ControlModule, SimulateModule
+from codegen.interfaces import ConnectModule, ControlModule, SimulateModule
 from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from codegen.drivers.scaled import quiet_single_thread
 from codegen.errors import ArgumentError
-from codegen.loading import ConnectModule, Vector
+from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, Run, max_norm
 

@@ -23,7 +23,7 @@ from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.loading import ControlModule, Entries, Grid, Indices, Vector, time_grid
+from codegen.interfaces import ControlModule, Entries, Grid, Indices, Vector, time_grid
 from codegen.solutions.result import ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from codegen.drivers.particles import minimised
 from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
-from codegen.loading import ConnectModule, ControlModule, Vector
+from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6

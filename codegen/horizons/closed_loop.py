@@ -14,7 +14,7 @@ from codegen.horizons.interface import number, vector
 from codegen.horizons.plants import PlantFailed, plant_of
 from codegen.horizons.recording import ClosedLoop, Recording
 from codegen.horizons.values import Moving
-from codegen.loading import Vector
+from codegen.interfaces import Vector
 
 
 def close_loop(

@@ -22,7 +22,7 @@ from codegen.horizons.judgement import BestIterate, Candidate, FirstIterate, bet
 from codegen.horizons.options import Options
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
-from codegen.loading import Grid, Matrix, Vector
+from codegen.interfaces import Grid, Matrix, Vector
 from codegen.solutions.result import Run
 
 UNFINISHED = ("iteration limit", "time limit")

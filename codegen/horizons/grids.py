@@ -8,7 +8,7 @@ import numpy as np
 
 from codegen.errors import NumericsError
 from codegen.horizons.interface import Interface
-from codegen.loading import Grid, Vector
+from codegen.interfaces import Grid, Vector
 
 
 class Grids:

@@ -16,7 +16,7 @@ import numpy as np
 
 from codegen import compiler, loading
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.loading import ControlModule, Grid, Vector
+from codegen.interfaces import ControlModule, Grid, Vector
 from codegen.machine_code import ahead_of_time
 from codegen.solutions.result import component_names
 from codegen.solving.request import Request

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import Grid, Vector
+from codegen.interfaces import Grid, Vector
 from codegen.solutions.control import control_verdict
 from codegen.solutions.result import ControlAttempt, Run
 

@@ -15,7 +15,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.horizons.interface import Interface, keys_of, module_of
 from codegen.horizons.values import Moving, Values
-from codegen.loading import Vector, is_control, is_of_particles, is_simulation
+from codegen.interfaces import Vector, is_control, is_of_particles, is_simulation
 
 Plant: TypeAlias = Callable[[Vector, Vector, float, float], Vector]
 """The state (states,) after a state, inputs (controls,), the time, and how long they act."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
 from codegen.horizons.controller import Controller, Feedback
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 
 
 @dataclass(frozen=True, eq=False)

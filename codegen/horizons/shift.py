@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import Grid, Indices, Vector
+from codegen.interfaces import Grid, Indices, Vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from codegen.machine_code.processes import Compilers, compilers
 
 if TYPE_CHECKING:
     from codegen.errors import FileError
-    from codegen.loading import GeneratedModule
+    from codegen.interfaces import GeneratedModule
 
 _COMPILING: dict[Path, threading.Lock] = {}
 """Threads that want the same module wait for the first of them, and find what it has made."""

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from numba import typeof
 
-from codegen.loading import GeneratedModule, few_steps, is_of_particles, load
+from codegen.interfaces import GeneratedModule, few_steps, is_of_particles
+from codegen.loading import load
 from codegen.machine_code.processes import UNFINISHED
 from codegen.tasks import task_of
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import few_steps, is_of_particles
+from codegen.interfaces import few_steps, is_of_particles
 
 Calls = list[Callable[[], Any]]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from codegen import plots
 from codegen.author.sources import ProblemFile, Source
 from codegen.errors import ArgumentError
-from codegen.loading import GeneratedModule, is_control
+from codegen.interfaces import GeneratedModule, is_control
 from codegen.model import Model
 from codegen.pictures.scene import fine_times, scene
 from codegen.plots import animation

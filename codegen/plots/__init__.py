@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
-from codegen.loading import GeneratedModule, is_connect, is_control
+from codegen.interfaces import GeneratedModule, is_connect, is_control
 from codegen.plots.closed_loop import ClosedLoopData, References, closed_loop_figure
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 from codegen.plots.purposes import letter_size, letters_across, new_figure
 from codegen.plots.style import AMBER, BLUE, CRIMSON, GREY, RED, label
 

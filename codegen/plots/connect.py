@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from codegen.loading import ConnectModule
+from codegen.interfaces import ConnectModule
 from codegen.plots.purposes import new_figure
 from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, title
 from codegen.solutions.result import Result

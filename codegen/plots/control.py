@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from codegen.drawing import Scene
-from codegen.loading import ControlModule, Matrix, time_grid
+from codegen.interfaces import ControlModule, Matrix, time_grid
 from codegen.plots import measured, panels, shapes, tornado
 from codegen.plots.measured import Measured
 from codegen.plots.purposes import letter_size, new_figure

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector, time_grid
+from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
 from codegen.plots.style import BLUE, DARK, GREY, body_colours, label
 from codegen.solutions.fit import Fit
 from codegen.solutions.result import Result

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 from codegen.plots.purposes import letter_size
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector, time_grid
+from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
 from codegen.solutions.segments import multiplier_names
 

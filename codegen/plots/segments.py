@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector
+from codegen.interfaces import ControlModule, Matrix, Vector
 from codegen.plots import quantities as of_segments
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.solutions.result import Result

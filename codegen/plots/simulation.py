@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
-from codegen.loading import Vector
+from codegen.interfaces import Vector
 from codegen.plots import panels, shapes
 from codegen.plots.purposes import new_figure
 from codegen.plots.style import AMBER, BLUE, RED, title

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from codegen.loading import Vector
+from codegen.interfaces import Vector
 from codegen.plots.purposes import letter_size
 from codegen.plots.style import AMBER, BLUE, DARK, quantity
 from codegen.solutions.derivatives import Sensitivities

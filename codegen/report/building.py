@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.loading import GeneratedModule, few_steps, is_control, is_simulation, load, machine_code_counts
+from codegen.interfaces import GeneratedModule, few_steps, is_control, is_simulation
+from codegen.loading import load, machine_code_counts
 from codegen.report.store import Case, Store, Values
 
 WORKERS = 2

@@ -12,7 +12,8 @@ import numpy as np
 
 from codegen.author.points import PointSet, read_points
 from codegen.compiler import build
-from codegen.loading import ConnectModule, load
+from codegen.interfaces import ConnectModule
+from codegen.loading import load
 
 NODES = tuple(range(10, 101, 5))
 """The thesis's numbers of steps, 10:5:100."""

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
 from codegen.solutions.finer_grids import carried, cut
 
 PARTS = 8

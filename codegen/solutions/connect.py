@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import PointsError
-from codegen.loading import ConnectModule, Vector
+from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.intersecting_paths import intersecting_paths
 from codegen.solutions.result import ConnectAttempt, Result, Run, contradicted, max_norm, origin, other_driver
 

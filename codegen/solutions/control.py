@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.interfaces import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.solutions.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solutions.result import (
     ControlAttempt,

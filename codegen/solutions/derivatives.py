@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from codegen.errors import NumericsError
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 
 INACCURATE = 1e-7
 """Parts of their terms that linear equations may leave: beyond it derivatives are not what they should be."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import Grid, Matrix, Vector
+from codegen.interfaces import Grid, Matrix, Vector
 from codegen.solutions.fit import Fit
 
 CONFIDENCE = 0.95

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import Grid, Matrix, Vector, time_grid
+from codegen.interfaces import Grid, Matrix, Vector, time_grid
 
 
 def cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:

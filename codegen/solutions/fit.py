@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import Grid, Matrix, Vector
+from codegen.interfaces import Grid, Matrix, Vector
 
 
 class Fit:

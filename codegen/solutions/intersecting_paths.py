@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codegen.loading import Vector
+from codegen.interfaces import Vector
 
 
 def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:

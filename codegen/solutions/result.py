@@ -11,7 +11,7 @@ import numpy as np
 
 from codegen.author.points import PointSet
 from codegen.errors import ArgumentError
-from codegen.loading import Grid, Matrix, Vector
+from codegen.interfaces import Grid, Matrix, Vector
 from codegen.solutions.derivatives import Sensitivities
 from codegen.solutions.display import Background, Display
 from codegen.solutions.estimates import Estimates

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 from codegen.solutions.result import Accuracy, Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"

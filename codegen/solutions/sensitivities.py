@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError
-from codegen.loading import Grid, Vector, few_steps, time_grid
+from codegen.interfaces import Grid, Vector, few_steps, time_grid
 from codegen.solutions.derivatives import Derivatives, Sensitivities
 from codegen.solutions.result import Result
 from codegen.solutions.segments import put_together, segments_of

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import Matrix, SimulateModule
+from codegen.interfaces import Matrix, SimulateModule
 from codegen.solutions.result import (
     Outline,
     Result,

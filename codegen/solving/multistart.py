@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from codegen.loading import ControlModule, Vector
+from codegen.interfaces import ControlModule, Vector
 from codegen.solutions.result import Result
 
 WAVES = 3

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import ArgumentError
-from codegen.loading import GeneratedModule, Matrix
+from codegen.interfaces import GeneratedModule, Matrix
 from codegen.solving.other_tables import with_arguments
 from codegen.tables.measurements import Layout, given_measurements, read_measurements
 

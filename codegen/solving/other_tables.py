@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError, TableError
-from codegen.loading import GeneratedModule, Vector
+from codegen.interfaces import GeneratedModule, Vector
 from codegen.tables.files import read_table
 
 

@@ -15,7 +15,7 @@ from codegen import compiler, loading
 from codegen.author.points import PointSet, read_points
 from codegen.drivers import Driver
 from codegen.errors import SchemeError
-from codegen.loading import GeneratedModule, Matrix, Vector, is_control
+from codegen.interfaces import GeneratedModule, Matrix, Vector, is_control
 from codegen.machine_code import ahead_of_time
 from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from codegen.errors import NumericsError
-from codegen.loading import ControlModule, Matrix, Vector, time_grid
+from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
 
 

@@ -18,7 +18,7 @@ from codegen.tasks import TASKS, Task, task_of
 
 if TYPE_CHECKING:
     from codegen.author.points import PointSet
-    from codegen.loading import GeneratedModule, Vector
+    from codegen.interfaces import GeneratedModule, Vector
     from codegen.solutions.result import Watch
 
 SCALINGS = ("auto", "none")

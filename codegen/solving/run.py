@@ -11,7 +11,8 @@ from typing import Any
 
 from codegen.drivers import Driver
 from codegen.errors import NumericsError
-from codegen.loading import GeneratedModule, machine_code_counts
+from codegen.interfaces import GeneratedModule
+from codegen.loading import machine_code_counts
 from codegen.machine_code.ahead_of_time import unwritable_cache_error
 from codegen.solutions.result import Result, Run
 from codegen.tasks import task_of

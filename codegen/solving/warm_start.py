@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
-from codegen.loading import ControlModule, GeneratedModule, Vector
+from codegen.interfaces import ControlModule, GeneratedModule, Vector
 from codegen.solutions.result import component_names
 from codegen.solutions.segments import segments_of
 from codegen.solving.refinement import source_steps

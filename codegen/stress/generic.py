@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from codegen.errors import CodegenError
-from codegen.loading import is_connect, is_of_particles, load
+from codegen.interfaces import is_connect, is_of_particles
+from codegen.loading import load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
 from codegen.stress.expectations import EXPECTATIONS
 from codegen.stress.families.common import registered

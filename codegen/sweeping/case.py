@@ -15,7 +15,7 @@ import numpy as np
 from codegen.drivers import find
 from codegen.engines.tally import SOLVED
 from codegen.errors import CodegenError, one_line
-from codegen.loading import Vector
+from codegen.interfaces import Vector
 from codegen.solutions.result import Outline, Run
 from codegen.solutions.segments import segments_of
 from codegen.solving.other_tables import with_arguments

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.drivers import DRIVERS
-from codegen.loading import GeneratedModule
+from codegen.interfaces import GeneratedModule
 from codegen.solutions.result import Run
 from codegen.tasks import task_of
 

@@ -15,7 +15,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import Matrix
+from codegen.interfaces import Matrix
 
 OTHERS = 3
 """How many neighbours are tried after the problem's own guess."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.loading import Matrix, few_steps
+from codegen.interfaces import Matrix, few_steps
 from codegen.solutions.result import component_names
 from codegen.solutions.segments import multiplier_names, segments_of
 from codegen.tasks import task_of

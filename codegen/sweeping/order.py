@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import Matrix
+from codegen.interfaces import Matrix
 
 
 def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 from codegen.solutions.control import control_result
 from codegen.solutions.result import ControlAttempt, Run
 from codegen.solutions.sensitivities import rates_at

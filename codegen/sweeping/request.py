@@ -18,7 +18,7 @@ from codegen.sweeping.layout import KEPT
 from codegen.sweeping.samples import NUMBER, require_method, samples
 
 if TYPE_CHECKING:
-    from codegen.loading import GeneratedModule
+    from codegen.interfaces import GeneratedModule
 
 STORES, FILES = (".zarr",), (".nc",)
 OPTIONS = (

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError, clause, one_line
-from codegen.loading import Matrix
+from codegen.interfaces import Matrix
 from codegen.sweeping.cases import MOST_CASES, Cases, as_rows
 
 NUMBER = 1000

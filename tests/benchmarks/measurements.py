@@ -27,7 +27,7 @@ from compiled_modules import compiled
 from published_references import PUBLISHED
 
 from codegen.compiler import build
-from codegen.loading import time_grid
+from codegen.interfaces import time_grid
 from codegen.solutions.control import held_at_bounds
 from codegen.solutions.estimates import estimates_of
 from codegen.solutions.fit import Fit

@@ -38,7 +38,7 @@ import sys
 from pathlib import Path
 from numba import njit
 from codegen.machine_code import compilation
-from codegen.loading import GeneratedModule
+from codegen.interfaces import GeneratedModule
 sys.path.insert(0, sys.argv[1])
 njit(lambda x: x)(0.0)
 import linked

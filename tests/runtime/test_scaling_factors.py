@@ -12,7 +12,7 @@ from sympy import cos, exp, sin
 from codegen import Control, control, controls, free_parameter, solving, states, time
 from codegen.author.problem import Phases
 from codegen.compiler import build
-from codegen.loading import time_grid
+from codegen.interfaces import time_grid
 
 POISON = 1.093664682973  # IPOPT 3.14 on the same program
 

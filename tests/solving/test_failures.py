@@ -19,7 +19,7 @@ from codegen import Control, controls, solving, states
 from codegen.cli import main
 from codegen.compiler import generate
 from codegen.errors import BoundaryError
-from codegen.loading import time_grid
+from codegen.interfaces import time_grid
 from codegen.naming import Choices
 from codegen.solutions.notes import notes
 from codegen.solutions.result import STATUSES

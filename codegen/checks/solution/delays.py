@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.drivers import find
 from codegen.expressions.special_functions import NUMPY
-from codegen.loading import Vector
+from codegen.interfaces import Vector
 from codegen.model import Model, legendre
 from codegen.solutions.control import control_result
 from codegen.solutions.result import Result, Run

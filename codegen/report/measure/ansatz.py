@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from codegen.loading import ConnectModule, Vector
+from codegen.interfaces import ConnectModule, Vector
 from codegen.report.measure.accuracy import points_of
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store, Values

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import SimulateModule, Vector
+from codegen.interfaces import SimulateModule, Vector
 from codegen.report.measure.orders import Order, is_exhausted, measured_order
 from codegen.report.measure.reference_motion import (
     Motion,

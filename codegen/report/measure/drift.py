@@ -18,7 +18,7 @@ import numpy as np
 
 from codegen import solving
 from codegen.errors import CodegenError
-from codegen.loading import SimulateModule, Vector, is_simulation
+from codegen.interfaces import SimulateModule, Vector, is_simulation
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.section import Section, Table, number

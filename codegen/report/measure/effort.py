@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 
 from codegen.author.points import PointSet
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.loading import ConnectModule
+from codegen.interfaces import ConnectModule
 from codegen.report.measure.accuracy import points_of
 from codegen.report.measure.dimension import least_time
 from codegen.report.settings import Settings

@@ -18,7 +18,7 @@ import numpy as np
 
 from codegen import solving
 from codegen.errors import CodegenError
-from codegen.loading import ControlModule, Vector
+from codegen.interfaces import ControlModule, Vector
 from codegen.report.measure.limits import limit_of
 from codegen.report.measure.orders import measured_order
 from codegen.report.store import Values

@@ -8,7 +8,7 @@ from typing import Any
 
 from codegen import drivers, solving
 from codegen.errors import CodegenError
-from codegen.loading import ControlModule, GeneratedModule, is_control
+from codegen.interfaces import ControlModule, GeneratedModule, is_control
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.measure.limits import Limit, fitted_limit, limit_of

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.author.points import PointSet
-from codegen.loading import ConnectModule
+from codegen.interfaces import ConnectModule
 from codegen.report.measure.accuracy import points_of
 from codegen.report.settings import Settings, smooth_pair
 from codegen.report.store import Case, Store, Values

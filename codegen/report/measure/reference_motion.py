@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from codegen.loading import SimulateModule, Vector
+from codegen.interfaces import SimulateModule, Vector
 
 TIGHT, LOOSE = 3e-14, 1e-13
 """Relative tolerances of the reference, and of the run that tells how far it can be trusted."""

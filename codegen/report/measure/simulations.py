@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import CodegenError
-from codegen.loading import SimulateModule, is_simulation
+from codegen.interfaces import SimulateModule, is_simulation
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent
 from codegen.report.measure.convergence import Spans, order_values, spans_of

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from codegen.author.points import PointSet
-from codegen.loading import ConnectModule, Vector
+from codegen.interfaces import ConnectModule, Vector
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store, Values
 

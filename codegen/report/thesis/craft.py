@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from codegen.loading import is_control
+from codegen.interfaces import is_control
 from codegen.plots.style import CRIMSON, GREY, body_colours
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent

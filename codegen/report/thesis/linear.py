@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from codegen.loading import is_control
+from codegen.interfaces import is_control
 from codegen.plots.style import BLUE, DARK, GREEN, RED
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.extent import Extent

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from codegen.loading import ControlModule, is_control
+from codegen.interfaces import ControlModule, is_control
 from codegen.plots.style import BLUE, DARK, GREY, RED
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent

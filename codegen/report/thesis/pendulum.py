@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from codegen.loading import is_simulation
+from codegen.interfaces import is_simulation
 from codegen.plots.style import GREY
 from codegen.report.building import Variant, Workshop
 from codegen.report.extent import Extent

@@ -62,7 +62,7 @@ def find_sizes(
             else:
                 tables = here
             where = inside
-            if look + 1 < at_guess:
+            if INEQUALITIES and look + 1 < at_guess:
                 continue
             if COUPLINGS:
                 add_coupling_entries(inside, parameters, kinds, tables)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.loading import ControlModule, Grid, Vector, time_grid
+from codegen.interfaces import ControlModule, Grid, Vector, time_grid
 from codegen.solutions.control import bound_distances
 from codegen.solutions.result import Result
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector, time_grid
+from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
 from codegen.solutions.result import Result
 from codegen.solving.accuracy.arcs import FAR, Gap, around
 

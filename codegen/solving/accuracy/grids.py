@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codegen.loading import Matrix, Vector
+from codegen.interfaces import Matrix, Vector
 from codegen.solving.accuracy.arcs import FAR, Gap, around
 
 LEAST_DENSITY = 0.1

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from codegen.loading import ControlModule, Matrix, Vector, few_steps, inner_places
+from codegen.interfaces import ControlModule, Matrix, Vector, few_steps, inner_places
 from codegen.solutions.result import Accuracy, GridLevel, Result
 from codegen.solving.accuracy.arcs import gaps
 from codegen.solving.accuracy.estimate import Estimate, compared, interval_errors
