@@ -3767,8 +3767,6 @@ def find_sizes(
         if look < at_guess:
             tables = here
             where = inside
-            if look + 1 < at_guess:
-                continue
             add_coupling_entries(inside, parameters, kinds, tables)
             drop_negligible_sizes(size, between, tables[1])
             for j in range(KINDS):
@@ -4587,7 +4585,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_866c7b0746107b0b"
+_IDENTITY = "codegen_hovercraft_03ed642d59d831a4"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

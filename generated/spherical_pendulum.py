@@ -3368,8 +3368,6 @@ def find_sizes(
         if look < at_guess:
             tables = here
             where = inside
-            if look + 1 < at_guess:
-                continue
             drop_negligible_sizes(size, between, tables[1])
             for j in range(KINDS):
                 if GIVEN[j] > 0.0:
@@ -4111,7 +4109,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_7acd7c0538f0763f"
+_IDENTITY = "codegen_spherical_pendulum_ffbbaf344c6882a1"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:
