@@ -28,6 +28,8 @@ from codegen.solutions.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
 """Mean multipliers above it make the optimality conditions' tolerance relative."""
+MANY_TERMS = 100
+"""From so many terms on the order of a sum counts among its roundings."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,9 @@ def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
 def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
     """Error of a weighted residual when every unknown is off by half a unit in the last place: eps max_i |K| |x|.
 
-    Source: Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    What is summed over all intervals, such as an integral condition or the slope by a free duration, errs by the square
+    root of the number of its terms beside. Source: Higham (2002), Accuracy and stability of numerical algorithms,
+    sections 4.2 and 7.2.
     """
     columns, rows = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     primal, dual = np.abs(unknowns[columns]), np.abs(unknowns[rows])
@@ -270,7 +274,9 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights
     def row_sums(entries: Entries, x: Vector, size: int, transposed: bool = False) -> Vector:
         rows, columns, values = entries
         rows, columns = (columns, rows) if transposed else (rows, columns)
-        return np.asarray(np.bincount(rows, np.abs(values) * x[columns], minlength=size), dtype=float)
+        terms = np.bincount(rows, minlength=size)
+        sums = np.bincount(rows, np.abs(values) * x[columns], minlength=size)
+        return np.asarray(np.where(terms >= max(grid.steps, MANY_TERMS), np.sqrt(terms), 1.0) * sums, dtype=float)
 
     jacobian, hessian = module.jacobian(grid, unknowns), module.hessian(grid, unknowns)
     equations = row_sums(jacobian, primal, dual.size)
