@@ -6,6 +6,7 @@ from browser import START, Visit, browser, server
 
 from codegen.registration import LandmarkPairs, chosen_alignment, leave_one_out
 from codegen.registration.formats import read_landmarks, write_landmarks
+from codegen.registration.grid import Grid
 from codegen.registration.images import write_image
 
 pytest.importorskip("tornado", reason="tornado is not installed")
@@ -91,10 +92,12 @@ def test_errors_have_a_unit_where_pixels_are_not_square(visit, files):
     visit.until(lambda v: np.isfinite(cells(v, "left_out")).all())
     in_units(visit, chosen=True)
     assert heads(visit) == ["residual mm", "left out mm"]
-    pairs, shape = read_landmarks(files / "pairs.csv"), (72, 96)
-    align = chosen_alignment(pairs, shape).kind
-    misses = leave_one_out(pairs, shape, align=align).misses
-    np.testing.assert_allclose(cells(visit, "left_out"), np.hypot(*(misses * SIZES["moving"]).T), atol=0.02)
+    pairs, size = read_landmarks(files / "pairs.csv"), SIZES["moving"]
+    pairs = LandmarkPairs(pairs.moving * size, pairs.fixed * size)
+    grid = Grid((96, 72), (0.0, 0.0), size, ((1.0, 0.0), (0.0, 1.0)), "mm")
+    align = chosen_alignment(pairs, grid).kind
+    errors = leave_one_out(pairs, grid, align=align).errors
+    np.testing.assert_allclose(cells(visit, "left_out"), errors, atol=0.02)
 
 
 def test_a_volume_is_refused_in_one_line_and_the_session_goes_on(visit, files):
