@@ -1,12 +1,14 @@
 """Degrees of freedom: residuals are smaller than the errors of landmarks, because the fit follows errors, too.
 
-By the linear theory what a landmark is missed by is a matrix I - A times the errors, A for the alignment and the
-smoothing after it. Of n landmarks with d coordinates, tr(I - A) coordinates are left, and
+By the linear theory what landmarks are missed by is a matrix I - A times where they are, A for the alignment and the
+smoothing after it. Of n landmarks with d coordinates tr(I - A) coordinates are left, so that errors of a standard
+deviation sigma leave residuals of about
 
-    sum |miss|^2 / tr(I - A)
+    sigma sqrt(tr(I - A) / (n d)),
 
-estimates the variance of an error: Wahba (1983), J. R. Stat. Soc. B 45(1), section 4, and for a straight line the
-familiar n - 2. Its root is called the standard error of the residuals.
+as a straight line leaves n - 2: Wahba (1983), J. R. Stat. Soc. B 45(1), section 4. The trace is taken where residuals
+are as large as sigma. As an equation for A itself this is ill-posed: if sigma is a fifth too small, and the map rough
+enough to follow errors, both sides of it fall together, and landmarks are met.
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ from numpy.typing import NDArray
 from codegen.registration.linear import Linear
 from codegen.registration.matching import TRUSTED, Matching
 
-FEWEST = 1e-9
-"""Share of the coordinates below which none is left: landmarks are then met whatever their errors."""
+LEAST = 0.8
+"""The least size of residuals, in units of sigma: of few landmarks little more can be known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,22 +49,18 @@ class Freedom:
         """How many coordinates a ridge leaves, tr(I - A)."""
         return float(self.linear.left(np.array([ridge]))[0] @ self.left)
 
-    def factor(self, ridge: float) -> float:
-        """How many times as large as the root mean square of residuals their standard error is."""
-        whole, left = self.linear.displacements.size, self.coordinates(ridge)
-        return float(np.sqrt(whole / left)) if left > FEWEST * whole else 1.0
+    def target(self, sigma: float) -> float:
+        """The root mean square, in pixels, that residuals are to have for errors of a standard deviation `sigma`."""
+        whole = self.linear.displacements.size
+        return sigma * max(LEAST, float(np.sqrt(self.coordinates(self.ridge_for(sigma)) / whole)))
 
-    def deviation(self, ridge: float) -> float:
-        """The standard error of the residuals that a ridge leaves, in pixels."""
-        return self.linear.residual(ridge) * self.factor(ridge)
-
-    def ridge_for(self, sigma: float) -> float:
-        """The ridge whose residuals have a given standard error; infinite where no smoothing leaves so much."""
+    def ridge_for(self, residual: float) -> float:
+        """The ridge that leaves a root mean square residual in pixels; a very large one where none leaves so much."""
         largest = self.linear.largest
-        if self.deviation(np.inf if largest == 0.0 else 1e12 * largest) <= sigma:
-            return np.inf
         low, high = 1e-20 * largest, 1e12 * largest
+        if largest == 0.0 or self.linear.residual(high) <= residual:
+            return high
         for _ in range(80):
             middle = float(np.sqrt(low * high))
-            low, high = (middle, high) if self.deviation(middle) < sigma else (low, middle)
+            low, high = (middle, high) if self.linear.residual(middle) < residual else (low, middle)
         return high

@@ -215,8 +215,7 @@ def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneO
         "folded": certificate.folded, "first_fold": certificate.first_fold, "round_trip": certificate.round_trip,
         "proved": certificate.proved,
         "scheme_error": found.error, "alignment": found.alignment.kind, "rung": found.rung,
-        "deviation": float(np.sqrt((found.residuals**2).mean() / found.dimension)),
-        "standard_error": found.standard_error, "strength": found.matching.strength,
+        "deviation": float(np.sqrt((found.residuals**2).mean() / found.dimension)), "strength": found.matching.strength,
         "solves": found.solves, "unit": found.matching.unit,
     }  # fmt: skip
     if left_out is not None:

@@ -13,7 +13,6 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
 from codegen.registration.flow import Flow
 from codegen.registration.frame import Frame, coarse_grid
-from codegen.registration.freedom import Freedom
 from codegen.registration.grid import Grid, place_text, short
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
@@ -65,17 +64,6 @@ class Registration:
     def residuals(self) -> NDArray[np.float64]:
         """How far from the fixed landmarks the moving ones arrive, in pixels of the fixed image, shape (n,)."""
         return np.asarray(np.linalg.norm(self.misses, axis=1))
-
-    @cached_property
-    def standard_error(self) -> float:
-        """The standard deviation of landmarks' errors that residuals are left from, in pixels; NaN without a sigma.
-
-        With a robust loss that is not what the residuals of landmarks out of place show.
-        """
-        if self.sigma == 0.0:
-            return np.nan
-        deviation = float(np.sqrt((self.residuals**2).mean() / self.dimension))
-        return deviation * Freedom.of(self.matching).factor(self.matching.ridge)
 
     @property
     def pairs(self) -> LandmarkPairs:

@@ -60,12 +60,10 @@ def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _residual(record: Mapping[str, Any], unit: str) -> str:
     seen = record["summary"]
     text = f"{number(record['residual'])} {unit} at most, standard deviation {number(seen['deviation'])} {unit}"
-    if "length_unit" in seen:
-        largest, deviation = number(max(seen["residual_lengths"])), number(seen["deviation_length"])
-        text += f" ({largest} and {deviation} {seen['length_unit']})"
-    if seen.get("standard_error") is None:
+    if "length_unit" not in seen:
         return text
-    return f"{text}; standard error {number(seen['standard_error'])} {unit}"
+    largest, deviation = number(max(seen["residual_lengths"])), number(seen["deviation_length"])
+    return f"{text} ({largest} and {deviation} {seen['length_unit']})"
 
 
 def _median(errors: list[float | None]) -> str:

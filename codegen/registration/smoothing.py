@@ -1,9 +1,9 @@
 """From a sigma to a map: how strongly roughness counts, so that landmarks are missed by about their standard error.
 
 A cost of misfit and roughness has a free factor, the strength of the latter. It is found by the discrepancy principle
-(Morozov 1966): the map is as smooth as residuals of the stated size allow, where their size is that of the errors that
-they are left from (`codegen.registration.freedom`). Residuals grow with the strength, so few solves suffice, each from
-the one before; the linear theory says where to begin.
+(Morozov 1966): the map is as smooth as residuals of the stated size allow, less what the fit follows of the errors
+(`codegen.registration.freedom`). Residuals grow with the strength, so few solves suffice, each from the one before; the
+linear theory says where to begin.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from codegen.registration.solver import DEFAULT_SCHEME
 MOST_SOLVES = 20
 """The most solves that looking for a strength may take."""
 CLOSE = 0.05
-"""How far the residuals' standard error may be from sigma, as a fraction, when the search ends."""
+"""How far residuals may be from the size that they are to have, as a fraction, when the search ends."""
 STALLED = 4
 """Solves after which a search ends that comes no nearer."""
 EASIER = 16.0
@@ -87,7 +87,7 @@ def _silent(text: str) -> None:
 def _first_strength(matching: Matching) -> float:
     """The strength that the linear theory gives, of the landmarks that are trusted."""
     freedom = Freedom.of(matching)
-    ridge = freedom.ridge_for(matching.sigma)
+    ridge = freedom.ridge_for(freedom.target(matching.sigma))
     return min(ridge, ALIGNED * freedom.linear.largest) / replace(matching, strength=1.0).ridge
 
 
@@ -107,16 +107,16 @@ class _Search:
     tolerance: float
     say: Said
     solves: int = 0
-    freedom: Freedom | None = None
 
     def run(self, velocities: NDArray[np.float64] | None) -> Registration:
         """The registration whose residuals are as large as sigma; RegistrationError where none is found."""
         found = self._first(velocities)
+        target = Freedom.of(self.matching).target(self.matching.sigma)
         low, high = -np.inf, np.inf  # logarithms of strengths whose residuals are too small, and too large
         known: list[tuple[float, float]] = []
         while self.solves < MOST_SOLVES:
-            scale = self._scale(found)
-            here, excess = float(np.log(found.matching.strength)), float(np.log(scale / self.matching.sigma))
+            scale = scale_of(self.loss, found.residuals, found.dimension)
+            here, excess = float(np.log(found.matching.strength)), float(np.log(scale / target))
             sigma, unit = self.matching.sigma, self.matching.unit
             self.say(f"solve {self.solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
             if self._is_enough(found, excess):
@@ -136,12 +136,6 @@ class _Search:
         aligned = found.matching.ridge >= 0.99 * ALIGNED * Linear.of(found.matching).largest
         settled = self.loss == "linear" or self.solves > 3
         return (abs(excess) <= CLOSE and settled) or (aligned and excess < 0.0)
-
-    def _scale(self, found: Registration) -> float:
-        """The standard error of residuals, in pixels, by what the loss makes of them."""
-        if self.freedom is None or self.loss != "linear":  # whose weights do not change, nor the alignment with them
-            self.freedom = Freedom.of(found.matching)
-        return scale_of(self.loss, found.residuals, found.dimension) * self.freedom.factor(found.matching.ridge)
 
     def _first(self, velocities: NDArray[np.float64] | None) -> Registration:
         """A solution with the first strength, or with a larger one where that has none."""
@@ -175,7 +169,7 @@ class _Search:
 
     def _finished(self, found: Registration) -> Registration:
         """The same with as many steps as were asked for, or as its error demands."""
-        scale = self._scale(found)
+        scale = scale_of(self.loss, found.residuals, found.dimension)
         if scale > 1.25 * self.matching.sigma:
             finding = f"residuals are {scale:.3g} {self.matching.unit} where sigma is {self.matching.sigma:g}"
             if out_of_order := said_of_partners(self.matching.pairs):

@@ -268,6 +268,6 @@ def test_errors_have_the_unit_that_the_fixed_picture_carries(files):
     np.testing.assert_allclose(seen["residual_lengths"], np.hypot(*misses.T), rtol=1e-2)
     assert len(seen["leave_one_out_lengths"]) == 5
     said = " ".join(run(files / "moving.png", *asked, files / "o.png", "--report", files / "o.html").stdout.split())
-    expected = r"residual [0-9.]+ px at most, standard deviation [0-9.]+ px \([0-9.]+ and [0-9.]+ mm\); standard error"
+    expected = r"residual [0-9.]+ px at most, standard deviation [0-9.]+ px \([0-9.]+ and [0-9.]+ mm\)"
     assert re.search(expected, said)
     assert "<th>residual, mm</th><th>left out, mm</th>" in (files / "o.html").read_text()
