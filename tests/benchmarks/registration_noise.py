@@ -71,8 +71,8 @@ def noise(repeat: int) -> None:
             within = ((ratios > 1.0 / 1.5) & (ratios < 1.5)).mean()
             errors = " ".join(f"{value:.2f}" for value in middle[2:7])
             print(f"{count:4d} {size:4.0f} | {table[:, 0].min():.2f}-{table[:, 0].max():.2f}: {middle[0]:.2f} | "
-                  f"{middle[1]:.2f}, {ratios.min():.2f}-{ratios.max():.2f}, {within:.0%} | {errors} | {table[:, 7].max():.0f} | "
-                  f"{middle[8]:.2f}", flush=True)  # fmt: skip
+                  f"{middle[1]:.2f}, {ratios.min():.2f}-{ratios.max():.2f}, {within:.0%} | {errors} | "
+                  f"{table[:, 7].max():.0f} | {middle[8]:.2f}", flush=True)  # fmt: skip
 
 
 def _noise_of(count: int, size: float, seed: int) -> list[float]:
