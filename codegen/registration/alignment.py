@@ -84,6 +84,18 @@ class Alignment:
         (a, b), (c, d) = self.matrix
         return np.array([[d, -b], [-c, a]]) / self.determinant
 
+    def tangent(self, points: PointArray) -> NDArray[np.float64]:
+        """How a change of what was fitted moves points, shape (n, d): an orthonormal basis, shape (n, d, number)."""
+        count, d = points.shape
+        units = np.eye(d * d).reshape(-1, d, d)
+        turns = [units[d * i + j] - units[d * j + i] for i in range(d) for j in range(i)]
+        matrices = {"similarity": [np.eye(d), *turns], "affine": [*units]}.get(self.kind, [])
+        changes = [np.broadcast_to(shift, points.shape) for shift in np.eye(d)] if self.kind != "none" else []
+        changes += [(self.apply(points) - self.apply(points).mean(axis=0)) @ matrix.T for matrix in matrices]
+        columns = np.array(changes).reshape(len(changes), count * d).T
+        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        return np.asarray(basis[:, sizes > THIN * sizes.max(initial=0.0)].reshape(count, d, -1))
+
     def part(self, fraction: float, centre: PointArray) -> Alignment:
         """A fraction of the way from the identity: about `centre`, turned and stretched by powers, shifted evenly."""
         if self.is_identity or fraction == 1.0:

@@ -96,6 +96,11 @@ class Grid:
         """Indices (column, row, ...), which are no whole numbers as a rule, for places, shape (n, d)."""
         return places if self.is_plain else (places - self.origin) @ np.linalg.inv(self.matrix).T
 
+    def said(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A place, shape (d,), as people are told it: of a picture that is counted in pixels, in pixels."""
+        in_pixels = self.dimension == 2 and self.unit == "pixels"
+        return self.to_indices(place[None])[0] if in_pixels else place
+
     def contains(self, places: PointArray, slack: float = 0.0) -> NDArray[np.bool_]:
         """Which places lie in a sample, or at most `slack` samples beyond the outermost, shape (n,)."""
         indices = self.to_indices(places)

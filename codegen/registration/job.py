@@ -32,6 +32,7 @@ from codegen.registration.noise import estimate_sigma
 from codegen.registration.outliers import Outliers, outliers_of
 from codegen.registration.pair_report import write_report
 from codegen.registration.pairs import LandmarkPairs, flipped
+from codegen.registration.pixels import in_pixels, in_squares, square_grid
 from codegen.registration.register import register
 from codegen.registration.solver import registration_module
 from codegen.registration.warp import sources, warp_reported
@@ -110,11 +111,13 @@ def _solved(
     """Register, certify and warp; a result without an image where that fails."""
     record = heading(job, options, len(pairs), seconds)
     result = Result(record=record, pairs=pairs, moving=moving, fixed=fixed)
-    solved = solve(job, options, pairs, moving.shape[:2], (fixed or moving).shape[:2], record, progress)
+    other = fixed or moving
+    grids = square_grid(moving.shape, moving.spacing), square_grid(other.shape, other.spacing)
+    solved = solve(job, options, in_squares(pairs, *grids), *grids, record, progress)
     if solved is None:
         return result
     found, positions, summary, warped = solved.registration, solved.positions, record["summary"], None
-    summary |= _lengths((fixed or moving).spacing, found, solved.left_out)
+    summary |= _lengths(other.spacing, found, solved.left_out)
     if solved.certificate.passed:
         with timed(seconds, "warp"):
             if options.coarse or positions is None:
@@ -164,6 +167,7 @@ def solve(
             outliers = outliers_of(Matching.of(pairs, shape, fixed_shape=fixed_shape, align=method["align"]))
             found = register(pairs, shape, **method, sigma=sigma, progress=progress)
         with timed(seconds, "certify"):
+            found = in_pixels(found)
             if pairs.dimension == 3 and options.steps is None:
                 found = in_provable_steps(found)
             certificate, positions = certificate_of(found, inverse=options.inverse)
@@ -187,7 +191,7 @@ def _left_out(found: Registration, shape: Extent, method: dict[str, Any]) -> Lea
     """Errors of landmarks that are left out in turn; None where there are too few or too many."""
     if not 2 <= len(found.pairs) <= MOST_LEFT_OUT:
         return None
-    return leave_one_out(found.pairs, shape, start=found, sigma=found.sigma, **method)
+    return leave_one_out(found.matching.pairs, shape, start=found, sigma=found.sigma, **method)
 
 
 def heading(job: Job, options: Options, count: int, seconds: dict[str, float]) -> dict[str, Any]:

@@ -54,33 +54,28 @@ class Linear:
         return np.maximum(values, 0.0), vectors, ((vectors.T @ self.displacements) ** 2).sum(axis=1)
 
     @property
+    def vectors(self) -> Array:
+        """Orthonormal eigenvectors of the covariance, shape (n, n), one a column."""
+        return self._parts[1]
+
+    @property
     def largest(self) -> float:
         """The largest eigenvalue."""
         return float(self._parts[0][-1])
 
-    def _left(self, ridges: Array) -> Array:
+    def left(self, ridges: Array) -> Array:
         """The share of each component that smoothing leaves, shape (number of ridges, n)."""
         return ridges[:, None] / (self._parts[0] + ridges[:, None])
 
     def residual(self, ridge: float) -> float:
         """The root mean square of what the coordinates of landmarks are missed by, in pixels."""
-        left = self._left(np.array([ridge]))[0]
+        left = self.left(np.array([ridge]))[0]
         return float(np.sqrt((left**2 * self._parts[2]).sum() / self.displacements.size))
-
-    def ridge_for(self, residual: float) -> float:
-        """The ridge that leaves a root mean square residual in pixels; infinite where no smoothing leaves so much."""
-        if self.residual(np.inf if self.largest == 0.0 else 1e12 * self.largest) <= residual:
-            return np.inf
-        low, high = 1e-20 * self.largest, 1e12 * self.largest
-        for _ in range(80):
-            middle = float(np.sqrt(low * high))
-            low, high = (middle, high) if self.residual(middle) < residual else (low, middle)
-        return high
 
     def by_cross_validation(self) -> float:
         """The ridge with the least generalised cross-validation score: squared residuals by free data squared."""
         ridges = RIDGES * self.largest
-        left = self._left(ridges)
+        left = self.left(ridges)
         squares = (left**2 * self._parts[2]).sum(axis=1)
         free = float(self.displacements.shape[1]) * left.sum(axis=1) - self.fitted
         known = free > LEAST_FREE * self.displacements.size

@@ -202,7 +202,7 @@ class Registration:
     def _part(self, time: float) -> Alignment:
         if not 0.0 <= time <= 1.0:
             raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
-        return self.alignment.part(time, self.pairs.moving.mean(axis=0))
+        return self.alignment.part(time, self.matching.pairs.moving.mean(axis=0))
 
 
 def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -244,7 +244,7 @@ def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> s
     worst = int(np.argmax(residuals))
     if matching.sigma > 0.0 or residuals[worst] <= MISSED * matching.pixel:
         return ""
-    place = place_text(matching.pairs.moving[worst])
+    place = place_text(matching.grid.said(matching.pairs.moving[worst]))
     where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residuals[worst]:.2g} {matching.unit}"
     return f"the map folds in {steps} steps and misses {where}; take more steps"
 

@@ -290,7 +290,9 @@ class Matching:
         changes = np.linalg.norm((after - before)[i] - (after - before)[j], axis=1) / apart
         worst = int(np.argmax(np.where(self.groups[i] == self.groups[j], 0.0, changes)))
         one, other = (self.pairs.names[k[worst]] for k in (i, j))
-        return f"; hardest are landmarks {one} and {other}, near {place_text(self.pairs.moving[i[worst]])}"
+        return (
+            f"; hardest are landmarks {one} and {other}, near {place_text(self.grid.said(self.pairs.moving[i[worst]]))}"
+        )
 
 
 _aligned = align  # a parameter of `Matching.of` has that name

@@ -36,10 +36,11 @@ def register(
 
     `shape` is (height, width, ...) of the moving image, `fixed_shape` that of the fixed one where it differs. `sigma`
     is the standard deviation of the error of a landmark's coordinates, in pixels of the fixed image: the map is then
-    the smoothest whose residuals are of that size, to within 5 percent, and the strength with which its roughness
-    counts follows from that (`Registration.matching.strength`; the cost is in `Matching`). Zero means that landmarks
-    are met exactly, "auto" takes the estimate of `estimate_sigma`. A robust `loss`, "huber", "cauchy" or "tukey", lets
-    landmarks that miss by many sigmas pull less. "auto" for `align` takes the kind with the least leave-one-out error.
+    the smoothest whose residuals are of that size, less what the fit follows of the errors by its degrees of freedom,
+    that is 0.8 to 1 of sigma, to within 5 percent. The strength with which its roughness counts follows from that
+    (`Registration.matching.strength`; the cost is in `Matching`). Zero means that landmarks are met exactly, "auto"
+    takes the estimate of `estimate_sigma`. A robust `loss`, "huber", "cauchy" or "tukey", lets landmarks that miss by
+    many sigmas pull less. "auto" for `align` takes the kind with the least leave-one-out error.
 
     Without `steps` as many are taken as leave an error of the map below `tolerance` pixels. The solver starts from an
     earlier registration, `start`, of as many landmarks, as when a landmark is dragged; it gives up soon where it is to

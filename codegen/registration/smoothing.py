@@ -1,8 +1,9 @@
 """From a sigma to a map: how strongly roughness counts, so that landmarks are missed by about their standard error.
 
 A cost of misfit and roughness has a free factor, the strength of the latter. It is found by the discrepancy principle
-(Morozov 1966): the map is as smooth as residuals of the stated size allow. Residuals grow with the strength, so few
-solves suffice, each from the one before; the linear theory says where to begin.
+(Morozov 1966): the map is as smooth as residuals of the stated size allow, less what the fit follows of the errors
+(`codegen.registration.freedom`). Residuals grow with the strength, so few solves suffice, each from the one before; the
+linear theory says where to begin.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from numpy.typing import NDArray
 from codegen.errors import RegistrationError
 from codegen.registration.alignment import Kind
 from codegen.registration.choice import chosen_alignment
+from codegen.registration.freedom import Freedom
 from codegen.registration.grid import Extent
 from codegen.registration.linear import Linear
 from codegen.registration.losses import Loss, scale_of, weights_of
 from codegen.registration.maps import TOLERANCE, Registration, in_steps, refined, solved
-from codegen.registration.matching import IN_ORDER, TRUSTED, Matching
+from codegen.registration.matching import IN_ORDER, Matching
 from codegen.registration.outliers import outliers_of
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.partners import said_of_partners
@@ -29,7 +31,7 @@ from codegen.registration.solver import DEFAULT_SCHEME
 MOST_SOLVES = 20
 """The most solves that looking for a strength may take."""
 CLOSE = 0.05
-"""How far the residual's standard deviation may be from sigma, as a fraction, when the search ends."""
+"""How far residuals may be from the size that they are to have, as a fraction, when the search ends."""
 STALLED = 4
 """Solves after which a search ends that comes no nearer."""
 EASIER = 16.0
@@ -84,10 +86,9 @@ def _silent(text: str) -> None:
 
 def _first_strength(matching: Matching) -> float:
     """The strength that the linear theory gives, of the landmarks that are trusted."""
-    trusted = matching.weights >= TRUSTED
-    linear = Linear.of(matching).chosen(trusted if trusted.any() else ~trusted)
-    ridge = linear.ridge_for(matching.sigma)
-    return min(ridge, ALIGNED * linear.largest) / replace(matching, strength=1.0).ridge
+    freedom = Freedom.of(matching)
+    ridge = freedom.ridge_for(freedom.target(matching.sigma))
+    return min(ridge, ALIGNED * freedom.linear.largest) / replace(matching, strength=1.0).ridge
 
 
 def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
@@ -110,11 +111,12 @@ class _Search:
     def run(self, velocities: NDArray[np.float64] | None) -> Registration:
         """The registration whose residuals are as large as sigma; RegistrationError where none is found."""
         found = self._first(velocities)
+        target = Freedom.of(self.matching).target(self.matching.sigma)
         low, high = -np.inf, np.inf  # logarithms of strengths whose residuals are too small, and too large
         known: list[tuple[float, float]] = []
         while self.solves < MOST_SOLVES:
             scale = scale_of(self.loss, found.residuals, found.dimension)
-            here, excess = float(np.log(found.matching.strength)), float(np.log(scale / self.matching.sigma))
+            here, excess = float(np.log(found.matching.strength)), float(np.log(scale / target))
             sigma, unit = self.matching.sigma, self.matching.unit
             self.say(f"solve {self.solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
             if self._is_enough(found, excess):

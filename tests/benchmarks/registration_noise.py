@@ -61,17 +61,18 @@ def smoothed_plate(pairs: LandmarkPairs, deviation: float) -> Any:
 
 def noise(repeat: int) -> None:
     """Residuals, estimates, errors of maps, solves and seconds."""
-    print("landmarks noise | residual/sigma | auto/noise: median, range, within 1.5 | error of map, px: sigma, thin "
-          "plate of the same residuals, auto, thin plate of those, exact one | solves most | seconds")  # fmt: skip
+    print("landmarks noise | residual/sigma: median | auto/noise: median, range, within 1.5 | "
+          "error of map, px: sigma, thin plate of the same residuals, auto, thin plate of those, exact one | solves "
+          "most | seconds")  # fmt: skip
     for count in (20, 80, 200):
         for size in (1.0, 3.0, 10.0):
             table = np.array([_noise_of(count, size, seed) for seed in range(repeat)])
             middle, ratios = np.median(table, axis=0), table[:, 1]
             within = ((ratios > 1.0 / 1.5) & (ratios < 1.5)).mean()
             errors = " ".join(f"{value:.2f}" for value in middle[2:7])
-            print(f"{count:4d} {size:4.0f} | {table[:, 0].min():.2f}-{table[:, 0].max():.2f} | {middle[1]:.2f}, "
-                  f"{ratios.min():.2f}-{ratios.max():.2f}, {within:.0%} | {errors} | {table[:, 7].max():.0f} | "
-                  f"{middle[8]:.2f}", flush=True)  # fmt: skip
+            print(f"{count:4d} {size:4.0f} | {table[:, 0].min():.2f}-{table[:, 0].max():.2f}: {middle[0]:.2f} | "
+                  f"{middle[1]:.2f}, {ratios.min():.2f}-{ratios.max():.2f}, {within:.0%} | {errors} | "
+                  f"{table[:, 7].max():.0f} | {middle[8]:.2f}", flush=True)  # fmt: skip
 
 
 def _noise_of(count: int, size: float, seed: int) -> list[float]:
@@ -86,7 +87,8 @@ def _noise_of(count: int, size: float, seed: int) -> list[float]:
     exact = ThinPlateSplineTransform.from_estimate(pairs.moving, pairs.fixed)
     maps = (given.map_points, plates[0], auto.map_points, plates[1], exact)
     solves = max(given.solves, auto.solves)
-    return [deviations[0] / size, auto.sigma / size, *(distance(f, seed) for f in maps), solves, seconds]
+    errors = [distance(function, seed) for function in maps]
+    return [deviations[0] / size, auto.sigma / size, *errors, solves, seconds]
 
 
 def gaussian_field(places: Any, logarithms: Any) -> Any:

@@ -131,8 +131,8 @@ def test_landmarks_are_aligned_and_judged_as_by_the_command(solver):
         for k in named:
             session.move(session.work.pairs[k].identity, "fixed", (300.0, 350.0), True)
         wanted = solving.Wanted(session.task())
-        shapes, registration = solving.arguments(wanted.task)[0], solving.found(wanted, None)
-        assert registration.alignment.kind == chosen_alignment(session.work.landmarks(), **shapes).kind
+        given, registration = solving.arguments(wanted.task)[0], solving.found(wanted, None)
+        assert registration.alignment.kind == chosen_alignment(**given).kind
         assert solving.certified(wanted, registration, lambda: False).outliers == named
     hasty = solving.found(solving.Wanted(session.task(), hasty=True), registration)
     assert hasty.alignment.kind == registration.alignment.kind

@@ -55,6 +55,41 @@ def test_a_slice_along_any_axis_is_a_picture(tmp_path, shape, expected):
     assert (found.spacing.x, found.spacing.y) == expected
 
 
+@pytest.mark.parametrize(
+    ("shape", "axes", "expected"),
+    [
+        ((5, 4, 1), np.diag([-1.0, -1.0, 1.0]), ("R", "L", "A", "P")),  # as radiologists look at an axial slice
+        ((5, 4, 1), np.diag([1.0, 1.0, 1.0]), ("L", "R", "P", "A")),
+        ((5, 1, 4), np.diag([-1.0, 1.0, -1.0]), ("R", "L", "S", "I")),  # coronal
+        ((1, 5, 4), np.diag([1.0, -1.0, -1.0]), ("A", "P", "S", "I")),  # sagittal
+        ((5, 4, 1), [[-0.8, 0.6, 0.0], [-0.6, -0.8, 0.0], [0.0, 0.0, 1.0]], ("RA", "LP", "AL", "PR")),
+        ((5, 4, 1), [[-0.98, 0.2, 0.0], [-0.2, -0.98, 0.0], [0.0, 0.0, 1.0]], ("R", "L", "A", "P")),
+    ],
+)
+def test_edges_are_named_by_the_side_of_the_patient(tmp_path, shape, axes, expected):
+    """The affine map of NIfTI leads to right, anterior, superior."""
+    affine = np.eye(4)
+    affine[:3, :3] = axes
+    image = nibabel.Nifti1Image(PIXELS.T.reshape(shape), affine)
+    nibabel.save(image, tmp_path / "a.nii.gz")
+    placed = itk.ReadImage(str(tmp_path / "a.nii.gz"))
+    itk.WriteImage(placed, str(tmp_path / "a.nrrd"))
+    itk.WriteImage(placed, str(tmp_path / "a.mha"))
+    for kind in ("nii.gz", "nrrd", "mha"):
+        found = reading.picture_from((tmp_path / f"a.{kind}").read_bytes(), "a")
+        assert found.edges == expected
+        np.testing.assert_array_equal(found.pixels, PIXELS)
+
+
+def test_edges_have_no_names_where_a_file_places_nothing_in_space(tmp_path):
+    assert reading.picture_from(written(tmp_path / "a.nii"), "a").edges is None  # in two dimensions
+    assert reading.picture_from(nrrd([]), "a").edges is None
+    image = nibabel.Nifti1Image(PIXELS.T[..., None], None)
+    image.header["qform_code"] = image.header["sform_code"] = 0
+    nibabel.save(image, tmp_path / "b.nii")
+    assert reading.picture_from((tmp_path / "b.nii").read_bytes(), "b").edges is None
+
+
 def test_colours_are_kept(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 255, (4, 5, 3)).astype(np.uint8)
     for kind in ("nii", "nrrd", "mha"):

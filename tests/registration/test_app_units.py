@@ -6,6 +6,7 @@ from browser import START, Visit, browser, server
 
 from codegen.registration import LandmarkPairs, chosen_alignment, leave_one_out
 from codegen.registration.formats import read_landmarks, write_landmarks
+from codegen.registration.grid import Grid
 from codegen.registration.images import write_image
 
 pytest.importorskip("tornado", reason="tornado is not installed")
@@ -23,6 +24,9 @@ def files(tmp_path_factory):
         image = itk.GetImageFromArray((1000 + 900 * np.sin(x / 7) * np.cos(y / 9)).astype(np.int16))
         image.SetSpacing(SIZES[name])
         itk.WriteImage(image, str(folder / f"{name}.{kind}"))
+    placed = itk.GetImageFromArray(np.full((1, 72, 96), 7, np.int16))
+    placed.SetDirection([1, 0, 0, 0, -1, 0, 0, 0, -1])
+    itk.WriteImage(placed, str(folder / "placed.nii.gz"))
     itk.WriteImage(itk.GetImageFromArray(np.zeros((6, 8, 9), np.uint8)), str(folder / "brain.mha"))
     write_image(folder / "plain.png", np.zeros((72, 96), np.uint8))
     moved = START + np.random.default_rng(3).normal(size=START.shape) * 3.0
@@ -91,10 +95,12 @@ def test_errors_have_a_unit_where_pixels_are_not_square(visit, files):
     visit.until(lambda v: np.isfinite(cells(v, "left_out")).all())
     in_units(visit, chosen=True)
     assert heads(visit) == ["residual mm", "left out mm"]
-    pairs, shape = read_landmarks(files / "pairs.csv"), (72, 96)
-    align = chosen_alignment(pairs, shape).kind
-    misses = leave_one_out(pairs, shape, align=align).misses
-    np.testing.assert_allclose(cells(visit, "left_out"), np.hypot(*(misses * SIZES["moving"]).T), atol=0.02)
+    pairs, size = read_landmarks(files / "pairs.csv"), SIZES["moving"]
+    pairs = LandmarkPairs(pairs.moving * size, pairs.fixed * size)
+    grid = Grid((96, 72), (0.0, 0.0), size, ((1.0, 0.0), (0.0, 1.0)), "mm")
+    align = chosen_alignment(pairs, grid).kind
+    errors = leave_one_out(pairs, grid, align=align).errors
+    np.testing.assert_allclose(cells(visit, "left_out"), errors, atol=0.02)
 
 
 def test_a_volume_is_refused_in_one_line_and_the_session_goes_on(visit, files):
@@ -103,3 +109,13 @@ def test_a_volume_is_refused_in_one_line_and_the_session_goes_on(visit, files):
     assert len(visit.pairs()) == 5
     visit.upload("Open fixed image …", files / "plain.png")
     visit.until(lambda v: v.page.evaluate("window.__page.model.images.fixed.name") == "plain.png")
+
+
+def test_edges_of_slices_are_named_by_the_side_of_the_patient(visit, files):
+    letters = "[...document.querySelectorAll('#pane-fixed .edge')].map((edge) => edge.textContent)"
+    assert visit.page.evaluate(letters) == ["", "", "", ""]
+    visit.upload("Open fixed image …", files / "placed.nii.gz")
+    visit.until(lambda v: v.page.evaluate(letters) == ["R", "L", "P", "A"])
+    said = "Shown as stored: left edge right, right edge left, upper edge posterior, lower edge anterior"
+    assert visit.page.locator("#pane-fixed .orientation").text_content() == said
+    assert visit.page.locator("#pane-moving .orientation").text_content() == ""

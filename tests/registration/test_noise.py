@@ -1,5 +1,7 @@
 """Errors of landmarks: residuals as large as sigma, its estimate, outliers, losses, alignments, near duplicates."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
@@ -7,6 +9,7 @@ from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 from codegen.errors import ArgumentError, LandmarkError, RegistrationError
 from codegen.registration import (
     LandmarkPairs,
+    align,
     choice,
     chosen_alignment,
     estimate_sigma,
@@ -15,7 +18,11 @@ from codegen.registration import (
     register,
 )
 from codegen.registration.frame import coarse_grid
+from codegen.registration.freedom import Freedom
+from codegen.registration.grid import Grid
 from codegen.registration.likelihood import likely_sigma
+from codegen.registration.maps import in_steps
+from codegen.registration.matching import Matching
 from codegen.registration.smoothing import MOST_SOLVES
 
 pytestmark = pytest.mark.usefixtures("solver")
@@ -24,7 +31,27 @@ SHAPE = (SIDE, SIDE)
 
 def deviation(found):
     """The standard deviation of a coordinate's residual in pixels."""
-    return np.sqrt((found.residuals**2).mean() / 2.0)
+    return np.sqrt((found.residuals**2).mean() / found.dimension)
+
+
+def coordinates_left(matching):
+    """The trace of what takes the fixed landmarks to their residuals by the linear theory, one column after the other.
+
+    Aligned is anew for each; where the covariance is taken stays where it is.
+    """
+    pairs, count = matching.pairs, len(matching.pairs)
+    smoothed = matching.ridge * np.linalg.inv(matching.covariance + matching.ridge * np.eye(count))
+
+    def residuals(fixed):
+        moved = align(LandmarkPairs(pairs.moving, fixed), matching.align).apply(pairs.moving)
+        return smoothed @ (fixed - moved)
+
+    before, trace = residuals(pairs.fixed), 0.0
+    for k, axis in np.ndindex(pairs.fixed.shape):
+        changed = pairs.fixed.copy()
+        changed[k, axis] += 1.0
+        trace += (residuals(changed) - before)[k, axis]
+    return trace
 
 
 def error(found, seed):
@@ -39,8 +66,49 @@ def test_residuals_are_of_the_size_of_sigma(count, noise):
     pairs = noisy_pairs(count, noise, seed=1)
     found = register(pairs, SHAPE, sigma=noise)
     assert found.status == "solved"
-    assert deviation(found) == pytest.approx(noise, rel=0.06)
+    reference = replace(found.matching, strength=Freedom.of(found.matching).ridge_for(noise))
+    reference = replace(reference, strength=reference.strength / replace(reference, strength=1.0).ridge)
+    share = np.sqrt(coordinates_left(reference) / (2.0 * count))
+    assert deviation(found) == pytest.approx(noise * max(0.8, share), rel=0.06)
+    assert 0.75 * noise < deviation(found) < noise
     assert found.solves <= MOST_SOLVES
+
+
+@pytest.mark.parametrize("kind", ["none", "similarity", "affine"])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_degrees_of_freedom_are_those_of_the_fit(kind, dimension, space_solver):
+    generator = np.random.default_rng(3)
+    moving = generator.uniform(5.0, 40.0, (14, dimension))
+    pairs = LandmarkPairs(moving, moving * 1.1 + generator.normal(size=moving.shape))
+    extent = SHAPE if dimension == 2 else Grid((50,) * 3, (0.0,) * 3, (1.0,) * 3, tuple(map(tuple, np.eye(3))))
+    matching = Matching.of(pairs, extent, align=kind, sigma=1.0)
+    freedom, most = Freedom.of(matching), dimension * len(pairs)
+    for strength in (1e-2, 1.0, 1e2, 1e9):
+        smoothed = replace(matching, strength=strength * float(freedom.linear.largest / matching.ridge))
+        # In space a similarity is no linear function of the landmarks, but for small errors.
+        assert freedom.coordinates(smoothed.ridge) == pytest.approx(coordinates_left(smoothed), rel=1e-3)
+    assert freedom.coordinates(1e12) == pytest.approx(most - matching.alignment.parameters)
+
+
+def test_maps_are_nearer_the_truth_than_where_residuals_are_as_large_as_errors():
+    """Smoothing until the root mean square of residuals is sigma, as if none of the errors were followed."""
+    nearer, sizes = [], []
+    for seed in range(6):
+        found = register(noisy_pairs(20, 3.0, seed), SHAPE, sigma=3.0)
+        logarithms = np.linspace(0.0, 6.0, 13) + np.log(found.matching.strength)
+        others = [
+            in_steps(replace(found.matching, strength=np.exp(x)), found.steps, found.velocities) for x in logarithms
+        ]
+        other = min(others, key=lambda found: abs(np.log(deviation(found) / 3.0)))
+        nearer.append(error(found, seed) / error(other, seed))
+        sizes.append(deviation(found) / 3.0)
+    assert np.median(nearer) < 0.98
+    assert 0.75 < np.median(sizes) < 0.95
+
+
+def test_a_sigma_that_is_somewhat_too_small_meets_no_landmarks():
+    found = register(noisy_pairs(80, 10.0, 0), SHAPE, sigma=8.0)
+    assert 0.75 * 8.0 < deviation(found) < 8.0
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from codegen.registration.fields import displacements, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
 from codegen.registration.maps import Registration
+from codegen.registration.pixels import in_pixels
 from codegen.registration.register import register
 from codegen.registration.warp import warp
 
@@ -41,8 +42,8 @@ def registered(task: Task) -> Registration:
     """The registration from the landmarks alone, whatever was found while dragging; LandmarkError without pairs."""
     if not task.work.active:
         raise LandmarkError("there are no landmarks", "add a pair, or activate one")
-    shapes, method = arguments(task)
-    return register(task.work.landmarks(), **shapes, **method)
+    given, method = arguments(task)
+    return in_pixels(register(**given, **method))
 
 
 def certified(task: Task) -> tuple[Registration, Positions]:

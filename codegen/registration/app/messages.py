@@ -52,7 +52,7 @@ def _image(picture: Picture) -> Values:
     levels = [level.shape[1::-1] for level in picture.levels]
     return {
         "name": picture.name, "width": width, "height": height, "digest": picture.digest, "levels": levels,
-        "spacing": size,
+        "spacing": size, "edges": picture.edges,
     }  # fmt: skip
 
 

@@ -33,7 +33,7 @@ class Picture:
     """Pixels of shape (h, w) or (h, w, channels), a name to show, and the bytes that they were read from.
 
     `kind` is the kind of that file, PNG, JPEG, TIFF, NIfTI, NRRD or MetaImage, `profile` its colour profile, `spacing`
-    the size of its pixels.
+    the size of its pixels, `edges` the sides of a patient towards which its left, right, upper and lower edge lie.
     """
 
     pixels: NDArray[Any]
@@ -42,6 +42,7 @@ class Picture:
     kind: str = "PNG"
     profile: bytes | None = field(default=None, repr=False)
     spacing: Spacing | None = None
+    edges: tuple[str, str, str, str] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -29,8 +29,8 @@ def picture_from(data: bytes, name: str) -> Picture:
     """Decode an image within LIMITS. Only the last part of its name is kept, to be shown; raises ImageError."""
     shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
     if len(data) <= LIMITS.bytes and (ending := ending_of(data)) is not None:
-        pixels, kind, spacing = read_slice(data, ending, LIMITS, shown)
-        return Picture(pixels, shown, data, kind, None, spacing)
+        found = read_slice(data, ending, LIMITS, shown)
+        return Picture(found.pixels, shown, data, found.kind, None, found.spacing, found.edges)
     image = read_image(data, LIMITS, shown)
     return Picture(image.pixels, shown, data, image.kind, image.profile, image.spacing)
 

@@ -1,8 +1,9 @@
 """Pictures in files of volumes: single slices as NIfTI, NRRD and MetaImage, with the size of their pixels.
 
 As with pictures, the kind of a file is what its first bytes say, and sizes are looked at before samples are read, by
-SimpleITK. Rows and columns stay as they are stored: the page counts in pixels, and turns nothing by orientations. Files
-that name others are refused: who opens one in a browser would have the server read whatever it names.
+SimpleITK. Rows and columns stay as they are stored: landmarks count in pixels of the file, as other programs have them,
+and nothing is turned by orientations; the page says which edge is which side of the patient instead. Files that name
+others are refused: who opens one in a browser would have the server read whatever it names.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import re
 import tempfile
 import zlib
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from codegen.registration.images.by_tifffile import SAMPLES
 from codegen.registration.images.spacing import Spacing, meant, named
 from codegen.registration.volumes.files import library, require_whole, silent, telling
 
+Edges: TypeAlias = tuple[str, str, str, str]
 _NIFTI = 352
 """Bytes of a header of NIfTI with its magic number."""
 _METAIMAGE = re.compile(rb"\s*(ObjectType|Comment|NDims)\s*=")
@@ -30,8 +33,12 @@ _ELSEWHERE = re.compile(rb"^\s*data\s*file", re.MULTILINE | re.IGNORECASE)
 """A line of NRRD that names other files."""
 _HERE = re.compile(rb"\s*=\s*LOCAL\s*\n")
 """What follows a key of MetaImage, the last of its header, where samples follow that."""
+_PLACED = re.compile(rb"^space: *(left|right|lps|ras|las)", re.MULTILINE | re.IGNORECASE)
+"""A line of NRRD by which axes are those of a patient."""
 _UNIT = re.compile(rb'^(?:space )?units: *"([^"\r\n]*)"', re.MULTILINE)
 _KINDS = {".nii": "NIfTI", ".nii.gz": "NIfTI", ".nrrd": "NRRD", ".mha": "MetaImage"}
+OBLIQUE = 0.3
+"""Cosine of an axis with a direction of the patient from which on an edge is called by that, too."""
 MICROMETRES = 3
 """A code of NIfTI's `xyzt_units`."""
 
@@ -52,8 +59,21 @@ def _is_nifti(data: bytes) -> bool:
     return data[344:348] in (b"n+1\0", b"ni1\0") or data[4:8] in (b"n+2\0", b"ni2\0")
 
 
-def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> tuple[NDArray[Any], str, Spacing | None]:
-    """Pixels, shape (h, w) or (h, w, 3 or 4), the kind of file, and the size of a pixel where that means something.
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """Pixels, shape (h, w) or (h, w, 3 or 4), and the kind of file; where it says so, the size of a pixel and `edges`.
+
+    Those are the sides of the patient towards which the left, right, upper and lower edge lie.
+    """
+
+    pixels: NDArray[Any]
+    kind: str
+    spacing: Spacing | None
+    edges: Edges | None
+
+
+def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> Slice:
+    """Read a picture from the bytes of a file of volumes.
 
     Raises ImageError, naming the file, for volumes, files that name others, more pixels than `limits` allow, samples
     that pictures do not have, and what is damaged; ExtraError where the library that reads it is missing.
@@ -76,7 +96,8 @@ def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> tuple[NDA
         raise ImageError(f"{name} holds samples of {samples.dtype}", remedy)
     width, height = (reader.GetSize()[axis] for axis in axes)
     pixels = samples.reshape(height, width, *samples.shape[reader.GetDimension() :])
-    return np.ascontiguousarray(pixels), _KINDS[ending], _spacing(data, ending, reader, axes)
+    spacing, edges = _spacing(data, ending, reader, axes), _edges(data, ending, reader, axes)
+    return Slice(np.ascontiguousarray(pixels), _KINDS[ending], spacing, edges)
 
 
 def _require_alone(name: str, data: bytes, ending: str) -> None:
@@ -113,6 +134,32 @@ def _axes(name: str, reader: Any, limits: Limits) -> tuple[int, int]:
 def _require_components(name: str, components: int) -> None:
     if components not in (1, 3, 4):
         raise ImageError(f"{name} has {components} numbers in each pixel", "give grey, RGB or RGB with opacity")
+
+
+def _edges(data: bytes, ending: str, reader: Any, axes: tuple[int, int]) -> Edges | None:
+    """The sides of the patient towards which edges lie; None of files that place nothing in space."""
+    if reader.GetDimension() < 3 or not _is_placed(data, ending, reader):
+        return None
+    dimension = reader.GetDimension()
+    cosines = np.array(reader.GetDirection()).reshape(dimension, dimension)[:3]
+    right, lower = cosines[:, axes[0]], cosines[:, axes[1]]
+    return _side(-right), _side(right), _side(-lower), _side(lower)
+
+
+def _is_placed(data: bytes, ending: str, reader: Any) -> bool:
+    """Whether a file says how its axes lie; what the library assumes otherwise is not that."""
+    if ending.startswith(".nii"):
+        return any(int(float(reader.GetMetaData(key))) for key in ("qform_code", "sform_code"))
+    if ending == ".nrrd":
+        return _PLACED.search(_text(data)) is not None
+    return b"TransformMatrix" in data[:4096]
+
+
+def _side(direction: NDArray[np.float64]) -> str:
+    """The letters of the patient's sides towards which a direction in LPS points, the nearest first."""
+    order = np.argsort(-np.abs(direction), kind="stable")
+    letters = ("RL", "AP", "IS")
+    return "".join(letters[k][int(direction[k] > 0.0)] for k in order if abs(direction[k]) >= OBLIQUE)
 
 
 def _spacing(data: bytes, ending: str, reader: Any, axes: tuple[int, int]) -> Spacing | None:

@@ -21,6 +21,7 @@ from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration
 from codegen.registration.noise import SigmaEstimate, estimate_sigma
 from codegen.registration.outliers import Outliers, outliers_of
+from codegen.registration.pixels import in_pixels, in_squares, square_grid
 from codegen.registration.register import register
 
 COARSE = 8.0
@@ -122,15 +123,15 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     work = wanted.task.work
     if not work.active or wanted.waiting:
         return None
-    shapes, method = arguments(wanted.task)
+    given, method = arguments(wanted.task)
     if wanted.hasty and previous is not None:
         if method["align"] == "auto":  # another alignment in the middle of a drag would move everything else
             method["align"] = previous.matching.align
         rough = previous.flow.module.metadata["order"] == 1
         for steps in HASTY_STEPS_OF_FIRST_ORDER if rough else HASTY_STEPS:
             with suppress(RegistrationError):
-                return register(work.landmarks(), **shapes, **method, steps=steps, start=previous, quick=True)
-    return register(work.landmarks(), **shapes, **method, start=previous)
+                return in_pixels(register(**given, **method, steps=steps, start=previous, quick=True))
+    return in_pixels(register(**given, **method, start=previous))
 
 
 def shown(
@@ -300,8 +301,8 @@ def left_out(wanted: Wanted, registration: Registration) -> LeaveOneOut | None:
     """How far off each landmark is by the registration of all others; None for few pairs, and for very many."""
     if not 3 <= len(registration.pairs) <= MOST_LEFT_OUT:
         return None
-    shapes, method = arguments(wanted.task)
-    return leave_one_out(registration.pairs, **shapes, **method, start=registration)
+    given, method = arguments(wanted.task)
+    return leave_one_out(**given, **method, start=registration)
 
 
 def judged(registration: Registration) -> Outliers | None:
@@ -311,13 +312,14 @@ def judged(registration: Registration) -> Outliers | None:
 
 def estimated_sigma(task: Task) -> SigmaEstimate:
     """How large the errors of the landmarks are, in pixels, and what makes that doubtful."""
-    shapes, method = arguments(task)
+    given, method = arguments(task)
     method.pop("sigma")
-    return estimate_sigma(task.work.landmarks(), **shapes, **method)
+    return estimate_sigma(**given, **method)
 
 
 def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `register` is given beside the landmarks: the shapes of the images, and how to go about it."""
+    """What `register` is given: landmarks and grids, whose pixels are squares, and how to go about it."""
     settings = task.work.settings
-    shapes = {"shape": task.moving.shape, "fixed_shape": task.fixed.shape}
-    return shapes, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}
+    grids = [square_grid(picture.shape, picture.spacing) for picture in (task.moving, task.fixed)]
+    given = {"pairs": in_squares(task.work.landmarks(), *grids), "shape": grids[0], "fixed_shape": grids[1]}
+    return given, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}

@@ -17,6 +17,8 @@ _NAMES = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "in
 _PRINT = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
 """Dots to an inch that programs write without having measured anything."""
 _SIZE = r'PhysicalSize{}="([0-9.eE+-]+)"'
+LONGEST = 1000.0
+"""How many times as long as wide a pixel may be."""
 MOST_UNIT = 12
 
 
@@ -28,9 +30,14 @@ class Spacing:
     y: float
     unit: str
 
+    @property
+    def side(self) -> float:
+        """The side of a square with the area of a pixel."""
+        return self.x if self.x == self.y else float(np.sqrt(self.x) * np.sqrt(self.y))
+
     def lengths(self, misses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The lengths in the unit of vectors in pixels, shape (n, 2): pixels need not be square."""
-        return np.asarray(np.linalg.norm(misses * [self.x, self.y], axis=1))
+        """The lengths in the unit of vectors, shape (n, 2), that are in units of `side`, as misses are."""
+        return np.asarray(np.linalg.norm(misses * self.side, axis=1))
 
 
 def spacing_of(kind: str, data: bytes) -> Spacing | None:
@@ -45,8 +52,9 @@ def spacing_of(kind: str, data: bytes) -> Spacing | None:
 
 
 def meant(spacing: Spacing) -> Spacing | None:
-    """The same, if anything can have that size."""
-    return spacing if 1e-12 < spacing.x < 1e12 and 1e-12 < spacing.y < 1e12 else None
+    """The same, if anything can have that size and shape."""
+    sides = sorted((spacing.x, spacing.y))
+    return spacing if 1e-12 < sides[0] <= sides[1] < min(1e12, LONGEST * sides[0]) else None
 
 
 def _of_tiff(data: bytes) -> Spacing | None:

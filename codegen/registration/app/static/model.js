@@ -4,7 +4,7 @@ export const SIDES = ["moving", "fixed"]
 export const other = (side) => (side === "moving" ? "fixed" : "moving")
 
 export class Model {
-  images = null // of each side: name, width, height, digest, levels, spacing
+  images = null // of each side: name, width, height, digest, levels, spacing, edges
   alone = false
   pairs = new Map()
   order = []

@@ -17,6 +17,8 @@ export const MODES = {
 const NEAR = { mouse: 9, pen: 12, touch: 22 } // how far from a point it is taken, in the screen's pixels
 const STILL = { mouse: 3, pen: 5, touch: 9 } // how far a click may be moved
 const SQUARES = 10 // of the checkerboard, along the longer side of the window
+const EDGES = ["left", "right", "upper", "lower"]
+const SIDES_OF_PATIENT = { R: "right", L: "left", A: "anterior", P: "posterior", I: "inferior", S: "superior" }
 const BLINK = 700 // milliseconds
 
 export class Pane {
@@ -41,6 +43,16 @@ export class Pane {
       this.stage.append(canvas)
       this.layers[name] = canvas
     }
+    this.edges = EDGES.map((edge) => {
+      const letters = document.createElement("span")
+      letters.className = `edge ${edge}`
+      letters.setAttribute("aria-hidden", "true")
+      this.stage.append(letters)
+      return letters
+    })
+    this.orientation = document.createElement("p")
+    this.orientation.className = "unseen orientation"
+    root.append(this.orientation)
     this.#listen()
     new ResizeObserver(() => this.resize()).observe(this.stage)
   }
@@ -71,7 +83,10 @@ export class Pane {
   }
 
   showImage() {
-    const { width, height } = this.model.images[this.side]
+    const { width, height, edges } = this.model.images[this.side]
+    this.edges.forEach((letters, k) => (letters.textContent = edges?.[k] ?? ""))
+    const said = EDGES.map((edge, k) => edges && `${edge} edge ${spelled(edges[k])}`).join(", ")
+    this.orientation.textContent = edges ? `Shown as stored: ${said}` : ""
     this.viewport.image = [width, height]
     this.frame = this.areas = this.cursor = null
     this.viewport.fit()
@@ -238,6 +253,11 @@ export class Pane {
     this.viewport.zoomAt(-Math.max(-4, Math.min(4, lines / 100)), this.#place(event))
     this.acts.viewed(this, true)
   }
+}
+
+// What a side of the patient is called.
+function spelled(letters) {
+  return [...letters].map((letter) => SIDES_OF_PATIENT[letter]).join(" ")
 }
 
 function middle(a, b) {
