@@ -18,23 +18,21 @@ import numpy as np
 from codegen.errors import ArgumentError
 from codegen.horizons.grids import Grids
 from codegen.horizons.interface import Interface, interface_of, module_of, number
-from codegen.horizons.judgement import BestIterate, Candidate, FirstIterate, better, candidate, holds, is_solution
+from codegen.horizons.judgement import BestIterate, Candidate, better, candidate, holds, is_solution
 from codegen.horizons.options import Options
+from codegen.horizons.pace import Pace
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
 from codegen.interfaces import Grid, Matrix, Vector
 from codegen.solutions.result import Run
 
+BEFORE, PREPARED, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
+"""Where searches begin."""
 UNFINISHED = ("iteration limit", "time limit")
 MOST = 3000
 """Iterations at most, as for every solve."""
-WARM_UPS = 10
-"""Solves of one iteration before the first sampling time, which are timed."""
-RESERVE = 1.4
-"""Time before a deadline in which no iteration begins, in parts of that from an iterate to the next one's verdict.
-
-Where time runs out, two more plans are evaluated.
-"""
+WARM_UPS, NUDGE = 20, 1e-4
+"""Solves before the first sampling time, which are timed, and how far from its state, in parts of that or of one."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,10 +70,12 @@ class Controller:
 
     A solve begins from the last plan, shifted by a sampling time, in which the state is the measured one: its first
     Newton step is the tangential predictor. It ends at the `tolerance`, or after `newton_steps` of them (real-time
-    iteration; a single one ends at the first bound that it meets, so that with bounds three are better), or before the
-    `deadline`, in seconds from the call. Then the best feasible iterate is applied, the cheapest whose equations hold
-    to the root of the tolerance; where there is none the last iterate, or the plan before where its residual is
-    smaller. A solve that fails falls back on the plan before. `scaling` is "auto", which decides once, at a first
+    iteration; a single one ends at the first bound that it meets, so that with bounds three come closer), or before the
+    `deadline`, in seconds from the call: no iteration begins that steps before tell would end too late. Then the best
+    feasible iterate is applied, the cheapest whose equations hold to the root of the tolerance; where there is none the
+    last iterate, or the plan before where its residual is smaller. A solve that fails falls back on the plan before.
+    Before the first plan a search begins from the problem's guess, and where there is a deadline from the solution for
+    the problem's own start, which is found when a controller is made. `scaling` is "auto", which decides once, at that
     solution, whether the solver works in parts of sizes (then the best feasible iterate is the last one), or "none".
 
     `states` and `inputs` are names in the order of arrays. `last` is the Feedback of the last step. Nothing is kept of
@@ -118,10 +118,12 @@ class Controller:
         self._of_inputs = self.module.unpack(grid, numbers)[3][0].astype(np.intp)
         self.last: Feedback | None = None
         self._plan: Vector | None = None
+        self._prepared: Vector | None = None
         self._feasible = math.sqrt(tolerance)
         self._lock, self._scaling, self._is_plain = Lock(), scaling, False
-        self._beginning = self._reserve = 0.0
-        self._warm_up(grid)
+        self._pace = self._warm_up(grid)
+
+    _clock = staticmethod(perf_counter)
 
     def step(self, state: Any, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
         """The inputs (controls,) to apply from the time t on, for the measured state, (states,) or a mapping by names.
@@ -131,7 +133,7 @@ class Controller:
         `last.status` says so. Raises NumericsError for a state that is not finite or of another shape and for run-time
         values that are unusable, ArgumentError for a name that there is not.
         """
-        begin = perf_counter()
+        begin = self._clock()
         start = self._interface.state_vector(state)
         t = number(t, "the time")
         with self._lock:
@@ -144,7 +146,7 @@ class Controller:
         return self._interface.start_of(self._grids.separate(self._values.given(0.0)))
 
     def reset(self) -> None:
-        """Forget the plan, where the next state has nothing to do with the last one: begin from the problem's guess."""
+        """Forget the plan, where the next state has nothing to do with the last one: begin as at first."""
         with self._lock:
             self._plan, self.last = None, None
 
@@ -162,37 +164,67 @@ class Controller:
 
     def _feedback(self, begin: float, t: float, grid: Grid) -> Feedback:
         """Solve, judge what was found, and keep as the plan what is applied."""
-        module, deadline = self.module, self.options.deadline
-        is_first = self._plan is None
-        guess = module.initial_guess(grid) if self._plan is None else self._shifted(grid, self._plan)
-        limit = math.inf if deadline is None else deadline - self._reserve - (perf_counter() - begin)
-        found, status, iterations = None, "time limit", 0
-        message = f"{status}: there was no time for an iteration"
-        log = BestIterate(limit, self._feasible)
-        if limit > self._beginning:
-            most = None if is_first else self.options.newton_steps
-            status, message, unknowns, iterations = self._solve(grid, guess, not is_first, log, most)
-            best = found = candidate(module, grid, unknowns)
-            if status == "solved" and not self._is_solved(grid, guess, found, iterations):
-                status = "inaccurate"
-                message = f"{status}: the solver reported success, but the equations have residual {found.residual:.1e}"
-        if status != "solved":
-            before = candidate(module, grid, guess)
-            best = before
-            if found is not None and status in UNFINISHED:
-                if log.unknowns is not None:
-                    found = better(found, candidate(module, grid, log.unknowns), self._feasible)
-                best = better(found, before, self._feasible)
-            plan = "problem's own guess" if is_first else "plan before, shifted"
-            iterate = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
-            origin = plan if best is before else iterate
-            message = f"{message}; applied is the {origin}, whose equations hold to {best.residual:.1e}"
+        deadline, clock = self.options.deadline, self._clock
+        guess, what = self._guess(grid)
+        limit = math.inf if deadline is None else self._pace.limit(deadline - (clock() - begin))
+        log = BestIterate(limit, self._feasible, clock)
+        most = None if self._plan is None else self.options.newton_steps
+        best, fell_back, status, message, iterations = self._judged(grid, guess, what, log, most)
         self._plan = best.unknowns
-        seconds = perf_counter() - begin
+        end = clock()
+        seconds = end - begin
+        if deadline is not None:
+            self._pace.learn(log.beginning, log.rest(end))
         return Feedback(
             t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds,
-            deadline is None or seconds <= deadline, best is not found,
+            deadline is None or seconds <= deadline, fell_back,
         )  # fmt: skip
+
+    def _guess(self, grid: Grid) -> tuple[Vector, str]:
+        """Where a search begins, and what that is.
+
+        Without a plan there is no time before a deadline for a search from the problem's guess.
+        """
+        if self._plan is not None:
+            return self._pinned(grid, self._shift(self._plan)), BEFORE
+        if self._prepared is not None and self.options.deadline is not None:
+            return self._pinned(grid, self._prepared.copy()), PREPARED
+        return self.module.initial_guess(grid), OWN_GUESS
+
+    def _judged(
+        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None
+    ) -> tuple[Candidate, bool, str, str, int]:
+        """(what is applied, whether that is the guess, status, message, iterations) of a search from a guess.
+
+        What is applied is evaluated anew, also where the search is believed which of its iterates is the best.
+        """
+        status, iterations = "time limit", 0
+        point: Any = None
+        message = f"{status}: there was no time for an iteration"
+        if log.limit > 0.0:
+            status, message, point, iterations = self._solve(grid, guess, what is not OWN_GUESS, log, most)
+        if status == "solved":
+            best = candidate(self.module, grid, point.unknowns)
+            if self._is_solved(grid, guess, best, iterations):
+                return best, False, status, message, iterations
+            status = "inaccurate"
+            message = f"{status}: the solver reported success, but the equations have residual {best.residual:.1e}"
+        chosen = self._chosen(grid, guess, point, log) if status in UNFINISHED else None
+        best = candidate(self.module, grid, guess if chosen is None else chosen.unknowns)
+        iterate = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
+        origin = what if chosen is None else iterate
+        message = f"{message}; applied is the {origin}, whose equations hold to {best.residual:.1e}"
+        return best, chosen is None, status, message, iterations
+
+    def _chosen(self, grid: Grid, guess: Vector, point: Any, log: BestIterate) -> Any:
+        """The point to apply of a search that came to no end, or None where the guess is better."""
+        if point is None:
+            return None
+        best = point if log.best is None else better(point, log.best, self._feasible)
+        if best.residual <= self._feasible:  # so would the guess be, as one of the iterates
+            return best
+        before = candidate(self.module, grid, guess)
+        return best if better(best, before, self._feasible) is best else None
 
     def _is_solved(self, grid: Grid, guess: Vector, found: Candidate, iterations: int) -> bool:
         """Whether all equations hold at what the solver has found and calls solved."""
@@ -202,16 +234,15 @@ class Controller:
         run = Run(self.steps, guess=guess, scaling=self._scaling)
         return is_solution(module, grid, found, run, iterations, tolerance)
 
-    def _shifted(self, grid: Grid, plan: Vector) -> Vector:
-        """A plan of one sampling time before, with the state that was measured."""
-        unknowns = self._shift(plan)
+    def _pinned(self, grid: Grid, unknowns: Vector) -> Vector:
+        """A plan in which the state is the one that was measured."""
         self.module.pin_values(grid, unknowns, self.module.views(grid, unknowns)[0])
         return unknowns
 
     def _solve(
         self, grid: Grid, guess: Vector, is_warm: bool, log: BestIterate, most: int | None
-    ) -> tuple[str, str, Vector, int]:
-        """(status, message, unknowns, iterations), as the module's `solve`, which makes more of its solution.
+    ) -> tuple[str, str, Any, int]:
+        """(status, message, point, iterations), as the module's `solve`, which makes more of its solution.
 
         Where sizes are ordinary, and no table has a range, that is the search alone. Then a measured state may be
         beyond a bound, too, which `solve` would refuse: bounds hold from the first node on that can still be chosen.
@@ -221,30 +252,33 @@ class Controller:
         with module.packed_operations():
             if not self._is_plain:
                 status, message, point, iterations, _ = module.optimise(grid, guess, *how, self._scaling, log)
-                log.unknowns = None  # which is in parts of sizes
-                return status, message, point.unknowns, iterations
+                log.best = None  # which is in parts of sizes
+                return status, message, point, iterations
             known = {} if self._grids.search is None else {"search": self._grids.search}
             status, point, iterations = module.minimise(grid, guess, *how, log, **known)
             if status == "solved":
-                return status, f"all {module.reached(point)}", point.unknowns, iterations
+                return status, f"all {module.reached(point)}", point, iterations
             if status in UNFINISHED:  # what is worst is not looked for: there is no time
-                return status, f"{status} after {iterations} iterations", point.unknowns, iterations
+                return status, f"{status} after {iterations} iterations", point, iterations
             status = module.final_status(grid, guess, point, status)
-            return status, module.describe(grid, guess, point, status)[1], point.unknowns, iterations
+            return status, module.describe(grid, guess, point, status)[1], point, iterations
 
-    def _warm_up(self, grid: Grid) -> None:
-        """Solve the problem as it stands: that compiles, decides on sizes, and tells how long an iteration takes."""
-        guess = self.module.initial_guess(grid)
-        status, _, unknowns, _ = self._solve(grid, guess, False, BestIterate(math.inf, 0.0), None)
+    def _warm_up(self, grid: Grid) -> Pace:
+        """Solve the problem as it stands: that compiles, decides on sizes, and tells how long parts of a step take."""
+        module, given = self.module, self._values.given(0.0)
+        log = BestIterate(math.inf, 0.0)
+        status, _, point, _ = self._solve(grid, module.initial_guess(grid), False, log, None)
         if self._scaling == "auto" and status == "solved":
-            is_ordinary = not self.module.scaled_grid(grid, unknowns).sizes.size
+            is_ordinary = not module.scaled_grid(grid, point.unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
-        self._is_plain = self._scaling == "none" and not hasattr(self.module, "tables_beyond")
-        beginnings, rests = [], []
-        for _ in range(WARM_UPS):
-            guess, log = self._shifted(grid, unknowns), FirstIterate()
-            again = self._solve(grid, guess, True, log, 1)[2]
-            candidate(self.module, grid, again)
-            beginnings.append(log.first - log.begin)
-            rests.append(perf_counter() - log.first)
-        self._beginning, self._reserve = min(beginnings), RESERVE * min(rests)
+        self._is_plain = self._scaling == "none" and not hasattr(module, "tables_beyond")
+        self._prepared = point.unknowns if status == "solved" else None
+        start, measured = self._interface.start_of(grid), []
+        for k in range(WARM_UPS):
+            nudge = NUDGE * (-1.0) ** k * np.maximum(1.0, np.abs(start))
+            grid, begin = self._grids.at(given, start + nudge), self._clock()
+            log = BestIterate(math.inf, self._feasible, self._clock)
+            self._judged(grid, self._pinned(grid, point.unknowns.copy()), PREPARED, log, 2)
+            end = self._clock()
+            measured.append((log.beginning or 0.0, log.rest(end) or end - begin))
+        return Pace(measured)

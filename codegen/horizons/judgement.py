@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -32,37 +32,47 @@ class Candidate:
 
 
 class BestIterate:
-    """The log of a search that keeps one iterate, the cheapest whose equations hold to `feasible`, and the time.
+    """The log of a search for a plan: the `best` iterate, and what of the time has passed.
 
-    It takes the place of a module's own log, which keeps a row for each; points are in the problem's own units.
+    The best is the cheapest whose equations hold to `feasible`. It takes the place of a module's own log, which keeps a
+    row for each; points are in the problem's own units. After `limit` seconds by the clock no iteration begins.
     """
 
-    def __init__(self, limit: float, feasible: float) -> None:
-        self._end, self._feasible = perf_counter() + limit, feasible
-        self.cost, self.unknowns = np.inf, None
+    def __init__(self, limit: float, feasible: float, clock: Callable[[], float] = perf_counter) -> None:
+        self.limit, self._feasible, self._clock = limit, feasible, clock
+        self._begin = clock()
+        self._end = self._begin + limit
+        self._reached: float | None = None
+        self._went_on: float | None = None
+        self._led: float | None = None
+        self.beginning: float | None = None
+        self.best: Any = None
 
     def append(self, _grid: Grid, point: Any, *_others: float) -> None:
         """Look at an iterate."""
-        if point.residual <= self._feasible and point.cost < self.cost:
-            self.cost, self.unknowns = point.cost, point.unknowns
+        self._led = self._reached if self._went_on is None else self._went_on
+        self._went_on = None
+        if self._reached is None:
+            self._reached = self._clock()
+            self.beginning = self._reached - self._begin
+        if point.residual <= self._feasible and (self.best is None or point.cost < self.best.cost):
+            self.best = point
 
     def is_late(self) -> bool:
         """Whether the time is up."""
-        return perf_counter() > self._end
-
-
-class FirstIterate(BestIterate):
-    """A log that notes when the search is first at an iterate, from which on it may end; a linear one never asks."""
-
-    def __init__(self) -> None:
-        super().__init__(math.inf, 0.0)
-        self.begin = self.first = perf_counter()
-
-    def is_late(self) -> bool:
-        """There is time."""
-        if self.first == self.begin:
-            self.first = perf_counter()
+        now = self._clock()
+        if now > self._end:
+            return True
+        if self._went_on is None:
+            self._went_on = now
         return False
+
+    def rest(self, now: float) -> float | None:
+        """The seconds since the search went on from the iterate before the last one; None where there is none.
+
+        A linear search never asks whether it is late: those since its first iterate.
+        """
+        return None if self._led is None else now - self._led
 
 
 def candidate(module: Any, grid: Grid, unknowns: Vector) -> Candidate:
@@ -97,8 +107,8 @@ def _is_flat(module: Any, grid: Grid, found: Candidate, most: float) -> bool:
     return bool((np.abs(slopes) * np.clip(distances, 0.0, 1.0) <= most).all())
 
 
-def better(one: Candidate, other: Candidate, feasible: float) -> Candidate:
-    """The first of two plans unless the other is better.
+def better(one: Any, other: Any, feasible: float) -> Any:
+    """The first of two plans unless the other is better, candidates or points of a search.
 
     That is one whose equations hold to `feasible` where those of the first do not; of two that do, the cheaper one; of
     two that do not, the one with the smaller residual.

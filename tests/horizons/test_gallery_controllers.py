@@ -50,9 +50,9 @@ def test_a_pole_is_kept_upright_under_pushes(cart_pole):
     assert np.abs(left_alone.y[1]).max() > 1.0  # without a controller it falls
 
 
-@pytest.mark.parametrize(("newton_steps", "push"), [(1, 4.0), (3, 6.0)])
+@pytest.mark.parametrize(("newton_steps", "push"), [(1, 6.0), (2, 6.0), (3, 6.0)])
 def test_few_newton_steps_keep_it_upright_as_well(cart_pole, newton_steps, push):
-    """A single one ends at the bounds that it meets, and is not enough where the force has to change to its limit."""
+    """Also a single one, which far from the equations begins inside the bounds, or it would end where it meets one."""
     controller = codegen.Controller(cart_pole, newton_steps=newton_steps)
     loop = codegen.close_loop(controller, cart_pole_plant(push), samples=120, start=[0, 0, 0, 0])
     assert loop.iterations[1:].max() == newton_steps

@@ -79,16 +79,31 @@ def test_duals_of_a_neighbour_are_slopes_towards_bounds_that_are_closer() -> Non
     assert values[third] == pytest.approx(1e-9 / 5.0, rel=1e-6)  # on the central path
 
 
-def test_far_from_the_equations_a_search_estimates_multipliers() -> None:
-    """Beyond a residual of a tenth, or where there are none, those of a neighbour are not used."""
+def test_far_from_the_equations_a_search_begins_inside_the_bounds() -> None:
+    """Beyond a residual of a tenth; with the multipliers of the neighbour, where there are any."""
     grid = transcribe(double_integrator(), 20)
     _, point, _ = solve(grid)
     search, primal = bounded.search_on(grid), np.flatnonzero(~grid.is_multiplier & grid.free)
-    assert warm_start.begin_nearby(search, point.unknowns, 1e-10) is not None
+    near = warm_start.begin_nearby(search, point.unknowns, 1e-10)
+    assert near.mu == pytest.approx(1e-11)
+    assert near.distance.min() < 1e-7  # the control is at its bounds
     assert warm_start.begin_nearby(search, np.where(grid.is_multiplier, 0.0, point.unknowns), 1e-10) is None
     away = point.unknowns.copy()
     away[primal[:4]] += 1.0
-    assert warm_start.begin_nearby(search, away, 1e-10) is None
+    far = warm_start.begin_nearby(search, away, 1e-10)
+    assert far.mu == 0.1
+    assert far.distance.min() > 1e-2
+    np.testing.assert_allclose(far.duals * far.distance, 0.1)
+    np.testing.assert_array_equal(far.point.unknowns[grid.is_multiplier], point.unknowns[grid.is_multiplier])
     status, found, _ = solve(grid, warm=True, guess=away)
     assert status == "solved"
     assert found.cost == pytest.approx(point.cost, rel=1e-9)
+
+
+@pytest.mark.usefixtures("without_bounds")
+def test_far_from_the_equations_a_search_without_bounds_estimates_multipliers() -> None:
+    grid = nlp((3, 3), (x1 - 1) ** 2 + exp(-x2), [exp(x1) * x2 - 1])
+    _, point, _ = solve(grid)
+    search = unbounded.search_on(grid)
+    assert warm_start.begin_nearby(search, point.unknowns, 1e-10) is not None
+    assert warm_start.begin_nearby(search, point.unknowns + 1.0, 1e-10) is None

@@ -49,6 +49,8 @@ class Attempt(NamedTuple):
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
 # Of a neighbour whose multipliers are of no use. Duals begin on the central path; far from a solution ones are better.
 FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)
+# Of one whose equations do not hold: close to their bounds, unknowns would be stopped by them step after step.
+FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4)
 CASCADE = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
@@ -138,7 +140,7 @@ def begin(search, unknowns, attempt):
     if TIED:
         unknowns = with_tied_values(search.grid, unknowns)  # nodes move with the shared unknowns that they equal
     distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
-    duals = central_duals(mu, distance) if attempt is FROM_NEIGHBOUR else np.ones(distance.size)
+    duals = central_duals(mu, distance) if attempt in (FROM_NEIGHBOUR, FROM_AFAR) else np.ones(distance.size)
     return Iterate(evaluate(search.grid, unknowns), mu, distance, np.log(distance).sum(), duals)
 
 

@@ -1,0 +1,144 @@
+"""What controllers expect steps to take, by a clock that the tests move, and the deadlines that are kept by it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from horizon_problems import exactly, regulator
+
+import codegen
+from codegen.horizons.judgement import BestIterate
+from codegen.horizons.pace import MOST, Expectation, Pace
+
+TIMES = {"evaluate": 4.0, "take_step": 4.0, "factor_kkt": 15.0}
+"""What functions of a module take by the clock of these tests, but for chance."""
+
+
+class Clock:
+    """Time that passes in some functions of a module alone, by chance up to a tenth more than TIMES says."""
+
+    def __init__(self, monkeypatch, module):
+        self.now, self.slowness, self._generator = 0.0, 1.0, np.random.default_rng(5)
+        monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
+        for name, seconds in TIMES.items():
+            monkeypatch.setattr(module, name, self.timed(getattr(module, name), seconds))
+
+    def timed(self, function, seconds):
+        """The same function, which takes time."""
+
+        def called(*given, **named):
+            self.now += self.slowness * seconds * (1.0 + 0.1 * self._generator.random())
+            return function(*given, **named)
+
+        return called
+
+
+def followed(controller, count, clock=None, slow=range(0)):
+    """The Feedback of so many sampling times, with states by chance; the machine is `slow` for some of them."""
+    generator, state, found = np.random.default_rng(7), np.array([1.0, 0.0]), []
+    for k in range(count):
+        if clock is not None:
+            clock.slowness = 2.0 if k in slow else 1.0
+        inputs = controller.step(state, k * controller.sample)
+        found.append(controller.last)
+        state = exactly(state, np.clip(inputs, -1.0, 1.0), 0.0, controller.sample)
+        state += 0.03 * generator.standard_normal(2)
+    return found
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    return Clock(monkeypatch, regulator(True))
+
+
+def shares(found):
+    """Which parts were solved and late; those that were not solved say what was applied."""
+    for feedback in found:
+        assert feedback.status in ("solved", "time limit")
+        if feedback.status != "solved":
+            assert "applied is the " in feedback.message
+    return np.mean([f.status == "solved" for f in found]), np.mean([not f.in_time for f in found])
+
+
+def test_with_a_deadline_of_a_median_many_steps_are_solved_and_few_are_late(clock):
+    seconds = np.array([f.seconds for f in followed(codegen.Controller(regulator(True)), 150)])
+    solved, late = {}, {}
+    for part in (0.2, 1.0, 1.1, 3.0):
+        controller = codegen.Controller(regulator(True), deadline=part * np.median(seconds))
+        solved[part], late[part] = shares(followed(controller, 200))
+    assert solved[0.2] == 0.0 < solved[1.1] <= solved[3.0] == 1.0
+    assert max(late.values()) <= 0.1
+    assert solved[1.1] > 0.5
+
+
+def test_deadlines_are_kept_again_soon_after_a_machine_is_slower(clock):
+    median = np.median([f.seconds for f in followed(codegen.Controller(regulator(True)), 150)])
+    controller = codegen.Controller(regulator(True), deadline=1.5 * median)
+    found = followed(controller, 300, clock, range(100, 200))
+    (quick, _), (_, late), slow, (again, _) = map(shares, (found[:100], found[100:150], found[150:200], found[250:]))
+    assert quick > 0.95
+    assert 0.0 < late < 0.3  # until it is noticed
+    assert slow[0] == 0.0  # an iteration would take longer than there is time
+    assert slow[1] < 0.1
+    assert again > 0.8
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.02, 0.3])
+def test_most_measurements_stay_below_what_is_expected(spread):
+    generator = np.random.default_rng(3)
+    expectation, below = Expectation([1.0]), []
+    for k in range(20_000):
+        seconds = 1.0 + spread * generator.random()
+        if generator.random() < 0.02:
+            seconds *= 1e4  # the process had to wait
+        if k > 1000:
+            below.append(seconds <= expectation.seconds)
+        expectation.learn(seconds)
+    assert np.mean(below) == pytest.approx(MOST, abs=0.05)
+    assert expectation.seconds < 1.0 + spread + 0.05
+
+
+def test_a_machine_that_is_slower_for_a_while_is_noticed_and_forgotten():
+    expectation = Expectation([1.0, 1.1, 1.2])
+    assert expectation.seconds == 1.1
+    for _ in range(100):
+        expectation.learn(3.0)
+    assert 2.9 < expectation.seconds < 3.1
+    for _ in range(400):
+        expectation.forget()  # there is no time for what takes three
+    assert 1.0 < expectation.seconds < 1.1
+    expectation.learn(0.5)
+    assert expectation.least == 0.5
+
+
+def test_a_search_begins_where_there_is_time_for_its_beginning_and_an_iteration():
+    pace = Pace([(2.0, 5.0), (3.0, 6.0), (10.0, 100.0)])
+    assert pace.limit(9.7) == pytest.approx(9.7 - 1.05 * 6.0)
+    assert pace.limit(9.2) == -np.inf
+    pace.learn(2.0, None)
+    assert pace.beginning.seconds < 3.0
+    assert 5.0 < pace.rest.seconds < 6.0
+
+
+def test_what_an_iteration_and_the_end_took_is_measured():
+    now = 0.0
+    log = BestIterate(10.0, 1.0, lambda: now)
+    point = type("Point", (), {"residual": 0.0, "cost": 0.0})
+    assert log.rest(1.0) is None
+    now = 2.0
+    log.append(None, point)
+    assert log.beginning == 2.0
+    assert not log.is_late()
+    assert log.rest(3.0) is None  # no iterate has come of it yet
+    now = 5.0
+    assert not log.is_late()  # a restoration asks, too
+    now = 7.0
+    log.append(None, point)
+    assert log.rest(8.0) == 6.0
+    now = 10.5
+    assert log.is_late()
+    assert log.rest(11.0) == 9.0
+    linear = BestIterate(10.0, 1.0, lambda: now)
+    linear.append(None, point)
+    linear.append(None, point)
+    assert linear.rest(12.0) == 1.5
