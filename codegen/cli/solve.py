@@ -56,7 +56,7 @@ Accuracy = Annotated[
 ]
 Parameters = Annotated[
     list[str],
-    typer.Option("--parameter", metavar="NAME=VALUE", help="Another value of a parameter, without a build; repeatable."),
+    typer.Option("--parameter", metavar="NAME=VALUE", help="A value of a parameter, without a build; repeatable."),
 ]
 Tables = Annotated[
     list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
@@ -138,7 +138,7 @@ def files_of(items: Sequence[str]) -> dict[str, Path] | None:
 
 
 def values_of(items: Sequence[str]) -> dict[str, float] | None:
-    """The numbers of `--parameter`, by the names of parameters; ArgumentError for what is not of the form NAME=VALUE."""
+    """The numbers of `--parameter`, by name; ArgumentError for what is not of the form NAME=VALUE."""
     values: dict[str, float] = {}
     for name, text in _named(items, "--parameter", "VALUE", "m=2.5").items():
         try:

@@ -12,8 +12,8 @@ from codegen.errors import ArgumentError, CodegenError
 from codegen.model.from_file import load_problem
 from codegen.notebooks.tables import number, table
 from codegen.plots.picture import Film, Picture
-from codegen.solutions.display import Background
 from codegen.solutions import output
+from codegen.solutions.display import Background
 from codegen.solutions.output import with_unit
 from codegen.solutions.result import Result
 from codegen.solving.other_values import with_values
