@@ -209,7 +209,7 @@ def card(name: str, title: str, has_figure: bool) -> str:
         return f":::{{container}} card\n[{name}]({name}.md): {title}\n:::"
     alternative = f"Figure of the solution of {name}. {title}".replace('"', "'")
     return (
-        f":::{{figure}} stored/{name}.png\n:alt: "{alternative}"\n:loading: lazy\n:figclass: card\n\n"
+        f':::{{figure}} stored/{name}.png\n:alt: "{alternative}"\n:loading: lazy\n:figclass: card\n\n'
         f"[{name}]({name}.md): {title}\n:::"
     )
 
