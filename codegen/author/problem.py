@@ -54,7 +54,7 @@ def refusing(kind: Author) -> Author:
         known = [own.name for own in fields(kind)]
         for name in given:
             if name not in known:
-                raise ProblemFileError(f"{kind.__name__}(...) has no argument {name}", _remedy(kind, name, known))
+                raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", _remedy(kind, name, known))
         written(self, *positional, **given)
 
     setattr(kind, "__init__", initialised)  # noqa: B010  a method is not declared to change

@@ -16,5 +16,9 @@ def problem(height: float = 1) -> Control:
         start={z: 0, dz: 0},
         end={z: H, dz: 0},
         steps=50,
-        drawing=[Ground((-0.5, -0.1), (0.5, -0.1)), Box((0, z), 0.3, 0.2), Arrow((0, z + 0.1), (0, f / 100))],
+        drawing=[
+            Ground((-0.5, -0.1), (0.5, -0.1)),
+            Box((0, z), 0.3, 0.2),
+            Arrow((0, z + 0.1), (0, f / 100)),
+        ],
     )

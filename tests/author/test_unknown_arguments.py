@@ -19,15 +19,15 @@ FREE = {"lagrangian": dx**2 / 2, "duration": 1}
 @pytest.mark.parametrize(
     ("kind", "unknown", "message"),
     [
-        (codegen.Simulate, "constraint", "Simulate(...) has no argument constraint; write the motion in coordinates"),
+        (codegen.Simulate, "constraint", "Simulate(...) has no argument 'constraint'; write the motion in coordinates"),
         (
             codegen.Simulate,
             "cost",
-            "Simulate(...) has no argument cost; a simulation follows the motion from",
+            "Simulate(...) has no argument 'cost'; a simulation follows the motion from",
         ),
-        (codegen.Simulate, "step", "Simulate(...) has no argument step; did you mean steps?"),
-        (codegen.Control, "bound", "Control(...) has no argument bound; did you mean bounds?"),
-        (codegen.Control, "zzz", "Control(...) has no argument zzz; use one of lagrangian, hamiltonian, dynamics,"),
+        (codegen.Simulate, "step", "Simulate(...) has no argument 'step'; did you mean steps?"),
+        (codegen.Control, "bound", "Control(...) has no argument 'bound'; did you mean bounds?"),
+        (codegen.Control, "zzz", "Control(...) has no argument 'zzz'; use one of lagrangian, hamiltonian, dynamics,"),
     ],
 )
 def test_an_unknown_argument_is_refused_with_a_remedy(kind, unknown, message):
