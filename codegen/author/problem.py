@@ -6,12 +6,12 @@ them and brings them into the one form that the rest of the pipeline reads.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import wraps
 from typing import Any, ClassVar, TypeVar
 
+from codegen.author.argument_names import perhaps
 from codegen.author.author_object import AuthorObject
 from codegen.author.measurements import Measurements
 from codegen.author.tables import Trajectory
@@ -66,8 +66,7 @@ def _remedy(kind: type[Any], name: str, known: Sequence[str]) -> str:
         return OF_CONTROLS[name]
     if kind is Simulate and name in [own.name for own in fields(Control)]:
         return "a simulation follows the motion from its start; what else is asked of it makes it a Control(...)"
-    close = difflib.get_close_matches(name, known, 1)
-    return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
+    return perhaps(name, known) or f"use one of {', '.join(known)}"
 
 
 @dataclass(frozen=True)

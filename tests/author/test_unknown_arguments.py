@@ -25,8 +25,8 @@ FREE = {"lagrangian": dx**2 / 2, "duration": 1}
             "cost",
             "Simulate(...) has no argument 'cost'; a simulation follows the motion from",
         ),
-        (codegen.Simulate, "step", "Simulate(...) has no argument 'step'; did you mean steps?"),
-        (codegen.Control, "bound", "Control(...) has no argument 'bound'; did you mean bounds?"),
+        (codegen.Simulate, "step", "Simulate(...) has no argument 'step'; perhaps it is steps"),
+        (codegen.Control, "bound", "Control(...) has no argument 'bound'; perhaps it is bounds"),
         (codegen.Control, "zzz", "Control(...) has no argument 'zzz'; use one of lagrangian, hamiltonian, dynamics,"),
     ],
 )
