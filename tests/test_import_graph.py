@@ -84,6 +84,7 @@ BY_STRING = {
     ("tasks", "machine_code"): "the same: what of a module is compiled before it is called",
     ("author", "notebooks"): "how a problem shows itself: a notebook asks the object, and nobody could register before",
     ("solutions", "notebooks"): "how a solution shows itself, with figures",
+    ("horizons", "notebooks"): "how a closed loop shows itself, with its figure",
     ("checks", "notebooks"): "how findings show themselves",
     ("mangling", "emit"): "the text of templates is read for the names in it; nothing is imported",
 }

@@ -7,9 +7,11 @@ them and brings them into the one form that the rest of the pipeline reads.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
-from typing import Any, ClassVar
+from dataclasses import KW_ONLY, dataclass, field, fields
+from functools import wraps
+from typing import Any, ClassVar, TypeVar
 
+from codegen.author.argument_names import perhaps
 from codegen.author.author_object import AuthorObject
 from codegen.author.measurements import Measurements
 from codegen.author.tables import Trajectory
@@ -33,6 +35,38 @@ Relation = Any
 
 Relations = Sequence[Relation] | Mapping[str, Relation]
 """Relations, each with a name for messages where they are a mapping."""
+
+
+OF_CONTROLS = {
+    "constraint": "write the motion in coordinates that fulfil it, or as Control(...) without controls and cost",
+}
+"""What to do about an argument that a Simulate lacks; of others that a Control has, that they are a Control's."""
+
+Author = TypeVar("Author", bound=type[Any])
+
+
+def refusing(kind: Author) -> Author:
+    """Have a class say, as a ProblemFileError, which of its arguments is unknown, and what may be meant."""
+    written = kind.__init__
+
+    @wraps(written)
+    def initialised(self: Any, *positional: Any, **given: Any) -> None:
+        known = [own.name for own in fields(kind)]
+        for name in given:
+            if name not in known:
+                raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", _remedy(kind, name, known))
+        written(self, *positional, **given)
+
+    setattr(kind, "__init__", initialised)  # noqa: B010  a method is not declared to change
+    return kind
+
+
+def _remedy(kind: type[Any], name: str, known: Sequence[str]) -> str:
+    if kind is Simulate and name in OF_CONTROLS:
+        return OF_CONTROLS[name]
+    if kind is Simulate and name in [own.name for own in fields(Control)]:
+        return "a simulation follows the motion from its start; what else is asked of it makes it a Control(...)"
+    return perhaps(name, known) or f"use one of {', '.join(known)}"
 
 
 @dataclass(frozen=True)
@@ -72,13 +106,19 @@ class Problem(AuthorObject):
     drawing: Sequence[Item] = ()
 
 
+@refusing
 @dataclass(frozen=True)
 class Simulate(Problem):
-    """Follow the motion from a complete initial state (all coordinates, and all velocities or all momenta)."""
+    """Follow the motion from a complete initial state (all coordinates, and all velocities or all momenta).
+
+    It takes a Lagrangian or a Hamiltonian. First-order dynamics, holonomic constraints and values of the past are
+    followed by a Control without controls and cost, whose steps are solved for together.
+    """
 
     task: ClassVar[str] = "simulate"
 
 
+@refusing
 @dataclass(frozen=True)
 class Control(Problem):
     """Move the system such that `terminal_cost` at T plus the integral of `cost` over [0, T] is least.

@@ -21,6 +21,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, cast
 
+from codegen.author.argument_names import perhaps
 from codegen.author.data_files import beside
 from codegen.author.set_values import converted
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
@@ -129,19 +130,6 @@ _MISTAKES = (
 )
 """Words of a TypeError, and what its author should have written."""
 
-_SYNONYMS = {
-    "cost": ("minimize", "minimise", "objective", "running_cost", "lagrange"),
-    "terminal_cost": ("final_cost", "end_cost", "mayer"),
-    "maximise": ("maximize",),
-    "terminal_maximise": ("terminal_maximize", "final_maximise"),
-    "start": ("initial", "initial_state", "x0"),
-    "end": ("final", "final_state", "terminal", "goal"),
-    "duration": ("T", "tf", "final_time", "time", "horizon"),
-    "steps": ("N", "nodes", "intervals"),
-    "path": ("constraints", "inequalities"),
-}
-"""What other programs call arguments of problems."""
-
 _UNEXPECTED = re.compile(r"(\w+)(?:\.__init__)?\(\) got an unexpected keyword argument '(\w+)'")
 
 
@@ -176,9 +164,7 @@ def _similar_arguments(function: str, name: str) -> str:
 
     named = getattr(codegen, function, None)
     known = inspect.signature(named).parameters if callable(named) else {}
-    meant = next((own for own, others in _SYNONYMS.items() if own in known and name in others), None)
-    similar = [meant] if meant else difflib.get_close_matches(name, known)
-    return f"perhaps it is {' or '.join(similar)}" if similar else "correct the file"
+    return perhaps(name, known) or "correct the file"
 
 
 def _location(path: Path, error: BaseException) -> str:

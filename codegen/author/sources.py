@@ -96,7 +96,8 @@ class ProblemObject:
 
         for name in arguments:
             finding = f"{self.name}: no argument {clause(name)}, since the problem is an object"
-            raise ArgumentError(finding, "make another object, or write a problem file with arguments of problem()")
+            remedy = "give a value of a parameter by parameters={...}, or write a problem file with problem(...)"
+            raise ArgumentError(finding, remedy)
         return self.title, self.problem, [symbol for symbol in quantities_in(self.problem) if symbol.own]
 
 

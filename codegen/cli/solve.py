@@ -54,6 +54,10 @@ Accuracy = Annotated[
     float | None,
     typer.Option(metavar="E", help="Refine the time grid until the estimated relative error is below it."),
 ]
+Parameters = Annotated[
+    list[str],
+    typer.Option("--parameter", metavar="NAME=VALUE", help="A value of a parameter, without a build; repeatable."),
+]
 Tables = Annotated[
     list[str], typer.Option(metavar="NAME=FILE.csv", help="Other numbers for a table, on as many breakpoints.")
 ]
@@ -87,6 +91,7 @@ def solve(
     warm: Warm = None,
     doublings: Doublings = 0,
     accuracy: Accuracy = None,
+    parameter: Parameters = [],  # noqa: B006
     table: Tables = [],  # noqa: B006
     observations: Observations = [],  # noqa: B006
     guesses: Guesses = 1,
@@ -108,8 +113,8 @@ def solve(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
         controls=controls.value, out=out, steps=steps, every=every, repeat=repeat, warm=warm, doublings=doublings,
         accuracy=accuracy, guesses=guesses, tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit,
-        scaling=scaling, log=log, tables=files_of(table), observations=observations or None,
-        sensitivities=sensitivities,
+        scaling=scaling, log=log, parameters=values_of(parameter), tables=files_of(table),
+        observations=observations or None, sensitivities=sensitivities,
     )  # fmt: skip
     if save is not None:
         output.require_writable(save, output.ARCHIVES, "--save")
@@ -129,15 +134,31 @@ def solve(
 
 def files_of(items: Sequence[str]) -> dict[str, Path] | None:
     """The files of `--table`, by the names of tables; ArgumentError for what is not of the form NAME=FILE."""
-    files: dict[str, Path] = {}
+    return {name: Path(file) for name, file in _named(items, "--table", "FILE", "thrust=other.csv").items()} or None
+
+
+def values_of(items: Sequence[str]) -> dict[str, float] | None:
+    """The numbers of `--parameter`, by name; ArgumentError for what is not of the form NAME=VALUE."""
+    values: dict[str, float] = {}
+    for name, text in _named(items, "--parameter", "VALUE", "m=2.5").items():
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise ArgumentError(f"--parameter {name}={text} is no number", "write --parameter m=2.5") from None
+    return values or None
+
+
+def _named(items: Sequence[str], option: str, what: str, example: str) -> dict[str, str]:
+    """Both sides of every NAME=..., none of which comes twice."""
+    found: dict[str, str] = {}
     for item in items:
-        name, equals, file = item.partition("=")
-        if not (name and equals and file):
-            raise ArgumentError(f"--table {item!r} is not of the form NAME=FILE", "write --table thrust=other.csv")
-        if name in files:
-            raise ArgumentError(f"--table gives {name} twice", "give it once")
-        files[name] = Path(file)
-    return files or None
+        name, equals, text = item.partition("=")
+        if not (name and equals and text):
+            raise ArgumentError(f"{option} {item!r} is not of the form NAME={what}", f"write {option} {example}")
+        if name in found:
+            raise ArgumentError(f"{option} gives {name} twice", "give it once")
+        found[name] = text
+    return found
 
 
 def _tell(outcome: Outcome, json: bool, log: bool) -> None:

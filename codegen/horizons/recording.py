@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,12 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, clause
 from codegen.horizons.controller import Controller, Feedback
 from codegen.interfaces import Matrix, Vector
+from codegen.tasks import Home
+
+if TYPE_CHECKING:
+    from codegen.plots.picture import Picture
+
+_PICTURE, _HTML = Home("notebooks.closed_loop", "picture"), Home("notebooks.closed_loop", "html")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,18 +70,24 @@ class ClosedLoop:
         """The seconds within which so many per cent of the sampling times had their inputs."""
         return float(np.percentile(self.latencies, percent)) if self.latencies.size else float("nan")
 
-    def plot(self, path: Path | str, references: Mapping[str, Callable[[float], float]] | None = None) -> None:
-        """Draw states, inputs and latencies into a file whose ending matplotlib knows.
+    def plot(
+        self, path: Path | str | None = None, references: Mapping[str, Callable[[float], float]] | None = None
+    ) -> Picture:
+        """Draw states, inputs and latencies, for a notebook, and into a file, .png, .pdf or .svg, if there is a path.
 
         `references` are functions of time that states or inputs were to follow, by name. Raises ArgumentError for
         another name.
         """
-        from codegen.plots import save_closed_loop
-
         wanted, known = references or {}, (*self.state_names, *self.input_names)
         if unknown := [name for name in wanted if name not in known]:
             raise ArgumentError(clause(f"a reference of {unknown[0]!r}"), clause(f"use {', '.join(known)}"))
-        save_closed_loop(self, Path(path), wanted)
+        picture: Picture = _PICTURE(self, wanted)
+        if path is not None:
+            picture.save(path)
+        return picture
+
+    def _repr_html_(self) -> str:
+        return str(_HTML(self))
 
 
 class Recording:

@@ -42,7 +42,8 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
         )
     form = form_of(problem)
     if form == "dynamics" and isinstance(problem, Simulate):
-        raise ExpressionError("the simulation is given by dynamics", "simulate takes a Lagrangian or a Hamiltonian")
+        remedy = "simulate takes a Lagrangian or a Hamiltonian, a Control(...) without cost takes dynamics"
+        raise ExpressionError("the simulation is given by dynamics", remedy)
     entries = written_entries(problem, form)
     used = used_quantities(entries)
     drawing = drawings.checked_drawing(problem)

@@ -12,9 +12,11 @@ from codegen.errors import ArgumentError, CodegenError
 from codegen.model.from_file import load_problem
 from codegen.notebooks.tables import number, table
 from codegen.plots.picture import Film, Picture
+from codegen.solutions import output
 from codegen.solutions.display import Background
 from codegen.solutions.output import with_unit
 from codegen.solutions.result import Result
+from codegen.solving.other_values import with_values
 
 
 def html(result: Result) -> str:
@@ -23,6 +25,7 @@ def html(result: Result) -> str:
     rows = [
         ("problem", f"{result.problem} ({result.task})"),
         ("discretisation", f"{result.method}, {result.scheme}, {result.intervals}"),
+        *([("given", given)] if (given := output.given(result)) else []),
         ("status", f"{result.status}: {result.message}"),
         *([("cost", with_unit(number(result.cost, 12), units.get("cost", "")))] if result.cost is not None else []),
         ("residual", number(result.residual)),
@@ -43,7 +46,9 @@ def html(result: Result) -> str:
 def picture(result: Result, style: str = "page") -> Picture:
     """The figure of everything about a solution; ArgumentError for a style that there is not."""
     own = _background(result)
-    module: Any = own.module if own.module is not None else loading.load(own.path or "")
+    module: Any = own.module
+    if module is None:  # of a pickle
+        module = with_values(loading.load(own.path or ""), result.parameters)
     unit = "" if own.source is None else _unit(own)
     return Picture(pictures.figure_of(module, _model(own), result, unit, style), style)
 

@@ -50,6 +50,7 @@ def _values(model: Model, result: Result, times: Array) -> dict[sympy.Symbol, An
     """Numbers of every symbol: scalars, and arrays that broadcast to (bodies, times)."""
     bodies = np.arange(float(model.bodies))
     values: dict[sympy.Symbol, Any] = dict(model.default_values)
+    values |= {symbol: result.parameters[symbol.name] for symbol in values if symbol.name in result.parameters}
     values |= {free.symbol: result.summary[free.symbol.name] for free in model.free_parameters}
     values |= {sympy.Symbol("body", real=True): bodies[:, None], model.time: times[None, :]}
     values |= dict(zip(model.coordinates, _columns(result.q, model.bodies, result.t, times), strict=True))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
 from codegen.interfaces import GeneratedModule, is_connect, is_control
-from codegen.plots.closed_loop import ClosedLoopData, References, closed_loop_figure
+from codegen.plots.closed_loop import closed_loop_figure
 from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
 from codegen.plots.objectives import Objective, objectives_of, require_objectives
@@ -36,7 +36,6 @@ __all__ = [
     "label",
     "pareto_figure",
     "save",
-    "save_closed_loop",
     "save_specimens",
     "save_sweep",
     "simulation_figure",
@@ -90,13 +89,6 @@ def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page
 def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
     require_objectives(objectives, data)
     return pareto_figure(data, objectives)
-
-
-def save_closed_loop(loop: ClosedLoopData, path: Path, references: References) -> None:
-    """Draw what came of a closed loop, and what it was to follow, into a file whose ending matplotlib knows."""
-    with using("page"):
-        drawn = closed_loop_figure(loop, references)
-    write(drawn, path)
 
 
 def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:

@@ -53,6 +53,7 @@ def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
     names = ("problem", "task", "method", "scheme", "driver", "steps", "status", "message")
     return {
         **{name: getattr(result, name) for name in names},
+        **({"parameters": dict(result.parameters)} if result.parameters else {}),
         "cost": _finite(result.cost),
         "residual": _finite(result.residual),
         "iterations": result.iterations,
@@ -99,6 +100,12 @@ def with_unit(number: str, unit: str) -> str:
     return f"{number} {unit}" if unit else number
 
 
+def given(result: Result) -> str:
+    """The parameters that a solve was given, for people."""
+    own = [(name, with_unit(_number(value), result.unit_of(name))) for name, value in result.parameters.items()]
+    return ", ".join(f"{name} = {value}" for name, value in own)
+
+
 def _finite(number: float | None) -> float | None:
     return float(number) if number is not None and math.isfinite(number) else None
 
@@ -113,6 +120,8 @@ def as_table(record: Mapping[str, Any], result: Result) -> Table:
     table.add_column()
     table.add_row("problem", f"{record['problem']} ({record['task']})")
     table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {result.intervals}")
+    if result.parameters:
+        table.add_row("given", _escaped(given(result)))
     style = "green" if record["status"] == "solved" else "bold red"
     table.add_row("status", f"[{style}]{record['status']}[/]")
     table.add_row("", _escaped(record["message"]))

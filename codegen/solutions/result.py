@@ -182,7 +182,8 @@ class Result(Display):
     equations hold, and whose motion violates conditions between its nodes. `by_segments` is the result of a problem
     with delays as its module has it, with columns for every segment; `background` is what pictures need. `labels` are
     entries of the summary as tables write them where an author's names are in them, which `label` looks up. `units` are
-    those of columns by name, of the time `t`, and of `cost` and `energy`, as far as the author gave them.
+    those of columns by name, of the time `t`, and of `cost` and `energy`, as far as the author gave them. `parameters`
+    are those that the solve was given in place of the problem's own.
     """
 
     problem: str
@@ -210,6 +211,7 @@ class Result(Display):
     summary: dict[str, float]
     labels: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
     units: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
+    parameters: Mapping[str, float] = field(default_factory=dict)
     seconds_solve: float = field(default=float("nan"), compare=False)
     seconds_first: float = field(default=float("nan"), compare=False)
     compiled: bool = field(default=False, compare=False)

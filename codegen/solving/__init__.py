@@ -40,7 +40,10 @@ def solve(*positional: Any, **options: Any) -> Result:
     For all problems:
 
     - `steps`: the number of intervals N; by default the problem's own;
-    - `repeat`: the time is the least of so many solves, of which those that compile are not counted.
+    - `repeat`: the time is the least of so many solves, of which those that compile are not counted;
+    - `parameters`: a dict of values, by name, in place of those that the problem gives its parameters, a `duration`
+      that is given, and in an optimisation prescribed ends, as in `{"m": 2.0, "duration": 3.0, "end.x": 1.0}`; nothing
+      is built anew. Particles that are connected have none.
 
     For problems with tables, `tables` maps their names to other files of the same columns, with as many breakpoints;
     nothing is built anew. For problems with measurements `observations` are others in the same columns, any number of

@@ -28,6 +28,7 @@ from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
 from codegen.solving.other_observations import with_observations
 from codegen.solving.other_tables import with_tables
+from codegen.solving.other_values import with_values
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
 from codegen.solving.run import run_and_verify
@@ -81,7 +82,8 @@ def outcome_of(
     begin = time.perf_counter()
     module: Any = request.problem if path is None else loading.load(path)
     load_seconds = time.perf_counter() - begin
-    module = with_observations(with_tables(module, request.tables), request.observations)
+    values = dict(request.parameters or {})
+    module = with_values(with_observations(with_tables(module, request.tables), request.observations), values)
     driver, warm, points = request.driver_for(module), start(module), _points(request, module)
     if request.sensitivities:
         require_sensitive(module)
@@ -94,7 +96,7 @@ def outcome_of(
         result = _solved(request, module, driver, warm, points, request.watch or watch)
     result = replace(result, notes=_notes(module, result))
     found = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
-    result = replace(found, background=_background(request, module))
+    result = replace(found, parameters=values, background=_background(request, module))
     if result.compiled:
         return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
     return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)

@@ -52,6 +52,7 @@ class Request:
     guesses: int = 1
     sensitivities: bool = False
     points: PointSet | Path | str | None = None
+    parameters: Mapping[str, float] | None = None
     tables: Mapping[str, Path | str] | None = None
     observations: Any = None
     tolerance: float | None = None
@@ -91,9 +92,11 @@ class Request:
                 raise ArgumentError(f"{_option(name)} {getattr(self, name)!r} is no name", "give one as text")
         if not (self.points is None or isinstance(self.points, Path | str) or hasattr(self.points, "target")):
             raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
+        if self.parameters is not None and not _are_named(self.parameters):
+            raise ArgumentError(f"parameters are {self.parameters!r}", 'give names and values, such as {"m": 2.0}')
         if self.tables is not None and not _are_files(self.tables):
             raise ArgumentError(f"tables are {self.tables!r}", 'give names and files, such as {"thrust": "other.csv"}')
-        if not isinstance(self.arguments, Mapping) or not all(isinstance(name, str) for name in self.arguments):
+        if not _are_named(self.arguments):
             raise ArgumentError(f"arguments are {self.arguments!r}", 'give names and values, such as {"craft": 3}')
         if not isinstance(self.out, str | Path | None):
             raise ArgumentError(f"--out {self.out!r} is no folder", "give its path")
@@ -169,7 +172,8 @@ def require_known(names: Iterable[str]) -> None:
     for name in names:
         if name not in _DEFAULTS:
             close = difflib.get_close_matches(name, _DEFAULTS, 1)
-            remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(_DEFAULTS)}"
+            listed = f"use one of {', '.join(_DEFAULTS)}; a parameter of the problem is given by parameters={{...}}"
+            remedy = f"did you mean {close[0]}?" if close else listed
             raise ArgumentError(f"codegen.solve has no option {name}", remedy)
 
 
@@ -194,6 +198,11 @@ def _meaningless(name: str, task: Task, driver: Driver) -> ArgumentError:
 def _option(name: str) -> str:
     """The option of the command line for an argument of `codegen.solve`."""
     return "--set" if name == "arguments" else f"--{name.replace('_', '-')}"
+
+
+def _are_named(value: Any) -> bool:
+    """Whether a value maps names to something."""
+    return isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
 
 
 def _are_files(value: Any) -> bool:

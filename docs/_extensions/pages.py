@@ -207,8 +207,9 @@ def card(name: str, title: str, has_figure: bool) -> str:
     """A figure with a link and a title, or these alone."""
     if not has_figure:
         return f":::{{container}} card\n[{name}]({name}.md): {title}\n:::"
+    alternative = f"Figure of the solution of {name}. {title}".replace('"', "'")
     return (
-        f":::{{figure}} stored/{name}.png\n:alt: Figure of {name}\n:loading: lazy\n:figclass: card\n\n"
+        f':::{{figure}} stored/{name}.png\n:alt: "{alternative}"\n:loading: lazy\n:figclass: card\n\n'
         f"[{name}]({name}.md): {title}\n:::"
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from horizon_problems import HORIZON, STEPS, carried, exactly, regulator
 from interpreted import of_problem
@@ -123,9 +125,15 @@ def test_a_figure_has_a_panel_for_every_state_and_input_and_names_what_went_wron
     assert "6 time limit" in figure.get_suptitle()
     assert "6 of 6 deadlines missed" in figure.get_suptitle()
     assert figure.axes[-1].get_legend().get_texts()[0].get_text() == "missed"
+    assert "6 of 6 deadlines missed" in loop.plot().figure.get_suptitle()
+    shown = loop._repr_html_()
+    assert "6 time limit" in shown
+    assert "deadlines missed</th><td" in re.sub(r' style="[^"]*"', "", shown)
+    assert "data:image/png" in shown
 
 
 def test_a_figure_of_nothing_but_a_start(tmp_path):
     loop = codegen.close_loop(codegen.Controller(carried()), lambda *_: [np.nan, 0.0])
     loop.plot(tmp_path / "nothing.png")
+    assert "<img" not in loop._repr_html_()
     assert (tmp_path / "nothing.png").stat().st_size > 1000
