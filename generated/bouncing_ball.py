@@ -3175,11 +3175,12 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
 def is_at_rest(search, iterate, error, tolerance):
     """Whether no more than rounding is left at an iterate, and the step to it, from an `error`, made little progress.
 
-    A search that begins near a solution may be there at once, and would go on until no step is accepted.
+    A search that begins near a solution may be there at once, and would go on until no step is accepted. A bound that
+    has only just been left is not known to be so while its complementarity is above the tolerance.
     """
     if iterate.point.error <= PROGRESS * error or not is_at_rounding_level(search.grid, iterate.point):
         return False
-    return is_closed(search, iterate, tolerance)
+    return iterate.measured.highest <= tolerance
 
 
 def status_without_step(search, iterate, step, tolerance, is_last_weight):
@@ -4569,9 +4570,6 @@ def is_finite(matrix):
 # a change of units by a power of a million changes nothing but the sizes.
 
 LEAST = 1e-150  # what is below, or above its inverse, is no size
-# Costs are left that change by some hundred beside sizes: less than that, and a barrier leads searches away from optima
-# at first. Waechter and Biegler (2006), section 3.8, leave slopes of up to 100.
-LEEWAY = 10.0
 
 # Which kinds are a single unknown, such as a free duration, that no node equals.
 IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
@@ -4605,8 +4603,6 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     digits = digits_of(size)
     slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
     is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
-    if is_steep and digits == 3.0:
-        slope /= LEEWAY
     weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for i in range(KINDS):
@@ -5219,7 +5215,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_9ae0685f3cecd321"
+_IDENTITY = "codegen_bouncing_ball_8f68ce3e4ba2c808"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

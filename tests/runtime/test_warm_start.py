@@ -63,6 +63,21 @@ def test_steps_that_change_rounding_alone_end_a_search_that_is_warm() -> None:
     assert not rests(1e-6, 1.5e-6)
 
 
+@pytest.mark.parametrize(("complementarity", "rests"), [(0.9e-8, True), (2.5e-8, False)])
+def test_a_bound_that_has_just_been_left_goes_on_moving(complementarity: float, rests: bool) -> None:
+    """Its complementarity is above the tolerance, although the sum over all bounds is below one for each."""
+    grid = nlp((1, 2, 5), (x1 - 1) ** 2 + (x2 - 2) ** 2 + (x3 - 5) ** 2, [x1 + x2 + x3 - 8], [], {
+        x1: POSITIVE, x2: POSITIVE, x3: POSITIVE,
+    })  # fmt: skip
+    search = bounded.search_on(grid)
+    begun = bounded.measured_iterate(search, bounded.begin(search, grid.guess, bounded.FROM_NEIGHBOUR))
+    point = begun.point._replace(residual=0.0, stationarity=1e-15, error=1e-15)
+    iterate = begun._replace(
+        point=point, measured=begun.measured._replace(highest=complementarity, gap=complementarity)
+    )
+    assert newton.is_at_rest(search, iterate, 1.5e-15, 1e-8) == rests
+
+
 def test_duals_of_a_neighbour_are_slopes_towards_bounds_that_are_closer() -> None:
     """min x1 + (x2 - 3)^2 with x1 >= 0 and x2 <= 2 has the slopes 1 and -2 at (0, 2), where x3 is free to be 5."""
     grid = nlp((0, 2, 5), x1 + (x2 - 3) ** 2 + (x3 - 5) ** 2, [x1 + x2 + x3 - 7], [], {

@@ -123,12 +123,13 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
 def is_at_rest(search, iterate, error, tolerance):
     """Whether no more than rounding is left at an iterate, and the step to it, from an `error`, made little progress.
 
-    A search that begins near a solution may be there at once, and would go on until no step is accepted.
+    A search that begins near a solution may be there at once, and would go on until no step is accepted. A bound that
+    has only just been left is not known to be so while its complementarity is above the tolerance.
     """
     if iterate.point.error <= PROGRESS * error or not is_at_rounding_level(search.grid, iterate.point):
         return False
     if INEQUALITIES:
-        return is_closed(search, iterate, tolerance)
+        return iterate.measured.highest <= tolerance
     else:
         return True
 

@@ -20,9 +20,6 @@ from codegen.runtime.optimise.derivative_magnitudes import KIND_IS_MULTIPLIER, K
 from codegen.runtime.optimise.measured_sizes import GIVEN, LARGE, SMALL, find_sizes, fit_bounds
 
 LEAST = 1e-150  # what is below, or above its inverse, is no size
-# Costs are left that change by some hundred beside sizes: less than that, and a barrier leads searches away from optima
-# at first. Waechter and Biegler (2006), section 3.8, leave slopes of up to 100.
-LEEWAY = 10.0
 
 # Which kinds are a single unknown, such as a free duration, that no node equals.
 IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
@@ -63,8 +60,6 @@ def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, par
     digits = digits_of(size)
     slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
     is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
-    if is_steep and digits == 3.0:
-        slope /= LEEWAY
     weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for i in range(KINDS):
