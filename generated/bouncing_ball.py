@@ -2275,7 +2275,7 @@ class Attempt(NamedTuple):
 
 
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
-# Of a neighbour whose multipliers are of no use. Duals begin on the central path; far from a solution ones are better.
+# Of a neighbour whose multipliers are of no use. Duals begin on the central path.
 FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)
 # Of one whose equations do not hold: close to their bounds, unknowns would be stopped by them step after step.
 FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4)
@@ -3062,11 +3062,12 @@ def begin_nearby(search, unknowns, tolerance):
     bounds, mu = search.bounds, PART * tolerance
     unknowns = push_inside(*search.box, unknowns, CLOSE)
     point, by = evaluate(grid, unknowns), relaxation(mu, search.least)
-    distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
-    logarithms = fill_bounds(unknowns, point.gradient, *bounds, by, mu, distance, duals)
-    iterate = Iterate(point, mu, distance, logarithms, duals)
     if point.residual > NEAR:
         iterate = begin(search, unknowns, FROM_AFAR)
+    else:
+        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
+        logarithms = fill_bounds(unknowns, point.gradient, *bounds, by, mu, distance, duals)
+        iterate = Iterate(point, mu, distance, logarithms, duals)
     return iterate if iterate.point.error < np.inf else None
 
 
@@ -3247,12 +3248,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
     succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
-    search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
-    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
-    appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
-    searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
-    been evaluated. `search` is what `search_on` gave for a grid with the same bounds, if there was one: its storage
-    serves again.
+    search keeps its multipliers, without bounds only where it is near, and the next, without them, begins with a
+    small weight of the barrier and leaves unknowns close to their bounds. A row (cost, residual, stationarity,
+    Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
+    one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
+    point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
+    bounds, if there was one: its storage serves again.
     """
     first, total = None, 0
     if search is not None:
@@ -5215,7 +5216,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_8f68ce3e4ba2c808"
+_IDENTITY = "codegen_bouncing_ball_a8d4d0640fea4815"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -2764,12 +2764,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
     succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
-    search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
-    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
-    appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
-    searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
-    been evaluated. `search` is what `search_on` gave for a grid with the same bounds, if there was one: its storage
-    serves again.
+    search keeps its multipliers, without bounds only where it is near, and the next, without them, begins with a
+    small weight of the barrier and leaves unknowns close to their bounds. A row (cost, residual, stationarity,
+    Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
+    one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
+    point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
+    bounds, if there was one: its storage serves again.
     """
     first, total = None, 0
     if search is not None:
@@ -4591,7 +4591,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_hovercraft_af91e5608cecb1d2"
+_IDENTITY = "codegen_hovercraft_e58101dff778ac85"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

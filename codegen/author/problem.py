@@ -40,7 +40,7 @@ Relations = Sequence[Relation] | Mapping[str, Relation]
 OF_CONTROLS = {
     "constraint": "write the motion in coordinates that fulfil it, or as Control(...) without controls and cost",
 }
-"""What to do about an argument that a Simulate lacks; of others that a Control has, that they are a Control's."""
+"""Remedies for arguments of a Control that a Simulate lacks, where there is more to say than that."""
 
 Author = TypeVar("Author", bound=type[Any])
 

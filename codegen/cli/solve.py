@@ -153,11 +153,12 @@ def _named(items: Sequence[str], option: str, what: str, example: str) -> dict[s
     found: dict[str, str] = {}
     for item in items:
         name, equals, text = item.partition("=")
+        name = name.strip()
         if not (name and equals and text):
             raise ArgumentError(f"{option} {item!r} is not of the form NAME={what}", f"write {option} {example}")
         if name in found:
             raise ArgumentError(f"{option} gives {name} twice", "give it once")
-        found[name] = text
+        found[name] = text.strip()
     return found
 
 

@@ -40,10 +40,11 @@ class Feedback:
     """What became of one sampling time.
 
     `inputs` (controls,) are to be applied until the next one, in the problem's units. `status` is "solved" where all
-    equations hold to the tolerance, evaluated again outside the solver; "iteration limit" or "time limit" where Newton
-    steps or time ran out first; else it says how the solve failed. `message` says so in a sentence. `fell_back` tells
-    that the inputs are those of the plan before, shifted. `residual` is the max-norm of the plan's equations, `cost`
-    what the plan costs. `seconds` is the time from the call to the inputs; `in_time`: it is within the deadline.
+    equations hold to the tolerance, evaluated again outside the solver; "iteration limit" or "time limit" where
+    Newton steps or time ran out first; else it says how the solve failed. `message` says so in a sentence.
+    `fell_back` tells that the inputs are those where the search began, as a rule the plan before, shifted.
+    `residual` is the max-norm of the plan's equations, `cost` what the plan costs. `seconds` is the time from the
+    call to the inputs; `in_time`: it is within the deadline.
     """
 
     t: float
@@ -174,7 +175,7 @@ class Controller:
         end = clock()
         seconds = end - begin
         if deadline is not None:
-            self._pace.learn(log.beginning, log.rest(end))
+            self._pace.learn(log.beginning, log.rest(end), log.was_late)
         return Feedback(
             t, best.unknowns[self._of_inputs], status, message, best.cost, best.residual, iterations, seconds,
             deadline is None or seconds <= deadline, fell_back,
@@ -279,6 +280,6 @@ class Controller:
             grid, begin = self._grids.at(given, start + nudge), self._clock()
             log = BestIterate(math.inf, self._feasible, self._clock)
             self._judged(grid, self._pinned(grid, point.unknowns.copy()), PREPARED, log, 2)
-            end = self._clock()
-            measured.append((log.beginning or 0.0, log.rest(end) or end - begin))
+            whole = self._clock() - begin
+            measured.append((log.beginning or whole, log.rest(begin + whole) or whole))
         return Pace(measured)

@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from codegen import compiler, loading
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.interfaces import ControlModule, Grid, Vector
 from codegen.machine_code import ahead_of_time
+from codegen.solutions.given_values import as_number, parameter_arguments
 from codegen.solutions.result import component_names
 from codegen.solving.request import Request
 
@@ -90,10 +90,10 @@ def vector(values: Any, names: tuple[str, ...], what: str) -> Vector:
 
 def number(value: Any, what: str) -> float:
     """A finite number; NumericsError for what is none."""
-    is_number = isinstance(value, Real) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value):
+    found = as_number(value)
+    if not math.isfinite(found):
         raise NumericsError(clause(f"{what} is {value!r}"), "give a finite number")
-    return float(value)
+    return found
 
 
 def interface_of(module: Any) -> Interface:
@@ -113,14 +113,7 @@ def interface_of(module: Any) -> Interface:
     inputs = component_names(metadata)["u"]
     if not inputs:
         raise ArgumentError(f"{problem} has no controls", "give a problem with codegen.control(...)")
-    return Interface(states, inputs, keys_of(module), tuple(name for end, name in ends if end == "end"))
-
-
-def keys_of(module: Any) -> dict[str, str]:
-    """The arguments of a module's functions by the names of parameters, which they may not have in Python."""
-    arguments = inspect.signature(module.make_grid).parameters.values()
-    keywords = [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]
-    return dict(zip(module.metadata["parameters"], keywords, strict=False))
+    return Interface(states, inputs, parameter_arguments(module), tuple(name for end, name in ends if end == "end"))
 
 
 def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:

@@ -46,6 +46,7 @@ class BestIterate:
         self._went_on: float | None = None
         self._led: float | None = None
         self.beginning: float | None = None
+        self.was_late = limit <= 0.0
         self.best: Any = None
 
     def append(self, _grid: Grid, point: Any, *_others: float) -> None:
@@ -62,6 +63,7 @@ class BestIterate:
         """Whether the time is up."""
         now = self._clock()
         if now > self._end:
+            self.was_late = True
             return True
         if self._went_on is None:
             self._went_on = now

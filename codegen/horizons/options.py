@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral, Real
-from typing import Any
+from numbers import Integral
 
 from codegen.errors import ArgumentError, NumericsError
+from codegen.solutions.given_values import as_number
+from codegen.solving.request import SCALINGS
 
-SCALINGS = ("auto", "none")
 WHOLE = 1e-9
 """Parts of an interval by which a sampling time may miss a whole number of them."""
 
@@ -33,9 +33,9 @@ class Options:
                 raise NumericsError(f"{name} is {value!r}", "give a positive integer")
         for name in ("horizon", "sample", "deadline"):
             value = getattr(self, name)
-            if value is not None and not 0.0 < _number(value) < float("inf"):
+            if value is not None and not 0.0 < as_number(value) < float("inf"):
                 raise NumericsError(f"{name} is {value!r}", "give a positive number of seconds")
-        if not 0.0 < _number(self.tolerance) < 1.0:
+        if not 0.0 < as_number(self.tolerance) < 1.0:
             raise ArgumentError(f"tolerance is {self.tolerance!r}", "give a number between 0 and 1")
         if self.scaling not in SCALINGS:
             raise ArgumentError(f"scaling is {self.scaling!r}", f"use one of {', '.join(SCALINGS)}")
@@ -52,8 +52,3 @@ class Options:
             raise NumericsError(finding, "give a shorter sample, or a longer horizon")
         whole = round(intervals)
         return float(whole) if abs(intervals - whole) <= WHOLE else intervals
-
-
-def _number(value: Any) -> float:
-    """The value, or no number."""
-    return float(value) if isinstance(value, Real) and not isinstance(value, bool) else float("nan")

@@ -64,10 +64,10 @@ class Pace:
         limit = seconds - MARGIN * self.rest.seconds
         return limit if limit >= self.beginning.seconds else -math.inf
 
-    def learn(self, beginning: float | None, rest: float | None) -> None:
-        """Take account of a step, of parts that there was time for."""
+    def learn(self, beginning: float | None, rest: float | None, was_late: bool) -> None:
+        """Take account of a step, of parts that it had: `was_late` where others lacked for want of time."""
         for expectation, seconds in ((self.beginning, beginning), (self.rest, rest)):
-            if seconds is None:
-                expectation.forget()
-            else:
+            if seconds is not None:
                 expectation.learn(seconds)
+            elif was_late:
+                expectation.forget()

@@ -13,9 +13,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.horizons.interface import Interface, keys_of, module_of
+from codegen.horizons.interface import Interface, module_of
 from codegen.horizons.values import Moving, Values
 from codegen.interfaces import Vector, is_control, is_of_particles, is_simulation
+from codegen.solutions.given_values import parameter_arguments
 
 Plant: TypeAlias = Callable[[Vector, Vector, float, float], Vector]
 """The state (states,) after a state, inputs (controls,), the time, and how long they act."""
@@ -100,7 +101,7 @@ class ModulePlant:
         self, module: Any, states: tuple[str, ...], inputs: tuple[str, ...], disturbances: Mapping[str, Moving]
     ) -> None:
         self.module, self.states, self.inputs = module, states, inputs
-        self._values = Values(Interface(states, inputs, keys_of(module), ()), disturbances, {}, "the plant")
+        self._values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
         metadata = module.metadata
         self._rates = tuple(name for name in _start_names(module) if name not in metadata["coordinates"])
         self._has_velocities = metadata["form"] == "lagrangian"

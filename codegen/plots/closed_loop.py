@@ -79,7 +79,7 @@ class ClosedLoopData(Protocol):
 
     @property
     def fell_back(self) -> NDArray[np.bool_]:
-        """(M,), whether the plan before was applied."""
+        """(M,), whether the start of the search was applied, as a rule the plan before."""
 
 
 def closed_loop_figure(loop: ClosedLoopData, references: References) -> Figure:

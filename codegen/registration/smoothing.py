@@ -109,7 +109,7 @@ class _Search:
     solves: int = 0
 
     def run(self, velocities: NDArray[np.float64] | None) -> Registration:
-        """The registration whose residuals are as large as sigma; RegistrationError where none is found."""
+        """The registration with residuals as large as errors of sigma leave them; RegistrationError without any."""
         found = self._first(velocities)
         target = Freedom.of(self.matching).target(self.matching.sigma)
         low, high = -np.inf, np.inf  # logarithms of strengths whose residuals are too small, and too large

@@ -50,7 +50,7 @@ def as_dataset(result: Any) -> Dataset:
             coordinates[f"{_COLUMNS[name]}_unit"] = (_COLUMNS[name], units)
     texts: dict[str, Any] = {name: getattr(result, name) for name in _TEXTS}
     attributes = {**texts, "formulation": result.method, "steps": result.steps, "iterations": result.iterations}
-    data = xarray.Dataset(variables, coordinates, attributes | dict(result.summary))
+    data = xarray.Dataset(variables, coordinates, attributes | dict(result.summary) | dict(result.parameters))
     for name in ("t", "energy", "cost"):
         if name in data and result.units.get(name):
             data[name].attrs["units"] = result.units[name]

@@ -3,50 +3,52 @@
 from __future__ import annotations
 
 import difflib
-import inspect
-import math
 from collections.abc import Mapping
-from numbers import Real
 from typing import Any
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.interfaces import is_connect
+from codegen.interfaces import few_steps, is_connect
+from codegen.solutions.given_values import duration_arguments, parameter_arguments, prescribed_ends
 from codegen.solving.other_tables import with_arguments
 
 
 def with_values(module: Any, values: Mapping[str, float]) -> Any:
-    """The module with other values of parameters, of a given duration and of prescribed ends, by `keys_of_values`.
+    """The module with other values of parameters, of given durations, and of prescribed ends (`end.x`), by name.
 
-    Raises ArgumentError for a name that is none of them, and NumericsError for a value that is no finite number.
+    Raises ArgumentError for a name that is none of them, and NumericsError for values that no grid can have.
     """
     if not values:
         return module
-    known = {} if is_connect(module) else keys_of_values(module)
+    known = {} if is_connect(module) else _known(module)
     given: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
-            finding = clause(f"{module.metadata['problem']} has no parameter {name}")
-            raise ArgumentError(finding, clause(remedy) if known else "leave it out")
-        if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-            raise NumericsError(clause(f"parameter {name} is {value!r}"), "give a finite number")
-        end, _, quantity = known[name].partition(" ")
+            raise ArgumentError(clause(f"{module.metadata['problem']} has no parameter {name}"), _remedy(name, known))
+        end, quantity = known[name]
         if quantity:
             given.setdefault(end, {})[quantity] = float(value)
         else:
             given[end] = float(value)
-    return with_arguments(module, **given)
+    other = with_arguments(module, **given)
+    try:
+        other.make_grid(few_steps(module, 1))
+    except ValueError as error:
+        raise NumericsError(f"{module.metadata['problem']}: {error}", "give other values") from error
+    return other
 
 
-def keys_of_values(module: Any) -> dict[str, str]:
-    """What may be given: arguments of the module's functions by the names of parameters, and durations.
+def _known(module: Any) -> dict[str, tuple[str, str]]:
+    """Arguments by the names of what they are for, beside the quantity where they map names to values.
 
-    Prescribed ends are called `start.x` and `end.x`, with the end and the name behind a blank.
+    A parameter comes before a duration or an end of the same name.
     """
-    arguments = inspect.signature(module.make_grid).parameters.values()
-    keywords = [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]
-    own = dict(zip(module.metadata["parameters"], keywords, strict=False))
-    durations = {keyword: keyword for keyword in keywords[len(own) :] if keyword.startswith("duration")}
-    ends = {name.replace(" ", ".", 1): name for name in module.metadata.get("boundary", ())}
-    return {**own, **{name: key for name, key in (durations | ends).items() if name not in own}}
+    durations = {name: (name, "") for name in duration_arguments(module)}
+    own = {name: (argument, "") for name, argument in parameter_arguments(module).items()}
+    return {**own, **{name: key for name, key in (durations | prescribed_ends(module)).items() if name not in own}}
+
+
+def _remedy(name: str, known: Mapping[str, Any]) -> str:
+    if not known:
+        return "leave it out"
+    close = difflib.get_close_matches(name, known, 1)
+    return clause(f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}")

@@ -75,6 +75,8 @@ def outcome_of(
 ) -> Outcome:
     """Do what is asked; see `codegen.solve`. What is wrong with the request is said before anything takes long.
 
+    Only names that a module has to know, of parameters, tables and measurements, are looked up once there is one.
+
     `working` and `following` show signs of life, of building and of solving, where there is a terminal.
     """
     start = start_of(request.warm)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cached_property
-from numbers import Integral, Real
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from codegen.author.author_object import AuthorObject
 from codegen.author.sources import ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
 from codegen.drivers import DRIVERS, Driver, find
-from codegen.errors import ArgumentError, NumericsError
+from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.solutions.given_values import as_number
 from codegen.tasks import TASKS, Task, task_of
 
 if TYPE_CHECKING:
@@ -73,13 +75,13 @@ class Request:
             if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
                 remedy = "a positive integer" if least else "a whole number that is not negative"
                 raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
-        if self.tolerance is not None and not 0.0 < _number(self.tolerance) < 1.0:
+        if self.tolerance is not None and not 0.0 < as_number(self.tolerance) < 1.0:
             raise ArgumentError(f"--tolerance {self.tolerance}", "give a number between 0 and 1")
-        if self.accuracy is not None and not 0.0 < _number(self.accuracy) < 1.0:
+        if self.accuracy is not None and not 0.0 < as_number(self.accuracy) < 1.0:
             raise ArgumentError(f"--accuracy {self.accuracy}", "give a relative error between 0 and 1")
         if self.accuracy is not None and self.doublings:
             raise ArgumentError("--accuracy beside --doublings", "leave one of them out")
-        if self.time_limit is not None and not _number(self.time_limit) > 0.0:
+        if self.time_limit is not None and not as_number(self.time_limit) > 0.0:
             raise ArgumentError(f"--time-limit {self.time_limit}", "give a positive number of seconds")
         if self.scaling not in SCALINGS:
             raise ArgumentError(f"--scaling {self.scaling}", f"use one of {', '.join(SCALINGS)}")
@@ -94,6 +96,9 @@ class Request:
             raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
         if self.parameters is not None and not _are_named(self.parameters):
             raise ArgumentError(f"parameters are {self.parameters!r}", 'give names and values, such as {"m": 2.0}')
+        for name, value in (self.parameters or {}).items():
+            if not math.isfinite(as_number(value)):
+                raise NumericsError(clause(f"parameter {name} is {value!r}"), "give a finite number")
         if self.tables is not None and not _are_files(self.tables):
             raise ArgumentError(f"tables are {self.tables!r}", 'give names and files, such as {"thrust": "other.csv"}')
         if not _are_named(self.arguments):
@@ -210,8 +215,3 @@ def _are_files(value: Any) -> bool:
     return isinstance(value, Mapping) and all(
         isinstance(name, str) and isinstance(file, Path | str) for name, file in value.items()
     )
-
-
-def _number(value: Any) -> float:
-    """The value, or no number."""
-    return float(value) if isinstance(value, Real) and not isinstance(value, bool) else float("nan")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import inspect
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.solutions.given_values import duration_arguments, parameter_arguments, prescribed_ends
 from codegen.sweeping.cases import Values
 
 STEPS = "steps"
@@ -48,13 +48,9 @@ def _known(module: Any, arguments: Sequence[str]) -> list[Quantity]:
 
     It may do more than set the parameter that is called like it.
     """
-    signature = inspect.signature(module.make_grid).parameters.values()
-    keys = [parameter.name for parameter in signature if parameter.kind is inspect.Parameter.KEYWORD_ONLY]
-    parameters = list(module.metadata["parameters"])
-    own = [Quantity(name, "parameter", key) for name, key in zip(parameters, keys, strict=False)]
-    times = [Quantity(key, "parameter", key) for key in keys[len(parameters) :] if key.startswith("duration")]
-    ends = [name.split(" ", 1) for name in module.metadata.get("boundary", ())]
-    values = [Quantity(f"{end}.{name}", "boundary", f"{end} {name}") for end, name in ends]
+    own = [Quantity(name, "parameter", key) for name, key in parameter_arguments(module).items()]
+    times = [Quantity(key, "parameter", key) for key in duration_arguments(module)]
+    values = [Quantity(name, "boundary", " ".join(key)) for name, key in prescribed_ends(module).items()]
     given = [Quantity(name, "argument", name) for name in arguments]
     return [Quantity(STEPS, STEPS, STEPS), *times, *values, *own, *given]
 

@@ -115,7 +115,7 @@ def test_a_search_begins_where_there_is_time_for_its_beginning_and_an_iteration(
     pace = Pace([(2.0, 5.0), (3.0, 6.0), (10.0, 100.0)])
     assert pace.limit(9.7) == pytest.approx(9.7 - 1.05 * 6.0)
     assert pace.limit(9.2) == -np.inf
-    pace.learn(2.0, None)
+    pace.learn(2.0, None, was_late=True)
     assert pace.beginning.seconds < 3.0
     assert 5.0 < pace.rest.seconds < 6.0
 

@@ -89,6 +89,8 @@ def test_a_solution_tells_of_them_in_tables_and_pickles(push):
         ({"m": "heavy"}, NumericsError, "parameter m is 'heavy'; give a finite number"),
         ({"m": math.nan}, NumericsError, "parameter m is nan"),
         ({"m": True}, NumericsError, "parameter m is True"),
+        ({"m": 10**400}, NumericsError, "parameter m is 1000"),
+        ({"duration": -1}, NumericsError, "push: duration is -1.0, expected a positive number"),
         ([1.0], ArgumentError, 'give names and values, such as {"m": 2.0}'),
     ],
 )
@@ -96,6 +98,11 @@ def test_values_that_do_not_fit_are_refused(push, values, kind, message):
     with pytest.raises(kind) as refused:
         push.solve(parameters=values)
     assert message in str(refused.value)
+
+
+def test_a_duration_that_is_none_is_refused_before_a_saved_start_is_carried_to_its_grid(push):
+    with pytest.raises(NumericsError, match="duration"):
+        push.solve(parameters={"duration": -1}, warm=push.solve().unknowns, accuracy=1e-4)
 
 
 def test_a_parameter_as_an_option_is_told_where_it_belongs(push):
@@ -115,5 +122,6 @@ def test_the_command_has_them_as_well(tmp_path):
     record = json.loads(run("solve", file, "--parameter", "m=3", "--parameter", "duration=2", "--json").stdout)
     assert record["parameters"] == {"m": 3.0, "duration": 2.0}
     assert record["cost"] == pytest.approx(discrete_effort(3, 2, 1, 50), rel=1e-9)
+    assert json.loads(run("solve", file, "--parameter", "m = 3", "--json").stdout)["parameters"] == {"m": 3.0}
     assert "--parameter gives m twice" in run("solve", file, "--parameter", "m=3", "--parameter", "m=4").stderr
     assert "--parameter m=x is no number" in run("solve", file, "--parameter", "m=x").stderr

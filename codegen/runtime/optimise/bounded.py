@@ -47,7 +47,7 @@ class Attempt(NamedTuple):
 
 
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
-# Of a neighbour whose multipliers are of no use. Duals begin on the central path; far from a solution ones are better.
+# Of a neighbour whose multipliers are of no use. Duals begin on the central path.
 FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4)
 # Of one whose equations do not hold: close to their bounds, unknowns would be stopped by them step after step.
 FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4)

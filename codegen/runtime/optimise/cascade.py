@@ -42,12 +42,12 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
     succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
-    search keeps its multipliers where it is near, and the next, without them, begins with a small weight of the barrier
-    and leaves unknowns close to their bounds. A row (cost, residual, stationarity, Hessian's shift, step length) is
-    appended to `log` at every iterate, and the barrier's weight where there is one. `max_iterations` is for all
-    searches together; steps of the restoration are not counted. `known` is the point without multipliers, if it has
-    been evaluated. `search` is what `search_on` gave for a grid with the same bounds, if there was one: its storage
-    serves again.
+    search keeps its multipliers, without bounds only where it is near, and the next, without them, begins with a
+    small weight of the barrier and leaves unknowns close to their bounds. A row (cost, residual, stationarity,
+    Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
+    one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
+    point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
+    bounds, if there was one: its storage serves again.
     """
     first, total = None, 0
     if search is not None:

@@ -43,11 +43,12 @@ def begin_nearby(search, unknowns, tolerance):
         if TIED:
             unknowns = with_tied_values(grid, unknowns)
         point, by = evaluate(grid, unknowns), relaxation(mu, search.least)
-        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
-        logarithms = fill_bounds(unknowns, point.gradient, *bounds, by, mu, distance, duals)
-        iterate = Iterate(point, mu, distance, logarithms, duals)
         if point.residual > NEAR:
             iterate = begin(search, unknowns, FROM_AFAR)
+        else:
+            distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
+            logarithms = fill_bounds(unknowns, point.gradient, *bounds, by, mu, distance, duals)
+            iterate = Iterate(point, mu, distance, logarithms, duals)
         return iterate if iterate.point.error < np.inf else None
     else:
         iterate = Iterate(evaluate(grid, unknowns))
