@@ -13,7 +13,7 @@ from typing import ClassVar
 import sympy
 
 from codegen.author.points import Points
-from codegen.author.problem import Expression, Problem
+from codegen.author.problem import Expression, Problem, refusing
 from codegen.author.symbols import Quantity
 from codegen.errors import ExpressionError, SymbolError
 
@@ -98,6 +98,7 @@ class Pairwise:
         return self.pair_term(*self.pair) if is_function else self.pair_term
 
 
+@refusing
 @dataclass(frozen=True)
 class Connect(Problem):
     """Find the motion of a pairwise Hamiltonian that carries given points to given points within `duration`.

@@ -46,7 +46,7 @@ Author = TypeVar("Author", bound=type[Any])
 
 
 def refusing(kind: Author) -> Author:
-    """Have a class say, as a ProblemFileError, which of its arguments is unknown, and what may be meant."""
+    """Have a class say, as a ProblemFileError, which of its named arguments is unknown, and what may be meant."""
     written = kind.__init__
 
     @wraps(written)
