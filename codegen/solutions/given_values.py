@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import math
+from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
+from codegen.errors import ArgumentError
 from codegen.interfaces import is_of_particles
 from codegen.solutions.segments import segments_of
 
@@ -29,21 +31,26 @@ def parameter_arguments(module: Any) -> dict[str, str]:
 
 
 def duration_arguments(module: Any) -> tuple[str, ...]:
-    """The arguments for durations that are given; none where delays are parts of it."""
-    if segments_of(module.metadata) is not None:
-        return ()
+    """The arguments for durations that are given; where there are delays, of which it is made, that of a segment."""
     of_parameters = parameter_arguments(module).values()
     return tuple(name for name in _keywords(module) if name.startswith("duration") and name not in of_parameters)
 
 
 def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
     """Prescribed values by names such as `end.x`: which end, and the name that the module's functions know."""
-    segments, found = segments_of(module.metadata), {}
-    for entry in module.metadata.get("boundary", ()):
-        end, name = entry.split(" ", 1)
-        own = name if segments is None else segments.split(name)[0]
-        found[f"{end}.{own}"] = end, name
-    return found
+    ends = [entry.split(" ", 1) for entry in module.metadata.get("boundary", ())]
+    return {f"{end}.{name}": (end, name) for end, name in ends}
+
+
+def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
+    """Refuse, as an ArgumentError, names of a duration of which delays are parts: it would change them as well."""
+    if segments_of(module.metadata) is None:
+        return
+    durations = duration_arguments(module)
+    for name in names:
+        if name in durations:
+            finding = f"{module.metadata['problem']} has delays, which another {name} would change as well"
+            raise ArgumentError(finding, "change it in the problem, and build that")
 
 
 def _keywords(module: Any) -> list[str]:

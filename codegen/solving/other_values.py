@@ -8,7 +8,12 @@ from typing import Any
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.interfaces import few_steps, is_connect
-from codegen.solutions.given_values import duration_arguments, parameter_arguments, prescribed_ends
+from codegen.solutions.given_values import (
+    duration_arguments,
+    parameter_arguments,
+    prescribed_ends,
+    require_apart_from_delays,
+)
 from codegen.solving.other_tables import with_arguments
 
 
@@ -20,6 +25,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     if not values:
         return module
     known = {} if is_connect(module) else _known(module)
+    require_apart_from_delays(module, values)
     given: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:

@@ -43,10 +43,10 @@ def test_each_particle_s_own_come_first(interpreted):
 
 def test_a_duration_of_which_delays_are_parts_is_not_given(interpreted):
     oscillator = interpreted("delayed_oscillator")
-    assert duration_arguments(oscillator) == ()
-    assert all("_" not in name for name in prescribed_ends(oscillator)), "names of the author, without segments"
-    with pytest.raises(ArgumentError, match="has no parameter duration"):
+    with pytest.raises(ArgumentError, match="has delays, which another duration would change as well"):
         with_values(oscillator, {"duration": 10.0})
+    (end,) = {name for name in prescribed_ends(oscillator) if name.startswith("start.q")}
+    assert 0.25 in with_values(oscillator, {end: 0.25}).make_grid(2).parameters
 
 
 @pytest.mark.parametrize("value", ["2", None, True, 10**400, 1j])

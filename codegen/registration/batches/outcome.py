@@ -178,8 +178,9 @@ class _Way:
         """Note what has been done; of pairs that were lost together one is to blame, and all are tried again."""
         if LOST in done.tally.counts and len(done.rows) > 1:
             return
-        self.journal.add(own.line for own in done.rows if own.is_new)
+        # Whoever interrupts in between has the lines in the summary, which takes the journal's place.
         self.tried |= {own.number: own for own in done.rows}
+        self.journal.add(own.line for own in done.rows if own.is_new)
 
     def _solved(self) -> list[float]:
         """Seconds of the pairs that are solved."""
