@@ -124,6 +124,7 @@ SHARED = 0  # with those of the whole problem: none
 COUPLINGS = 0  # conditions between shared unknowns
 ROOT = 0  # unknowns that no node owns, with the conditions' multipliers
 BACKWARD = 0  # whether elimination goes from the last interval to the first
+BORDERED = 1  # whether the first block stays to the end of the elimination
 CARRIED = 0  # columns of right-hand sides that take part in the elimination
 IS_MULTIPLIER = np.array([False, False, False, True, True, True, False, True, False, False])  # of node and interval
 START_PINNED = np.array([0, 1, 2, 7], dtype=np.int64)  # unknowns of the first node that are given
@@ -568,7 +569,7 @@ def measured_gradient(unknowns, sizes, weight, steps, h, nodes, parameters, is_m
 # Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 #
 # The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
-# the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns. One more
+# the interval; of node k + 1; of block 0 if it stays to the end; and of the shared unknowns. One more
 # column is the right-hand side: elimination carries it along where a row, as wide as a multiple of four, has room for it.
 
 
@@ -585,7 +586,8 @@ if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 LEFT_NODE, RIGHT_NODE = (BLOCK, 0) if BACKWARD else (0, BLOCK)  # rows of an element matrix where its nodes begin
 FIRST_PINNED, LAST_PINNED = (END_PINNED, START_PINNED) if BACKWARD else (START_PINNED, END_PINNED)
-FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0
+FIRST_BLOCK = BORDERED  # the first block that is eliminated in its turn
+FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0, and stays to the end
 BORDER = FIRST.size
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL  # of an element matrix
@@ -1030,8 +1032,9 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 # holds those of a node and of the interval before it. Blocks 1, 2, ... are eliminated in this order, with pivoting
 # inside each; that is the sweep of a Riccati recursion. BACKWARD eliminates the equations of an interval with the state
 # at its end, which they determine: with that at its start, rounding would grow as dissipative dynamics do backward in
-# time. Block 0 is singular by itself where its node is given, because its equations are matched by later unknowns, so it
-# borders the front to the end and is eliminated with the last node. Shared unknowns border all fronts of all bodies;
+# time. Block 0 is singular by itself where its node is given, because its equations are matched by later unknowns: it is
+# BORDERED then, which means that it borders the front to the end and is eliminated with the last node. Where nothing is
+# given it is eliminated first, as at the end of a controller's horizon. Shared unknowns border all fronts of all bodies;
 # what elimination leaves of them is the Schur complement that ties bodies together, a dense matrix. The pivots' signs
 # give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element
 # analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings
@@ -1041,23 +1044,24 @@ def add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
 # equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
 # that are still to come it has at most as many (Cauchy's interlacing theorem).
 
-REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
+REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0 if it stays, shared unknowns
 REST_WIDTH = padded(REST)
-LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
+LAST = NODE + BORDER  # unknowns that are eliminated as the last node is
 LAST_WIDTH = padded(LAST + padded(CARRIED))
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
-ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
+ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in another block
 COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
 def allocate_factors(grid):
     """Room for the factors of all bodies, and for what is condensed.
 
-    A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
-    upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
-    The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
-    pivots already. Indices and the inverse of the pivots are zeros, so that solving without factors, as compilation
-    does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
+    A body has R rows: BLOCK for each block, then LAST for its last node, and for block 0 if it stays to the end. Three
+    arrays hold the rows of the upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order
+    of elimination (BODIES, R). The right-hand side, if it was carried along, is a column of the upper factor,
+    multiplied by the inverse of the pivots already. Indices and the inverse of the pivots are zeros, so that solving
+    without factors, as compilation does, stays inside the arrays. `inverses` and `couplings` are those of
+    `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
     upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
@@ -1070,7 +1074,7 @@ def eliminate_body(
     unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
     couplings, last,
 ):  # fmt: skip
-    """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
+    """Run the front over all intervals of a body, then eliminate what is left: `last`, its last node and its border.
 
     `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
     the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
@@ -1105,7 +1109,7 @@ def eliminate_body(
         if found < 0:
             return False, 0, 0
         negative += found
-        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
+        # What is left of blocks 0 to k + 1 has as many multipliers as the last node and one block.
         if negative > block * MULTIPLIERS + ENDING + COMMON:
             return True, negative, negative - (block * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
@@ -1188,7 +1192,7 @@ def move_front(element, rest):
 
 @njit(error_model="numpy")
 def end_front(rest, last):
-    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0, both triangles; then what is left for shared."""
+    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0 if it stays, both triangles; then shared."""
     clear(last)
     for i in range(REST):
         last[i, i] = rest[i, i]
@@ -1215,7 +1219,7 @@ def forward(upper, inverse, order, steps, right, last):
         right[i] = 0.0
     for i in LAST_PINNED:
         right[steps * BLOCK + i] = 0.0
-    for k in range(1, steps):
+    for k in range(FIRST_BLOCK, steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         for i in range(BLOCK):
             front[i] = right[first + i]
@@ -1238,7 +1242,7 @@ def forward(upper, inverse, order, steps, right, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def backward(upper, order, steps, carried, last, right):
-    """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
+    """Solve with a body's upper factor, from its last node, and block 0 if it stays to the end, in `last`, backward.
 
     Arrays as in `forward`; `right` holds what is left of the right-hand side, zeros where that is a column of the
     factors.
@@ -1249,7 +1253,7 @@ def backward(upper, order, steps, carried, last, right):
         right[first + i] = last[i]
     for i in range(BORDER):
         right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
-    for k in range(steps - 1, 0, -1):
+    for k in range(steps - 1, FIRST_BLOCK - 1, -1):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         for i in range(BLOCK):
             front[i] = right[first + i]
@@ -4115,7 +4119,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_86b60b15c737591b"
+_IDENTITY = "codegen_spherical_pendulum_5c0172f94ba7c4e9"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

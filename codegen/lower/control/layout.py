@@ -273,6 +273,7 @@ def _size_lines(program: ControlProgram, derivatives: ControlDerivatives) -> lis
         Line("COUPLINGS", str(number["COUPLINGS"]), "conditions between shared unknowns"),
         Line("ROOT", str(number["ROOT"]), "unknowns that no node owns, with the conditions' multipliers"),
         Line("BACKWARD", str(number["BACKWARD"]), "whether elimination goes from the last interval to the first"),
+        Line("BORDERED", str(number["BORDERED"]), "whether the first block stays to the end of the elimination"),
         Line("CARRIED", str(number["CARRIED"]), "columns of right-hand sides that take part in the elimination"),
     ]
 

@@ -33,6 +33,7 @@ def sizes(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tup
         ("FORWARD", int(bool(motion_indices(program)[0]))),
         ("SCALED", int(not derivatives.linear_quadratic)),
         ("BACKWARD", int(sweeps_backward(program))),
+        ("BORDERED", int(borders_front(program))),
         ("CARRIED", int(carries_right_hand_side(program, derivatives))),
         ("TABLED", sum(table.shape.count for table in tables_of(program.model))),
     )
@@ -77,8 +78,8 @@ def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivat
     """Whether the rows of an element matrix, which are as long as a multiple of four, have room for one more column."""
     node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
     block = node + inside - derivatives.condensed
-    first = program.end if sweeps_backward(program) else program.start
-    border = node + block - len(pinned(first)) + len(program.shared)  # the next node, block 0, shared unknowns
+    first = block - len(pinned(first_end(program))) if borders_front(program) else 0
+    border = node + first + len(program.shared)  # the next node, block 0, shared unknowns
     return (block + border) % 4 > 0 and border % 4 > 0
 
 
@@ -92,6 +93,19 @@ def sweeps_backward(program: ControlProgram) -> bool:
     """
     own = (u for i, u in enumerate(program.node) if i not in program.only_at_ends)
     return program.method != "variational" and not any(u.multiplier for u in own)
+
+
+def first_end(program: ControlProgram) -> EndElement:
+    """The end where elimination begins."""
+    return program.end if sweeps_backward(program) else program.start
+
+
+def borders_front(program: ControlProgram) -> bool:
+    """Whether block 0 stays to the end of the elimination, because its equations may determine other unknowns.
+
+    Where nothing is given at the end where elimination begins, they determine its state, as in all other blocks.
+    """
+    return bool(not sweeps_backward(program) or pinned(first_end(program)) or program.only_at_ends)
 
 
 def pinned(end: EndElement) -> list[int]:

@@ -1,7 +1,7 @@
 """Element matrices of the KKT system: one small symmetric matrix for each interval, closed at both ends.
 
 The rows of an element matrix are those of block k, which is node k and its interval without what is eliminated inside
-the interval; of node k + 1; of block 0, which no element but the first touches; and of the shared unknowns. One more
+the interval; of node k + 1; of block 0 if it stays to the end; and of the shared unknowns. One more
 column is the right-hand side: elimination carries it along where a row, as wide as a multiple of four, has room for it.
 """
 
@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.stand_ins.example import (
-    BACKWARD, CARRIED, CONDENSED, END_PINNED, END_SHARED, END_TIED, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE,
-    ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED, START_TIED,
-    STRIDE, TIED,
+    BACKWARD, BORDERED, CARRIED, CONDENSED, END_PINNED, END_SHARED, END_TIED, HESSIAN_COLUMNS, HESSIAN_ROWS,
+    IS_MULTIPLIER, NODE, ONLY_AT_ENDS, SHARED, SHARED_IS_MULTIPLIER, SHARED_MULTIPLIERS, START_PINNED, START_SHARED,
+    START_TIED, STRIDE, TIED,
 )  # fmt: skip
 from codegen.runtime.unknowns.tied_ends import add_tied_rows_to_shared
 
@@ -29,8 +29,12 @@ if ONLY_AT_ENDS.min(initial=BLOCK) < INNER:
 SIZE = BLOCK + NODE  # unknowns of an interval and both its nodes
 LEFT_NODE, RIGHT_NODE = (BLOCK, 0) if BACKWARD else (0, BLOCK)  # rows of an element matrix where its nodes begin
 FIRST_PINNED, LAST_PINNED = (END_PINNED, START_PINNED) if BACKWARD else (START_PINNED, END_PINNED)
-FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0
-BORDER = FIRST.size
+FIRST_BLOCK = BORDERED  # the first block that is eliminated in its turn
+if BORDERED:
+    FIRST = np.setdiff1d(np.arange(BLOCK), FIRST_PINNED)  # what is not given of block 0, and stays to the end
+    BORDER = FIRST.size
+else:
+    BORDER = 0
 TAIL = SIZE + BORDER  # where shared unknowns begin
 ROWS = TAIL + SHARED  # of an element matrix
 COLUMNS = padded(ROWS)  # that elimination passes over

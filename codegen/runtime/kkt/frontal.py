@@ -5,8 +5,9 @@ holds the unknowns of node k and of the interval after it; with BACKWARD, blocks
 holds those of a node and of the interval before it. Blocks 1, 2, ... are eliminated in this order, with pivoting
 inside each; that is the sweep of a Riccati recursion. BACKWARD eliminates the equations of an interval with the state
 at its end, which they determine: with that at its start, rounding would grow as dissipative dynamics do backward in
-time. Block 0 is singular by itself where its node is given, because its equations are matched by later unknowns, so it
-borders the front to the end and is eliminated with the last node. Shared unknowns border all fronts of all bodies;
+time. Block 0 is singular by itself where its node is given, because its equations are matched by later unknowns: it is
+BORDERED then, which means that it borders the front to the end and is eliminated with the last node. Where nothing is
+given it is eliminated first, as at the end of a controller's horizon. Shared unknowns border all fronts of all bodies;
 what elimination leaves of them is the Schur complement that ties bodies together, a dense matrix. The pivots' signs
 give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element
 analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings
@@ -28,30 +29,31 @@ from codegen.runtime.kkt.elements import (
 )  # fmt: skip
 from codegen.runtime.kkt.ends_linear import apply_boundary_conditions
 from codegen.runtime.stand_ins.example import (
-    BODIES, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED, STRIDE,
-    interval_hessian,
+    BODIES, BORDERED, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED,
+    STRIDE, interval_hessian,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import root_index
 from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
 from codegen.runtime.unknowns.times import span
 
-REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0, shared unknowns
+REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0 if it stays, shared unknowns
 REST_WIDTH = padded(REST)
-LAST = NODE + BORDER  # unknowns that are eliminated together with the last node
+LAST = NODE + BORDER  # unknowns that are eliminated as the last node is
 LAST_WIDTH = padded(LAST + padded(CARRIED + SHARED))
 MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
-ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in block 0
+ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in another block
 COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
 
 
 def allocate_factors(grid):
     """Room for the factors of all bodies, and for what is condensed.
 
-    A body has R rows: BLOCK for each block, then LAST for its last node and block 0. Three arrays hold the rows of the
-    upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order of elimination (BODIES, R).
-    The right-hand side, if it was carried along, is a column of the upper factor, multiplied by the inverse of the
-    pivots already. Indices and the inverse of the pivots are zeros, so that solving without factors, as compilation
-    does, stays inside the arrays. `inverses` and `couplings` are those of `allocate_condensed`.
+    A body has R rows: BLOCK for each block, then LAST for its last node, and for block 0 if it stays to the end. Three
+    arrays hold the rows of the upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order
+    of elimination (BODIES, R). The right-hand side, if it was carried along, is a column of the upper factor,
+    multiplied by the inverse of the pivots already. Indices and the inverse of the pivots are zeros, so that solving
+    without factors, as compilation does, stays inside the arrays. `inverses` and `couplings` are those of
+    `allocate_condensed`.
     """
     rows = grid.steps * BLOCK + LAST
     upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
@@ -64,7 +66,7 @@ def eliminate_body(
     unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
     couplings, last,
 ):  # fmt: skip
-    """Run the front over all intervals of a body, then eliminate its last node and block 0, whose rows `last` takes.
+    """Run the front over all intervals of a body, then eliminate what is left: `last`, its last node and its border.
 
     `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
     the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
@@ -93,15 +95,16 @@ def eliminate_body(
             add_right_hand_side(gradient, block, steps, element)
         if k == 0 or k == steps - 1:
             apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
-        if block == 0:
-            begin_front(element, rest)
-            continue
+        if BORDERED:  # noqa: SIM102  decided when a module is made
+            if block == 0:
+                begin_front(element, rest)
+                continue
         move_front(element, rest)
         found = eliminate_rows(element, INNER, COLUMNS, upper[first:behind], inverse[first:behind], order[first:behind])
         if found < 0:
             return False, 0, 0
         negative += found
-        # Node k + 1 and block 0 have as many multipliers as the last node and block 0.
+        # What is left of blocks 0 to k + 1 has as many multipliers as the last node and one block.
         if negative > block * MULTIPLIERS + ENDING + COMMON:
             return True, negative, negative - (block * MULTIPLIERS + ENDING + COMMON)
         subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
@@ -160,17 +163,19 @@ def fill_factors(weight, parts, factors):
     return is_weighted
 
 
-@njit(error_model="numpy")
-def begin_front(element, rest):
-    """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
-    for i in range(BORDER):
-        for j in range(ROWS + CARRIED):
-            element[SIZE + i, j] = element[FIRST[i], j]
-        for j in range(ROWS):
-            element[j, SIZE + i] = element[j, FIRST[i]]
-    for i in range(REST):
-        for j in range(REST + CARRIED):
-            rest[i, j] = element[BLOCK + i, BLOCK + j]
+if BORDERED:
+
+    @njit(error_model="numpy")
+    def begin_front(element, rest):
+        """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
+        for i in range(BORDER):
+            for j in range(ROWS + CARRIED):
+                element[SIZE + i, j] = element[FIRST[i], j]
+            for j in range(ROWS):
+                element[j, SIZE + i] = element[j, FIRST[i]]
+        for i in range(REST):
+            for j in range(REST + CARRIED):
+                rest[i, j] = element[BLOCK + i, BLOCK + j]
 
 
 @njit(error_model="numpy", inline="always")
@@ -202,7 +207,7 @@ def move_front(element, rest):
 
 @njit(error_model="numpy")
 def end_front(rest, last):
-    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0, both triangles; then what is left for shared."""
+    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0 if it stays, both triangles; then shared."""
     clear(last)
     for i in range(REST):
         last[i, i] = rest[i, i]

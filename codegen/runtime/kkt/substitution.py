@@ -8,9 +8,9 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_vector
 from codegen.runtime.kkt.elements import (
-    BLOCK, BORDER, COLUMNS, FIRST, FIRST_PINNED, INNER, LAST_PINNED, RIGHT, SIZE, TAIL, WIDTH,
+    BLOCK, BORDER, COLUMNS, FIRST, FIRST_BLOCK, FIRST_PINNED, INNER, LAST_PINNED, RIGHT, SIZE, TAIL, WIDTH,
 )  # fmt: skip
-from codegen.runtime.stand_ins.example import CARRIED, NODE, SHARED
+from codegen.runtime.stand_ins.example import BORDERED, CARRIED, NODE, SHARED
 from codegen.runtime.kkt.frontal import LAST
 from codegen.runtime.kkt.symmetric import solve_backward, solve_forward, solve_pivots
 
@@ -26,7 +26,7 @@ def forward(upper, inverse, order, steps, right, last):
         right[i] = 0.0
     for i in LAST_PINNED:
         right[steps * BLOCK + i] = 0.0
-    for k in range(1, steps):
+    for k in range(FIRST_BLOCK, steps):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         for i in range(BLOCK):
             front[i] = right[first + i]
@@ -41,8 +41,9 @@ def forward(upper, inverse, order, steps, right, last):
     first = steps * BLOCK
     for i in range(NODE):
         last[i] = right[first + i]
-    for i in range(BORDER):
-        last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
+    if BORDERED:
+        for i in range(BORDER):
+            last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
     for i in range(SHARED):
         last[LAST + i] = front[TAIL + i]
     solve_forward(upper[first:], order[first:], order.size - first, last.size, last)
@@ -51,7 +52,7 @@ def forward(upper, inverse, order, steps, right, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def backward(upper, order, steps, carried, last, right):
-    """Solve with a body's upper factor, from its last node and block 0, in `last`, to block 1.
+    """Solve with a body's upper factor, from its last node, and block 0 if it stays to the end, in `last`, backward.
 
     Arrays as in `forward`; `right` holds what is left of the right-hand side, zeros where that is a column of the
     factors.
@@ -62,11 +63,12 @@ def backward(upper, order, steps, carried, last, right):
     solve_backward(upper[first:], order[first:], order.size - first, last.size, last)
     for i in range(NODE):
         right[first + i] = last[i]
-    for i in range(BORDER):
-        right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
+    if BORDERED:
+        for i in range(BORDER):
+            right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
     for i in range(SHARED):
         front[TAIL + i] = last[LAST + i]
-    for k in range(steps - 1, 0, -1):
+    for k in range(steps - 1, FIRST_BLOCK - 1, -1):
         first, behind = k * BLOCK, (k + 1) * BLOCK
         for i in range(BLOCK):
             front[i] = right[first + i]

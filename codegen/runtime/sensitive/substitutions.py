@@ -9,11 +9,12 @@ from numba import njit
 
 from codegen.runtime.arrays import zero_matrix
 from codegen.runtime.kkt.elements import (
-    BLOCK, BORDER, FIRST, FIRST_PINNED, INNER, LAST_PINNED, ROWS, SIZE, TAIL, interval_of, unknown_of,
+    BLOCK, BORDER, FIRST, FIRST_BLOCK, FIRST_PINNED, INNER, LAST_PINNED, ROWS, SIZE, TAIL, interval_of, unknown_of,
 )  # fmt: skip
 from codegen.runtime.kkt.frontal import LAST
 from codegen.runtime.stand_ins.example import (
-    BACKWARD, BODIES, CONDENSED, END_SHARED, END_TIED, NODE, ROOT, SHARED, START_SHARED, START_TIED, STRIDE, TIED,
+    BACKWARD, BODIES, BORDERED, CONDENSED, END_SHARED, END_TIED, NODE, ROOT, SHARED, START_SHARED, START_TIED, STRIDE,
+    TIED,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import root_index
 
@@ -142,7 +143,7 @@ def forward_all(upper, inverse, order, steps, right, last):
             right[i, d] = 0.0
         for i in LAST_PINNED:
             right[steps * BLOCK + i, d] = 0.0
-    for k in range(1, steps):
+    for k in range(FIRST_BLOCK, steps):
         first = k * BLOCK
         for i in range(SIZE):
             copy_row(right, first + i, front, i)
@@ -153,9 +154,10 @@ def forward_all(upper, inverse, order, steps, right, last):
     first = steps * BLOCK
     for i in range(NODE):
         copy_row(right, first + i, last, i)
-    for i in range(BORDER):
-        copy_row(right, FIRST[i], last, NODE + i)
-        add_row(front, SIZE + i, 1.0, last, NODE + i)
+    if BORDERED:
+        for i in range(BORDER):
+            copy_row(right, FIRST[i], last, NODE + i)
+            add_row(front, SIZE + i, 1.0, last, NODE + i)
     for i in range(SHARED):
         copy_row(front, TAIL + i, last, LAST + i)
     eliminate_all(upper, order, first, LAST, LAST + SHARED, last)
@@ -169,12 +171,13 @@ def backward_all(upper, order, steps, last, right):
     resolve_all(upper, order, first, LAST, LAST + SHARED, last)
     for i in range(NODE):
         copy_row(last, i, right, first + i)
-    for i in range(BORDER):
-        copy_row(last, NODE + i, right, FIRST[i])
-        copy_row(last, NODE + i, front, SIZE + i)
+    if BORDERED:
+        for i in range(BORDER):
+            copy_row(last, NODE + i, right, FIRST[i])
+            copy_row(last, NODE + i, front, SIZE + i)
     for i in range(SHARED):
         copy_row(last, LAST + i, front, TAIL + i)
-    for k in range(steps - 1, 0, -1):
+    for k in range(steps - 1, FIRST_BLOCK - 1, -1):
         first = k * BLOCK
         for i in range(SIZE):
             copy_row(right, first + i, front, i)
