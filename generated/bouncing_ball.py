@@ -1825,12 +1825,19 @@ def is_solved(grid, point, tolerance, roundings=1.0):
     """
     if point.error > max(tolerance, WORTH_MEASURING):
         return False
-    # Terms beyond one make no difference to what is within the tolerance.
-    limit = 1.0 if max(point.residual, point.stationarity) <= tolerance else np.inf
-    equations, stationarity = sizes_of_terms(grid, point.unknowns, limit, limit)
+    if max(point.residual, point.stationarity) <= tolerance:  # then larger terms make no difference
+        limits = enough_terms(point.residual, tolerance), enough_terms(point.stationarity, tolerance)
+    else:
+        limits = np.inf, np.inf
+    equations, stationarity = sizes_of_terms(grid, point.unknowns, *limits)
     return is_small(point.residual, equations, tolerance, roundings) and is_small(
         point.stationarity, stationarity, tolerance, roundings
     )
+
+
+def enough_terms(value, tolerance):
+    """How large terms have to be for a value within the tolerance to be zero as `is_small` says, twice for rounding."""
+    return 2.0 * value / tolerance if 2.0 * value < tolerance else 1.0
 
 
 def is_small(value, size, tolerance, roundings):
@@ -5220,7 +5227,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_97273f7d59d805bc"
+_IDENTITY = "codegen_bouncing_ball_c28c215c0fa2a204"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

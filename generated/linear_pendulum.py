@@ -1305,12 +1305,19 @@ def is_solved(grid, point, tolerance, roundings=1.0):
     The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
     so that a problem in small units is not called solved too early.
     """
-    # Terms beyond one make no difference to what is within the tolerance.
-    limit = 1.0 if max(point.residual, point.stationarity) <= tolerance else np.inf
-    equations, stationarity = sizes_of_terms(grid, point.unknowns, limit, limit)
+    if max(point.residual, point.stationarity) <= tolerance:  # then larger terms make no difference
+        limits = enough_terms(point.residual, tolerance), enough_terms(point.stationarity, tolerance)
+    else:
+        limits = np.inf, np.inf
+    equations, stationarity = sizes_of_terms(grid, point.unknowns, *limits)
     return is_small(point.residual, equations, tolerance, roundings) and is_small(
         point.stationarity, stationarity, tolerance, roundings
     )
+
+
+def enough_terms(value, tolerance):
+    """How large terms have to be for a value within the tolerance to be zero as `is_small` says, twice for rounding."""
+    return 2.0 * value / tolerance if 2.0 * value < tolerance else 1.0
 
 
 def is_small(value, size, tolerance, roundings):
@@ -2265,7 +2272,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_linear_pendulum_9449ba7ac04a1e56"
+_IDENTITY = "codegen_linear_pendulum_67cb6a0b99315f7a"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -30,10 +30,9 @@ class Grids:
         The state is `start` (states,), by default the problem's own. Raises NumericsError for values that are unusable.
         """
         if start is None or self._given != given:
-            own = {} if start is None else {"start": dict(zip(self._interface.states, start.tolist(), strict=True))}
-            self._keep(self.separate(given | own))
+            self._keep(self.separate(given))
             self._given = None if start is None else given
-        else:
+        if start is not None:
             self._last.parameters[0, self._interface.start] = start
         return self._last  # type: ignore[no-any-return]
 
