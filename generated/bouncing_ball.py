@@ -2485,8 +2485,8 @@ def with_barrier_parameter(search, iterate, mu, by):
     least = 0.1 * relaxation(mu, search.least)
     logarithms, moves = approach(unknowns, *places, bounds.magnitude, by, least, iterate.distance, distance)
     if moves:
-        point = evaluate(search.grid, unknowns)
-    return Iterate(point, mu, distance, logarithms, iterate.duals, iterate.measured)
+        return measured_iterate(search, Iterate(evaluate(search.grid, unknowns), mu, distance, logarithms, duals))
+    return Iterate(point, mu, distance, logarithms, duals, measured)
 
 
 def barrier_curvature(search, iterate):
@@ -3016,13 +3016,12 @@ def within_bounds(search, iterate, tolerance):
 
 def on_bounds(search, iterate):
     """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
-    grid, bounds, (lower, upper) = search.grid, search.bounds, search.box
+    grid, (lower, upper) = search.grid, search.box
     unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
     moves = np.count_nonzero(unknowns != iterate.point.unknowns) > 0  # any() takes twice as long
-    point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
-    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
-    unknowns, gradient, *evaluated = point
-    return with_duals(unknowns, gradient, evaluated, measured)
+    if moves:
+        iterate = iterate._replace(point=evaluate(grid, unknowns), measured=None)
+    return measured_iterate(search, iterate).point
 
 
 def last_step(search, iterate):
@@ -3105,6 +3104,7 @@ def fill_bounds(unknowns, gradient, indices, value, side, magnitude, by, mu, dis
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+NEARLY_FEASIBLE = 1e-6  # residuals up to it, or to ten times that part of the equations' terms, are those of a motion
 PROGRESS = 0.5  # part of the error that a step leaves at most, of those that are worth more
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 LARGEST = 1e20  # unknowns beyond it are taken for infinite
@@ -3181,7 +3181,7 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
         return "non-finite"
     if converged:
         return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-    return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+    return "unbounded" if is_unbounded_below(search.grid, iterate, first_cost) else ""
 
 
 def is_at_rest(search, iterate, error, tolerance):
@@ -3231,11 +3231,16 @@ def is_in_vain(search, iterate, known):
     return is_nearly_stationary(iterate.point) and not is_below(predicted_cost(search, iterate), known)
 
 
-def is_unbounded_below(iterate, first_cost):
+def is_unbounded_below(grid, iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
     if iterate.measured.largest > LARGEST:
         return True
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
+    point = iterate.point
+    if not point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost):
+        return False
+    # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
+    terms, _ = sizes_of_terms(grid, point.unknowns)
+    return point.residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * terms)
 
 
 def restored(search, iterate, reduction, filtered, log):
@@ -5227,7 +5232,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_c28c215c0fa2a204"
+_IDENTITY = "codegen_bouncing_ball_7a0bd1982dd0ff57"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

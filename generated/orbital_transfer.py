@@ -2283,6 +2283,7 @@ def begin_nearby(search, unknowns, tolerance):
 # line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+NEARLY_FEASIBLE = 1e-6  # residuals up to it, or to ten times that part of the equations' terms, are those of a motion
 PROGRESS = 0.5  # part of the error that a step leaves at most, of those that are worth more
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 
@@ -2342,7 +2343,7 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
         return "non-finite"
     if converged:
         return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-    return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+    return "unbounded" if is_unbounded_below(search.grid, iterate, first_cost) else ""
 
 
 def is_at_rest(search, iterate, error, tolerance):
@@ -2387,9 +2388,14 @@ def is_in_vain(search, iterate, known):
     return is_nearly_stationary(iterate.point) and not is_below(predicted_cost(search, iterate), known)
 
 
-def is_unbounded_below(iterate, first_cost):
+def is_unbounded_below(grid, iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
+    point = iterate.point
+    if not point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost):
+        return False
+    # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
+    terms, _ = sizes_of_terms(grid, point.unknowns)
+    return point.residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * terms)
 
 
 def restored(search, iterate, reduction, filtered, log):
@@ -4153,7 +4159,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_orbital_transfer_d15daf7e1e0c9f3c"
+_IDENTITY = "codegen_orbital_transfer_4448bfb03ecbdfae"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -250,8 +250,8 @@ def with_barrier_parameter(search, iterate, mu, by):
     if moves:
         if TIED:
             unknowns = with_tied_values(search.grid, unknowns)
-        point = evaluate(search.grid, unknowns)
-    return Iterate(point, mu, distance, logarithms, iterate.duals, iterate.measured)
+        return measured_iterate(search, Iterate(evaluate(search.grid, unknowns), mu, distance, logarithms, duals))
+    return Iterate(point, mu, distance, logarithms, duals, measured)
 
 
 def barrier_curvature(search, iterate):

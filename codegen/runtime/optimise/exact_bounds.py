@@ -7,8 +7,7 @@ relaxed then lead back to its optimum.
 
 import numpy as np
 
-from codegen.runtime.optimise.barrier import measure_optimality
-from codegen.runtime.optimise.bounded import InertiaCorrection, moved, with_duals
+from codegen.runtime.optimise.bounded import InertiaCorrection, measured_iterate, moved
 from codegen.runtime.optimise.newton_steps import regularised_step
 from codegen.runtime.stand_ins.example import TIED
 from codegen.runtime.unknowns.point import evaluate
@@ -37,15 +36,14 @@ def within_bounds(search, iterate, tolerance):
 
 def on_bounds(search, iterate):
     """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
-    grid, bounds, (lower, upper) = search.grid, search.bounds, search.box
+    grid, (lower, upper) = search.grid, search.box
     unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
     if TIED:
         unknowns = with_tied_values(grid, unknowns)
     moves = np.count_nonzero(unknowns != iterate.point.unknowns) > 0  # any() takes twice as long
-    point, barrier = evaluate(grid, unknowns) if moves else iterate.point, (iterate.distance, iterate.duals)
-    measured = measure_optimality(point.gradient, unknowns, grid.is_multiplier, bounds.indices, bounds.side, *barrier)
-    unknowns, gradient, *evaluated = point
-    return with_duals(unknowns, gradient, evaluated, measured)
+    if moves:
+        iterate = iterate._replace(point=evaluate(grid, unknowns), measured=None)
+    return measured_iterate(search, iterate).point
 
 
 def last_step(search, iterate):

@@ -24,7 +24,7 @@ from codegen.runtime.optimise.bounded import (
     with_least_squares_multipliers,
     with_relaxed_bounds,
 )
-from codegen.runtime.optimise.convergence_test import is_solved
+from codegen.runtime.optimise.convergence_test import is_solved, sizes_of_terms
 from codegen.runtime.optimise.line_search import Globalisation
 from codegen.runtime.optimise.negative_curvature import FLAT
 from codegen.runtime.optimise.restoration import restore
@@ -34,6 +34,7 @@ from codegen.runtime.optimise.warm_start import has_multipliers
 from codegen.runtime.stand_ins.example import INEQUALITIES
 
 UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
+NEARLY_FEASIBLE = 1e-6  # residuals up to it, or to ten times that part of the equations' terms, are those of a motion
 PROGRESS = 0.5  # part of the error that a step leaves at most, of those that are worth more
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 if INEQUALITIES:
@@ -117,7 +118,7 @@ def status_of(search, iterate, tolerance, converged, doubtful, first_cost):
         return "non-finite"
     if converged:
         return "saddle point" if doubtful and not is_minimum(search, iterate, tolerance) else "solved"
-    return "unbounded" if is_unbounded_below(iterate, first_cost) else ""
+    return "unbounded" if is_unbounded_below(search.grid, iterate, first_cost) else ""
 
 
 def is_at_rest(search, iterate, error, tolerance):
@@ -171,11 +172,16 @@ def is_in_vain(search, iterate, known):
     return is_nearly_stationary(iterate.point) and not is_below(predicted_cost(search, iterate), known)
 
 
-def is_unbounded_below(iterate, first_cost):
+def is_unbounded_below(grid, iterate, first_cost):
     """Whether the cost, along nearly feasible points, or an unknown has left all reasonable limits."""
     if INEQUALITIES and iterate.measured.largest > LARGEST:
         return True
-    return iterate.point.residual <= 1e-6 and iterate.point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost)
+    point = iterate.point
+    if not point.cost < -UNBOUNDED_BELOW * max(1.0, first_cost):
+        return False
+    # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
+    terms, _ = sizes_of_terms(grid, point.unknowns)
+    return point.residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * terms)
 
 
 def restored(search, iterate, reduction, filtered, log):
