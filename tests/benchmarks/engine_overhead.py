@@ -4,9 +4,9 @@
 
 Gives N empty chunks (5000) to two processes, and to a cluster of dask with a scheduler and two workers on this machine,
 and prints the milliseconds of each chunk: of whoever gives the orders, since nothing else is done. From the seconds and
-bytes of a case, by default those of an orbital transfer (N = 100) on two cores of an AMD EPYC, follow what so many cases
-(1e8) take on so many cores (1000), in chunks of a second: solving, giving orders, one after the other, and writing. The
-longest is the bottleneck. That the network and the disks keep up is assumed, and not measured.
+bytes of a case, by default those of an orbital transfer (N = 100) on two cores of an AMD EPYC, follows what so many
+cases (1e8) take on so many cores (1000), in chunks of a second: solving, giving orders, one after the other, and
+writing. That the network and the disks keep up is assumed, and not measured.
 """
 
 import os
@@ -83,12 +83,9 @@ def main() -> None:
     solving = words.cases * words.seconds / words.cores
     chunks = words.cases * words.seconds / CHUNK
     orders = 1e-3 * per_chunk["dask"] * chunks
-    print(
-        f"{words.cases:.0e} cases on {words.cores} cores: {chunks:.0f} chunks; solving {solving:.0f} s, orders {orders:.0f} s,"
-    )
-    print(
-        f"{1e-9 * words.cases * words.bytes:.0f} GB to write; {'orders' if orders > solving else 'solving'} are the bottleneck"
-    )
+    print(f"{words.cases:.0e} cases on {words.cores} cores, {chunks:.0f} chunks:")
+    print(f"solving {solving:.0f} s, giving orders {orders:.0f} s, {1e-9 * words.cases * words.bytes:.0f} GB to write")
+    print(f"the bottleneck is {'giving orders' if orders > solving else 'solving'}")
 
 
 if __name__ == "__main__":
