@@ -210,7 +210,7 @@ class Controller:
                 return best, False, status, message, iterations
             status = "inaccurate"
             message = f"{status}: the solver reported success, but the equations have residual {best.residual:.1e}"
-        chosen = self._chosen(grid, guess, point, log) if status in UNFINISHED else None
+        chosen = self._chosen(grid, guess, point, log) if status in UNFINISHED and iterations else None
         best = candidate(self.module, grid, guess if chosen is None else chosen.unknowns)
         iterate = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
         origin = what if chosen is None else iterate

@@ -121,7 +121,10 @@ def _state(axes: Any, loop: ClosedLoopData, i: int) -> None:
 def _input(axes: Any, loop: ClosedLoopData, i: int) -> None:
     axes.stairs(loop.inputs[:, i], loop.times, baseline=None, color=RED, linewidth=1.2)
     where = np.flatnonzero(loop.fell_back)
-    axes.plot(loop.times[where], loop.inputs[where, i], **_FALLEN)
+    if where.size:
+        axes.plot(loop.times[where], loop.inputs[where, i], **_FALLEN, label="of the plan before")
+        if i == 0:
+            _legend_above(axes)
 
 
 def _finish(axes: Any, loop: ClosedLoopData, name: str, references: References) -> None:
@@ -149,7 +152,11 @@ def _latencies(axes: Any, loop: ClosedLoopData) -> None:
     axes.set_xlabel("time")
     axes.set_ylabel("latency (ms)")
     axes.margins(x=0)
-    # Above the panel, where no point can be.
+    _legend_above(axes)
+
+
+def _legend_above(axes: Any) -> None:
+    """Above the panel, where no point can be."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=letter_size(8), columnspacing=1.0)
 
 

@@ -100,15 +100,15 @@ def statuses(data: Dataset) -> NDArray[np.str_]:
     return np.array(values.ravel().tolist(), dtype=np.str_).reshape(values.shape)
 
 
-def heading(figure: Figure, data: Dataset) -> None:
-    """What a sweep has solved, how, and how many of its cases failed."""
+def heading(figure: Figure, data: Dataset, where: str = "") -> None:
+    """What a sweep has solved, how, how many of its cases failed, and `where` those lie that are drawn."""
     own = data.attrs
     steps = [f"{own['steps']} steps"] if "steps" in own else []
     status = statuses(data)
     failed = int((status != "solved").sum())
     outcome = f"{status.size} cases" + (f", {failed} FAILED" if failed else "")
     letters = letters_across(figure)
-    texts = str(own["title"]).rstrip("."), ", ".join([own["formulation"], own["scheme"], *steps, outcome])
+    texts = str(own["title"]).rstrip("."), ", ".join([own["formulation"], own["scheme"], *steps, outcome]) + where
     figure.set_label(". ".join(texts))
     figure.suptitle(
         "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)

@@ -37,6 +37,8 @@ MOST_LINES = 7
 _MOST_MAPS, _MOST_MEASURES, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 4, 20_000
 _WIDE = 100.0
 """Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+_FOOT = 0.035
+"""How much of a panel's height a row of failed cases takes."""
 _FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
 _JUMP: dict[str, Any] = {
     "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
@@ -55,9 +57,13 @@ def sweep_figure(data: Dataset) -> Figure:
         return _samples(data)
     long = sorted(dims, key=lambda dim: -data.sizes[dim])
     second = data.sizes[long[1]] if len(long) > 1 else 1
-    for dim in long[3 if second > MOST_LINES else 2 :]:
-        data = data.isel({dim: data.sizes[dim] // 2})
-    return _lines(data, long[:2]) if second <= MOST_LINES else _maps(data, long[:3])
+    drawn, whole = long[: 3 if second > MOST_LINES else 2], data
+    middle = {dim: data.sizes[dim] // 2 for dim in dims if dim not in drawn and data.sizes[dim] > 1}
+    data = data.isel({dim: 0 for dim in dims if dim not in drawn} | middle)
+    figure = _lines(data, drawn) if second <= MOST_LINES else _maps(data, drawn)
+    at = ", ".join(f"{quantity(dim)} = {_named(whole, dim)[k]}" for dim, k in middle.items())
+    heading(figure, whole, f"; drawn are those at {at}" if at else "")
+    return figure
 
 
 def _measures(data: Dataset) -> dict[str, NDArray[np.float64]]:
@@ -122,7 +128,6 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
         bar.outline.set_visible(False)
         if words:
             bar.set_ticks(x.tolist(), labels=words)
-    heading(figure, data)
     return figure
 
 
@@ -143,7 +148,7 @@ def _measure(
     by: str | None,
     is_of_words: bool,
 ) -> None:
-    """Lines of one measure, failed cases at the foot of the panel, and jumps where they are."""
+    """Lines of one measure, failed cases below, in a row for each line and its colour, and jumps where they are."""
     _scale(axes, rows)
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
@@ -153,13 +158,14 @@ def _measure(
     if jumps.any():
         places = np.nonzero(jumps)
         axes.plot(x[places[1]], rows[places], **_JUMP, label="jump")
-    some = failed.any(axis=0)
-    if some.any():
-        foot = axes.get_xaxis_transform()
-        axes.plot(x[some], np.full(int(some.sum()), 0.03), **_FAILED, transform=foot, clip_on=False, label="failed")
-    if len(rows) > 1 or some.any() or jumps.any():
+    for i, (row, colour) in enumerate(zip(failed, body_colours(len(rows), CRIMSON))):
+        foot, look = np.full(int(row.sum()), 0.03 + _FOOT * i), {**_FAILED, "color": colour}
+        axes.plot(x[row], foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
+    if failed.any():
+        axes.plot([], [], **_FAILED, label="failed")
+    if len(rows) > 1 or failed.any() or jumps.any():
         axes.legend(loc="best")
-    axes.margins(x=0.02)
+    axes.margins(x=0.02, y=0.05 + _FOOT * len(failed) * failed.any())
 
 
 def _named(data: Dataset, dim: str) -> list[str]:
@@ -204,7 +210,6 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
     marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}
     if marks:
         figure.legend(list(marks.values()), list(marks), loc="outside lower center", ncols=2)
-    heading(figure, data)
     return figure
 
 
