@@ -159,9 +159,11 @@ def _measure(
         places = np.nonzero(jumps)
         axes.plot(x[places[1]], rows[places], **_JUMP, label="jump")
     for i, (row, colour) in enumerate(zip(failed, body_colours(len(rows), CRIMSON))):
-        foot, look = np.full(int(row.sum()), 0.03 + _FOOT * i), {**_FAILED, "color": colour}
-        axes.plot(x[row], foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
-    if failed.any():
+        if row.any():
+            foot, look = np.full(int(row.sum()), 0.03 + _FOOT * i), {**_FAILED, "color": colour}
+            (marks,) = axes.plot(x[row], foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
+            marks.set_label("failed" if len(rows) == 1 else "")
+    if failed.any() and len(rows) > 1:
         axes.plot([], [], **_FAILED, label="failed")
     if len(rows) > 1 or failed.any() or jumps.any():
         axes.legend(loc="best")

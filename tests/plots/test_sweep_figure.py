@@ -76,6 +76,22 @@ def test_few_values_of_a_second_quantity_are_lines():
     np.testing.assert_allclose(axes.lines[2].get_ydata(), X**2 + 0.25)
 
 
+def test_failed_cases_of_lines_stand_below_in_the_colour_of_their_line():
+    axes = sweep_figure(made({"m": X, "k": Y[:3]}, failed=[(4, 0), (6, 2)])).axes[0]
+    lines, crosses = axes.lines[:3], axes.lines[3:5]
+    for cross, place, line in zip(crosses, (4, 6), (0, 2), strict=True):
+        np.testing.assert_allclose(cross.get_xdata(), X[[place]])
+        assert cross.get_color() == lines[line].get_color()
+    assert crosses[0].get_ydata()[0] < crosses[1].get_ydata()[0]
+    assert axes.get_legend_handles_labels()[1][3:] == ["failed"]
+
+
+def test_a_slice_of_a_grid_is_named_and_all_its_cases_are_counted():
+    figure = sweep_figure(made({"m": X, "k": Y[:3], "c": Y[:2]}, failed=[(0, 0, 0)]))
+    title = " ".join(figure.get_suptitle().split())
+    assert "66 cases, 1 FAILED; drawn are those at $c$ = 0.25" in title
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_two_quantities_span_a_map_with_contours(turned):
     given = {"m": X, "k": Y}
