@@ -58,12 +58,11 @@ class Task:
     """Whether those parts are all that a solution calls."""
     touch: Home
     """(module, steps): have machine code ready of what drivers of scipy call."""
-    outline: Home | None
-    """(module, name of the driver, run, attempt) -> Outline: as `result`, without what is told of it beside; None where
-    there are no many solves of one module."""
+    outline: Home
+    """(module, name of the driver, run, attempt) -> Outline: as `result`, without what is told of it beside."""
 
 
-def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = True, is_swept: bool = True) -> Task:
+def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = True) -> Task:
     """A row: what the functions are called that parts of the package have for a task."""
     return Task(
         name,
@@ -75,7 +74,7 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
         parts=Home("machine_code.parts", f"{name}_parts"),
         is_whole=is_whole,
         touch=Home("machine_code.parts", f"{name}_touched"),
-        outline=Home(f"solutions.{name}", f"{name}_outline") if is_swept else None,
+        outline=Home(f"solutions.{name}", f"{name}_outline"),
     )
 
 
@@ -96,7 +95,6 @@ TASKS = {
             "points",
             "solve solve_case make_case residual jacobian path_cost path_errors hamiltonian",
             is_whole=False,
-            is_swept=False,
         ),
     )
 }

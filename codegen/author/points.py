@@ -33,6 +33,11 @@ class PointSet:
     target: NDArray[np.float64]
     sigma: NDArray[np.float64]
 
+    @property
+    def table(self) -> NDArray[np.float64]:
+        """All numbers, (n, 2 d + 1)."""
+        return np.column_stack([self.start, self.target, self.sigma])
+
 
 def read_points(path: Path, dimension: int) -> PointSet:
     """Read a file of points in space of the given dimension.

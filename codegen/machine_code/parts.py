@@ -113,7 +113,7 @@ def connect_parts(module: Any) -> Calls:
     def linearise() -> None:
         module.Linearised(case, points, None).matrix()
 
-    if module.metadata["passive"]:  # few functions are in two of these calls, the longest of which come first
+    if module.metadata.get("passive"):  # few functions are in two of these calls, the longest of which come first
         return [solve, lambda: module.carry(case, points, case.start, derivative=True), linearise]
     return [
         linearise,

@@ -11,7 +11,17 @@ import numpy as np
 from codegen.errors import PointsError
 from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.intersecting_paths import intersecting_paths
-from codegen.solutions.result import ConnectAttempt, Result, Run, contradicted, max_norm, origin, other_driver
+from codegen.solutions.result import (
+    ConnectAttempt,
+    Outline,
+    Result,
+    Run,
+    contradicted,
+    max_norm,
+    origin,
+    other_driver,
+    outline_of,
+)
 
 TOLERANCE = 1e-12
 
@@ -45,9 +55,14 @@ def connect_result(
     return Result(
         **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
         t=case.duration / case.steps * np.arange(case.steps + 1), q=path[:, 0].reshape(case.steps + 1, -1),
-        p=path[:, 1].reshape(case.steps + 1, -1), energy=energy, names=_names(metadata, case.start.shape[0]),
+        p=path[:, 1].reshape(case.steps + 1, -1), energy=energy, names=particle_names(metadata, case.start.shape[0]),
         summary=summary, attempts=attempt.attempts,
     )  # fmt: skip
+
+
+def connect_outline(module: ConnectModule, driver: str, run: Run, attempt: ConnectAttempt) -> Outline:
+    """The verdict on an attempt, and the motion."""
+    return outline_of(connect_result(module, driver, run, attempt))
 
 
 def _measured(module: ConnectModule, case: Any, path: Any, energy: Vector) -> tuple[float, float, Vector]:
@@ -62,7 +77,8 @@ def _measured(module: ConnectModule, case: Any, path: Any, energy: Vector) -> tu
     return max(max_norm(errors.ravel()), max_norm(end)), cost, arrival
 
 
-def _names(metadata: Mapping[str, Any], count: int) -> dict[str, tuple[str, ...]]:
+def particle_names(metadata: Mapping[str, Any], count: int) -> dict[str, tuple[str, ...]]:
+    """The names of the columns of arrays, coordinates of one particle after the other."""
     groups = {"q": metadata["coordinates"], "p": metadata["rates"], "u": ()}
     return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
 

@@ -9,7 +9,7 @@ from numbers import Real
 from typing import Any
 
 from codegen.errors import ArgumentError
-from codegen.interfaces import is_of_particles
+from codegen.interfaces import is_connect, is_of_particles
 from codegen.solutions.segments import segments_of
 
 
@@ -54,5 +54,6 @@ def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
 
 
 def _keywords(module: Any) -> list[str]:
-    arguments = inspect.signature(module.make_grid).parameters.values()
+    maker = module.make_case if is_connect(module) else module.make_grid
+    arguments = inspect.signature(maker).parameters.values()
     return [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]

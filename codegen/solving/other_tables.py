@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError, TableError
-from codegen.interfaces import GeneratedModule, Vector
+from codegen.interfaces import GeneratedModule, Vector, is_connect
 from codegen.tables.files import read_table
 
 
@@ -28,10 +28,11 @@ def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None)
 
 
 def with_arguments(module: Any, **given: Any) -> Any:
-    """The module with arguments given to whatever makes its grids."""
+    """The module with arguments given to whatever makes its grids, or its cases."""
     other = ModuleType(getattr(module, "__name__", "generated"))
     other.__dict__.update(vars(module))
-    other.__dict__.update({name: partial(getattr(module, name), **given) for name in ("make_grid", "solve")})
+    makers = ("make_case", "solve") if is_connect(module) else ("make_grid", "solve")
+    other.__dict__.update({name: partial(getattr(module, name), **given) for name in makers})
     return other
 
 

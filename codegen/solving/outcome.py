@@ -86,7 +86,7 @@ def outcome_of(
     load_seconds = time.perf_counter() - begin
     values = dict(request.parameters or {})
     module = with_values(with_observations(with_tables(module, request.tables), request.observations), values)
-    driver, warm, points = request.driver_for(module), start(module), _points(request, module)
+    driver, warm, points = request.driver_for(module), start(module), points_of(request, module)
     if request.sensitivities:
         require_sensitive(module)
     said: list[str] = []
@@ -177,7 +177,7 @@ def _looser(run: Run) -> float:
     return min(LARGEST_TOLERANCE, 100.0 * (run.tolerance or LARGEST_TOLERANCE))
 
 
-def _points(request: Request, module: GeneratedModule) -> PointSet | None:
+def points_of(request: Request, module: GeneratedModule) -> PointSet | None:
     """The points that are given, or those of the problem file, where there are any."""
     file, own = request.points, module.metadata.get("points")
     if file is None and own and not request.is_built:

@@ -15,7 +15,7 @@ import numpy as np
 from codegen.drivers import find
 from codegen.engines.tally import SOLVED
 from codegen.errors import CodegenError, one_line
-from codegen.interfaces import Vector
+from codegen.interfaces import Vector, is_connect
 from codegen.solutions.result import Outline, Run
 from codegen.solutions.segments import segments_of
 from codegen.solving.other_tables import with_arguments
@@ -105,6 +105,8 @@ class Varied:
     def given(self, values: Mapping[Quantity, float]) -> Any:
         """The module with the values of a case, until those of the next one are given."""
         given = given_to(values)
+        if is_connect(self.module):
+            return with_arguments(self.module, **given)
         self._own.make_grid = _Remembered(partial(self.module.make_grid, **given))  # the guess and the verdict ask
         self._own.solve = partial(self.module.solve, **given)
         return self._own
@@ -133,7 +135,6 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
     """
     own, outline = varied.given(values), varied.task.outline
     steps = steps_of(own, next((int(v) for quantity, v in values.items() if quantity.kind == STEPS), varied.run.steps))
-    assert outline is not None, "what cannot be swept was refused"
     try:
         begin = time.perf_counter()
         run = _run(varied, own, steps, start, values)

@@ -22,8 +22,9 @@ MOST = 4096
 """The most cases of a chunk: finding neighbours takes time in proportion to their square."""
 OVERHEAD = 3e-4
 """Seconds that a case takes beside its iterations."""
-CONTROL_RATE, SIMULATE_RATE = 1.6e-8, 3e-7
-"""Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state."""
+CONTROL_RATE, SIMULATE_RATE, CONNECT_RATE = 1.6e-8, 3e-7, 5e-9
+"""Seconds per iteration, interval and square of the unknowns on it; of a simulation per step and number of a state; of
+particles that are connected per iteration, step and square of all coordinates."""
 RATES = 5
 """As many iterations take as long as the sensitivities of a case."""
 SLOWER = 50.0
@@ -108,6 +109,9 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
         width = len(metadata["node"]) + len(metadata["interval"])
         intervals = run.steps * metadata["bodies"] * metadata.get("phases", 1)
         seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
+    elif task.name == "connect":
+        assert run.points is not None, "there are points to connect"
+        seconds = CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
     else:
         seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata["coordinates"])
     return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))

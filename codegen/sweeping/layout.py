@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
 from codegen.interfaces import Matrix, few_steps
+from codegen.solutions.connect import particle_names
 from codegen.solutions.result import component_names
 from codegen.solutions.segments import multiplier_names, segments_of
 from codegen.tasks import task_of
@@ -69,9 +70,15 @@ class Shapes:
         return self.parts * (steps // self.every)
 
 
-def shapes_of(module: Any, every: int, sensitivities: bool = False) -> Shapes:
-    """The arrays of a module, read from it without solving; with derivatives, if `sensitivities` are wanted."""
+def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: int = 0) -> Shapes:
+    """The arrays of a module, read from it without solving; with derivatives, if `sensitivities` are wanted.
+
+    `particles` are those that are connected.
+    """
     metadata, task = module.metadata, task_of(module)
+    if task.name == "connect":
+        own = {name: words for name, words in particle_names(metadata, particles).items() if words}
+        return Shapes(dict.fromkeys(("t", "q", "p", "energy"), "node"), own, 1, 0, 1, metadata["steps"])
     names, segments = component_names(metadata), segments_of(metadata)
     rows: dict[str, str | int] = {"t": "node", "q": "node", "p": "node"}
     columns = {name: names[name] for name in ("q", "p", "u") if names[name]}

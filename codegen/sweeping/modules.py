@@ -7,7 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from codegen import compiler, loading
 from codegen.drivers import DRIVERS
@@ -16,12 +18,15 @@ from codegen.errors import ArgumentError, CodegenError
 from codegen.machine_code import ahead_of_time
 from codegen.solutions.given_values import require_apart_from_delays
 from codegen.solutions.sensitivities import require_sensitive
+from codegen.solving.outcome import points_of
 from codegen.solving.request import Request
 from codegen.sweeping.case import Variant
 from codegen.sweeping.cases import Cases
-from codegen.sweeping.layout import shapes_of
+from codegen.sweeping.layout import Shapes, shapes_of
 from codegen.sweeping.quantities import STEPS, Quantity, as_argument, quantities, require_fitting
-from codegen.tasks import task_of
+
+if TYPE_CHECKING:
+    from codegen.author.points import PointSet
 
 MOST = 100
 """The most modules of a sweep: each takes seconds to derive and compile."""
@@ -31,7 +36,7 @@ MOST = 100
 class Modules:
     """The modules by the texts of the arguments that vary, what varies beside, and lines to be said.
 
-    `first` is the first module that could be derived.
+    `first` is the first module that could be derived; `points` are those to be connected, if any are.
     """
 
     arguments: tuple[str, ...]
@@ -39,6 +44,7 @@ class Modules:
     variants: dict[tuple[str, ...], Variant]
     first: Any
     said: tuple[str, ...]
+    points: PointSet | None = None
 
     @property
     def texts(self) -> Iterator[bytes]:
@@ -77,17 +83,31 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
         derived[key] = module, made
     if not derived:
         raise next(iter(errors.values()))
-    said: list[str] = []
+    points, said = _points(request, [module for module, _ in derived.values()]), list[str]()
     for module, made in derived.values():
         if DRIVERS[request.driver].generated:
             said += ahead_of_time.require(made.path, module, made.written, working)[1]
     variants = {
-        key: Variant(derived[key][1].path, shapes_of(derived[key][0], request.every, request.sensitivities))
+        key: Variant(derived[key][1].path, _shapes(request, derived[key][0], points))
         if key in derived
         else Variant(None, None, str(errors[key]))
         for key in combinations
     }
-    return Modules(names, varied, variants, next(iter(derived.values()))[0], tuple(said))
+    return Modules(names, varied, variants, next(iter(derived.values()))[0], tuple(said), points)
+
+
+def _points(request: Request, modules: Sequence[Any]) -> PointSet | None:
+    """The points that all cases connect; ArgumentError where an argument of problem() decides on them."""
+    first, *others = (points_of(request, module) for module in modules)
+    for other in others:
+        if first is not None and other is not None and not np.array_equal(first.table, other.table):
+            raise ArgumentError("the points differ among values of an argument", "sweep over each value by itself")
+    return first
+
+
+def _shapes(request: Request, module: Any, points: PointSet | None) -> Shapes:
+    """The arrays of a module."""
+    return shapes_of(module, request.every, request.sensitivities, 0 if points is None else len(points.start))
 
 
 def _derived(request: Request, arguments: dict[str, str]) -> tuple[Any, compiler.Build]:
@@ -101,9 +121,6 @@ def _derived(request: Request, arguments: dict[str, str]) -> tuple[Any, compiler
 
 def _fitting(request: Request, cases: Cases, module: Any, arguments: Sequence[str]) -> tuple[Quantity, ...]:
     """What varies, if a module can be swept, takes all options, and names and values mean something to it."""
-    if task_of(module).outline is None:
-        remedy = "sweep a simulation or an optimisation; codegen warp registers many pairs of images"
-        raise ArgumentError(f"particles that are connected cannot be swept ({module.metadata['problem']})", remedy)
     request.driver_for(module)
     if request.sensitivities:
         require_sensitive(module)
@@ -122,8 +139,9 @@ def _built(request: Request, cases: Cases) -> Modules:
         module = loading.load(request.problem)
     varied = _fitting(request, cases, module, ())
     file = getattr(module, "__file__", None)
-    variant = Variant(Path(file) if file else None, shapes_of(module, request.every, request.sensitivities))
-    return Modules((), varied, {(): variant}, module, ())
+    points = _points(request, [module])
+    variant = Variant(Path(file) if file else None, _shapes(request, module, points))
+    return Modules((), varied, {(): variant}, module, (), points)
 
 
 def _combinations(names: Sequence[str], cases: Cases) -> list[tuple[str, ...]]:

@@ -166,7 +166,7 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     most = steps or max(own.steps for own in shapes)
     run = Run(
         most, solve.every, tolerance=solve.tolerance, max_iterations=solve.max_iterations, scaling=solve.scaling,
-        time_limit=np.inf if solve.time_limit is None else solve.time_limit,
+        time_limit=np.inf if solve.time_limit is None else solve.time_limit, points=modules.points,
     )  # fmt: skip
     require_memory(task.numbers(module.metadata, run), most)
     has_jumps = task.name == "control" and cases.is_grid
@@ -243,7 +243,7 @@ def _text(solve: Request) -> str:
 
 def _options(request: SweepRequest) -> str:
     """The options of the solve that all cases share, as JSON."""
-    names = {name: "method" if name == "formulation" else name for name in OPTIONS}
+    names = {name: "method" if name == "formulation" else name for name in OPTIONS if name != "points"}
     given = {name: getattr(request.solve, field) for name, field in names.items()}
     return json.dumps(
         {name: dict(value) if name == "arguments" else value for name, value in given.items()}, default=str
@@ -258,6 +258,8 @@ def _digest(request: SweepRequest, modules: Modules, work: Work) -> str:
         *modules.texts, versions()["codegen"].encode(), _options(request).encode(), repr(work.warm_starts).encode(),
         repr((cases.dims, cases.shape, dict(cases.axes), tuple(work.layout.dims))).encode(),
     ]  # fmt: skip
+    if modules.points is not None:
+        parts.append(np.ascontiguousarray(modules.points.table).tobytes())
     for name, column in cases.columns.items():
         parts += [name.encode(), column.dtype.str.encode(), np.ascontiguousarray(column).tobytes()]
     for part in parts:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 STORES, FILES = (".zarr",), (".nc",)
 OPTIONS = (
     "driver", "arguments", "scheme", "formulation", "controls", "steps", "every", "tolerance", "max_iterations",
-    "time_limit", "scaling", "sensitivities",
+    "time_limit", "scaling", "sensitivities", "points",
 )  # fmt: skip
 """Options of a solve that all cases share."""
 

@@ -6,7 +6,6 @@ import sys
 
 import pytest
 from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
-from conftest import PROBLEMS
 
 import codegen
 from codegen.errors import ArgumentError, ExtraError, NumericsError
@@ -73,11 +72,6 @@ def test_malformed_command_lines(folder, words, fragment):
     assert_refused(run(*[files.get(word, word) for word in words.split()]), fragment)
     assert contents(folder) == before
     assert {path.name for path in folder.iterdir()} == {"old.zarr", "old.nc", "ragged.csv"}
-
-
-def test_particles_that_are_connected_are_refused():
-    with pytest.raises(ArgumentError, match="cannot be swept"):
-        codegen.sweep(PROBLEMS / "image_registration.py", {"duration": [1.0, 2.0]})
 
 
 @pytest.mark.parametrize("library", ["xarray", "zarr"])
