@@ -10,11 +10,13 @@ from golden import ROOT, text_of
 from numba import typeof
 from sympy import exp, log
 
+from codegen import loading
 from codegen.compiler import build
 from codegen.lower.printer import stabilised
 from codegen.machine_code.compilation import compile_all
 from codegen.machine_code.parts import small_case
 from codegen.registration.solver import arguments_of, problem_file
+from codegen.tasks import task_of
 
 
 def recorded(text: str, name: str) -> tuple[types.ModuleType, set[tuple[str, tuple[str, ...]]]]:
@@ -112,3 +114,11 @@ def test_only_differences_of_exponentials_are_rewritten():
     assert stabilised(z + y * (exp(x) - 1)) == z + y * expm1
     assert stabilised(y * exp(x) + z) == y * exp(x) + z
     assert stabilised(log(1 + x)).func.__name__ == "log1p"
+
+
+@pytest.mark.parametrize("choices", [{}, {"passive": "True"}], ids=["points alone", "points that are carried along"])
+def test_what_a_registration_compiles_is_known_with_and_without_points_that_are_carried_along(choices, uncompiled):
+    module = loading.load(build(ROOT / "problems" / "image_registration.py", choices).path)
+    calls = task_of(module).parts(module)
+    assert len(calls) >= 2
+    assert all(map(callable, calls))
