@@ -8,9 +8,12 @@ from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
-from codegen.errors import ArgumentError
-from codegen.interfaces import is_connect, is_of_particles
+from codegen.errors import ArgumentError, clause
+from codegen.interfaces import is_connect, is_of_particles, is_simulation
 from codegen.solutions.segments import segments_of
+
+START = "start."
+"""What names of prescribed values at the start begin with."""
 
 
 def as_number(value: Any) -> float:
@@ -25,7 +28,7 @@ def as_number(value: Any) -> float:
 
 def parameter_arguments(module: Any) -> dict[str, str]:
     """The arguments of a module's functions by the names of parameters, which they may not have in Python."""
-    # Where particles begin, and what each of them has for itself, comes first.
+    # Where particles begin, or sigma of their targets, and what each of them has for itself, come first.
     before = 1 + len(module.metadata["own"]) if is_of_particles(module) else 0
     return dict(zip(module.metadata["parameters"], _keywords(module)[before:], strict=False))
 
@@ -37,9 +40,24 @@ def duration_arguments(module: Any) -> tuple[str, ...]:
 
 
 def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
-    """Prescribed values by names such as `end.x`: which end, and the name that the module's functions know."""
+    """Prescribed values by names such as `end.x`: which end, and the name that the module's functions know.
+
+    Of a simulation these are all values that it starts from; particles have none, since they start from an array.
+    """
+    if is_simulation(module):
+        return {f"{START}{name}": ("start", name) for name in module.metadata.get("start", ())}
     ends = [entry.split(" ", 1) for entry in module.metadata.get("boundary", ())]
     return {f"{end}.{name}": (end, name) for end, name in ends}
+
+
+def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
+    """Refuse, as an ArgumentError, names of what particles start from: an array, which has no value for each name."""
+    if not (is_simulation(module) and is_of_particles(module)):
+        return
+    for name in names:
+        if name.startswith(START):
+            finding = clause(f"{module.metadata['problem']} has no {name}: its particles start from an array")
+            raise ArgumentError(finding, "call solve(start=...) of its module, which takes all positions and momenta")
 
 
 def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:

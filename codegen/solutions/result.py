@@ -237,9 +237,9 @@ class Result(Display):
         return self.sensitivity
 
     def unit_of(self, entry: str) -> str:
-        """The unit of an entry of the summary, as far as it is known; nothing for others."""
+        """The unit of an entry of the summary, or of a value such as `start.x`, as far as it is known; else nothing."""
         of_time = {"duration": "t", "energy_drift": "energy", "energy_change": "energy"}
-        name = of_time.get(entry, entry.removeprefix("final_"))
+        name = of_time.get(entry, entry.removeprefix("final_").removeprefix("start.").removeprefix("end."))
         return self.units.get(name, "")
 
     def label(self, entry: str) -> str:

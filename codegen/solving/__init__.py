@@ -42,8 +42,9 @@ def solve(*positional: Any, **options: Any) -> Result:
     - `steps`: the number of intervals N; by default the problem's own;
     - `repeat`: the time is the least of so many solves, of which those that compile are not counted;
     - `parameters`: a dict of values, by name, in place of those that the problem gives its parameters, a `duration`
-      that is given, and in an optimisation prescribed ends, as in `{"m": 2.0, "duration": 3.0, "end.x": 1.0}`; nothing
-      is built anew. Particles that are connected have none.
+      that is given, prescribed ends of an optimisation and the start of a simulation, as in
+      `{"m": 2.0, "duration": 3.0, "start.x": 1.0}`; nothing is built anew. Particles start from an array, which has no
+      names, and those that are connected have no such values at all.
 
     For problems with tables, `tables` maps their names to other files of the same columns, with as many breakpoints;
     nothing is built anew. For problems with measurements `observations` are others in the same columns, any number of

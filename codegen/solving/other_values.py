@@ -12,13 +12,14 @@ from codegen.solutions.given_values import (
     duration_arguments,
     parameter_arguments,
     prescribed_ends,
+    require_apart_from_arrays,
     require_apart_from_delays,
 )
 from codegen.solving.other_tables import with_arguments
 
 
 def with_values(module: Any, values: Mapping[str, float]) -> Any:
-    """The module with other values of parameters, of given durations, and of prescribed ends (`end.x`), by name.
+    """The module with other values of parameters, of given durations, and of prescribed ends (`start.x`), by name.
 
     Raises ArgumentError for a name that is none of them, and NumericsError for values that no grid can have.
     """
@@ -26,6 +27,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
         return module
     known = {} if is_connect(module) else _known(module)
     require_apart_from_delays(module, values)
+    require_apart_from_arrays(module, values)
     given: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:

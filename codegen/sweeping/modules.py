@@ -16,7 +16,7 @@ from codegen.drivers import DRIVERS
 from codegen.engines.team import Working
 from codegen.errors import ArgumentError, CodegenError
 from codegen.machine_code import ahead_of_time
-from codegen.solutions.given_values import require_apart_from_delays
+from codegen.solutions.given_values import require_apart_from_arrays, require_apart_from_delays
 from codegen.solutions.sensitivities import require_sensitive
 from codegen.solving.outcome import points_of
 from codegen.solving.request import Request
@@ -124,7 +124,9 @@ def _fitting(request: Request, cases: Cases, module: Any, arguments: Sequence[st
     request.driver_for(module)
     if request.sensitivities:
         require_sensitive(module)
-    require_apart_from_delays(module, (name for name in cases.columns if name not in arguments))
+    others = [name for name in cases.columns if name not in arguments]
+    require_apart_from_delays(module, others)
+    require_apart_from_arrays(module, others)
     varied = quantities(cases.columns, module, arguments)
     require_fitting(varied, cases.columns)
     if request.steps is not None and any(quantity.kind == STEPS for quantity in varied):

@@ -8,6 +8,7 @@ import pickle
 
 import pytest
 from command_lines import run
+from conftest import PROBLEMS
 from sympy import cos, sin
 
 import codegen
@@ -70,6 +71,37 @@ def test_a_simulation_takes_parameters_and_a_duration():
     assert motion.q[-1, 0] == pytest.approx(-0.1, abs=1e-6)
     axes = motion.plot().figure.axes[0]
     assert axes.get_ylim()[0] < -4.0, "the drawing has the length that was given"
+
+
+def test_a_simulation_starts_elsewhere():
+    """The midpoint rule turns an oscillator by 2 atan(h w/2) in a step."""
+    x, dx = codegen.coordinate("x", unit="m")
+    (w,) = codegen.parameters(w=(2, "1/s"))
+    system = codegen.Simulate(lagrangian=dx**2 / 2 - w**2 * x**2 / 2, start={x: 1, dx: 0}, duration=1, steps=50)
+    values = {"start.x": 3, "start.dx": -1.0, "w": 1.5}
+    motion = codegen.solve(system, parameters=values)
+    angle = 50 * 2.0 * math.atan(1.5 / 100)
+    assert motion.solved
+    assert motion.q[-1, 0] == pytest.approx(3 * math.cos(angle) - math.sin(angle) / 1.5, abs=1e-11)
+    assert motion.p[-1, 0] == pytest.approx(-4.5 * math.sin(angle) - math.cos(angle), abs=1e-11)
+    assert motion.parameters == values
+    assert "start.x = 3 m, start.dx = -1 m/s, w = 1.5 1/s" in motion._repr_html_()
+
+
+def test_a_simulation_in_phase_space_starts_with_other_momenta():
+    """At the top of its swing a pendulum of energy E has 1 - cos q = 1 + E."""
+    q, p = codegen.canonical_pair("q", "p")
+    system = codegen.Simulate(hamiltonian=p**2 / 2 - cos(q), duration=60, start={q: 0, p: 1.4}, steps=6000)
+    for momentum in (0.5, 1.9):
+        motion = codegen.solve(system, parameters={"start.p": momentum})
+        assert motion.q.max() == pytest.approx(2 * math.asin(momentum / 2), abs=1e-4)
+    with pytest.raises(ArgumentError, match=r"has no parameter start\.dp; did you mean start\.p\?"):
+        codegen.solve(system, parameters={"start.dp": 1})
+
+
+def test_particles_start_from_an_array():
+    with pytest.raises(ArgumentError, match=r"lennard_jones has no start\.x: its particles start from an array"):
+        codegen.solve(PROBLEMS / "lennard_jones.py", parameters={"start.x": 1})
 
 
 def test_a_solution_tells_of_them_in_tables_and_pickles(push):
