@@ -191,7 +191,7 @@ def _kept(names: str) -> tuple[str, ...]:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
-    from codegen.engines.tally import table_of
+    from codegen.engines.tally import counted, table_of
     from codegen.solutions.output import as_json
 
     for line in outcome.said:
@@ -201,12 +201,18 @@ def _tell(outcome: Any, json: bool) -> None:
         typer.echo(as_json(outcome.record))
     else:
         console().print(table_of(tally))
-        console().print(f"{tally.cases} cases in {outcome.seconds:.3g} s: {outcome.out}", markup=False)
+        new = counted(tally.cases - outcome.before, "case")
+        there = f", {outcome.before} of {tally.cases} were there already" if outcome.before else ""
+        console().print(f"{new} in {outcome.seconds:.3g} s{there}: {outcome.out}", markup=False)
     if tally.improved:
-        typer.echo(f"{tally.improved} cases were improved from neighbours beyond a jump of the cost", err=True)
+        were = "was" if tally.improved == 1 else "were"
+        cases = counted(tally.improved, "case")
+        typer.echo(f"{cases} {were} improved from neighbours beyond a jump of the cost", err=True)
     if tally.jumps:
-        typer.echo(f"{tally.jumps} jumps of the cost remain: where jump is 1, a neighbour is better", err=True)
+        remain = "remains" if tally.jumps == 1 else "remain"
+        text = f"{counted(tally.jumps, 'jump')} of the cost {remain}: where jump is 1, a neighbour is better"
+        typer.echo(text, err=True)
     if tally.failed:
-        number = tally.cases - tally.solved
-        message = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
+        cases = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
+        message = f"codegen: {cases} failed; see status and message in {outcome.out}"
         typer.echo(message + on_statuses(*tally.failed), err=True)
