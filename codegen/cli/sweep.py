@@ -38,7 +38,12 @@ Samples = Annotated[
     typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
 ]
 CasesOf = Annotated[
-    str | None, typer.Option(metavar="FILE.csv or N", help="A table with a row for each case; of samples how many.")
+    str | None,
+    typer.Option(
+        metavar="FILE.csv or N",
+        help="A table with a row for each case; of samples how many. [default: 1000 samples]",
+        show_default=False,
+    ),
 ]
 Sampling = Annotated[str, typer.Option(help="Of samples: random, latin or sobol.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of samples.")]

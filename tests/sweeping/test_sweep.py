@@ -184,7 +184,7 @@ class TestFailures:
         assert done.stderr == f"{told}{on_statuses(UNUSABLE)}\n"
         table = run("sweep", ORBIT, "--vary", "r1=5.9,-6,6", "--steps", 20, "--out", "s.nc", "--workers", 1)
         assert UNUSABLE in table.stdout
-        assert "math domain error" in table.stdout
+        assert "math domain error (r1 = -6)" in table.stdout
 
 
 class TestWorkers:

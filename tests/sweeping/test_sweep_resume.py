@@ -111,3 +111,9 @@ def test_chunks_that_the_journal_does_not_note_may_lack_files(folder):
     (folder / "s.zarr/q/c/3/0/0").unlink()
     assert run(*WORDS, "--resume").exit_code == 1
     assert not xarray.open_zarr("s.zarr", chunks=None).q.isel(r1=3).isnull().any()
+
+
+def test_one_case_is_one_case(folder):
+    done = run("sweep", ORBIT, "--vary", "r1=-6", "--steps", 20, "--out", "s.zarr", "--workers", 1)
+    assert "\n1 case in " in done.stdout
+    assert done.stderr.startswith("codegen: 1 of 1 case failed; ")
