@@ -244,7 +244,8 @@ def _table_of(path: Path) -> Cases:
     for name, column in found.columns.items():
         if column.dtype.kind == "f" and not np.isfinite(column).all():
             row = int(np.argmin(np.isfinite(column)))
-            raise ArgumentError(clause(f"{found.origin(row)}{name} is not finite ({column[row]})"), "give finite numbers")
+            finding = f"{found.origin(row)}{name} is not finite ({column[row]})"
+            raise ArgumentError(clause(finding), "give finite numbers")
     return found
 
 

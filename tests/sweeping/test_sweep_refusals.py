@@ -45,7 +45,7 @@ LINES = {
     "cases-not-finite": ("sweep O --cases nan.csv --out s.zarr", "nan.csv:3: m is not finite"),
     "normal-of-one": ("sweep O --sample r1=normal(1) --out s.zarr", "; write normal(mean, deviation)"),
     "lognorm-of-none": ("sweep O --sample r1=lognorm() --out s.zarr", "; write lognorm(s, loc=0, scale=1)"),
-    "set-of-a-parameter": ("sweep O --set m=90 --vary r1=5,6 --out s.zarr", "solve --parameter m=90, or sweep --vary m=90"),
+    "set-of-a-parameter": ("sweep O --set m=90 --vary r1=5,6 --out s.zarr", "--parameter m=90, or sweep --vary m=90"),
     "zip-one-value": ("sweep O --vary r1=5 --vary m=1,2 --zip r1,m --out s.zarr", "r1 has 1 value, m has 2"),
     "duration-with-delays": ("sweep D --vary duration=1,2 --out s.zarr", "has delays"),
     "duration-not-offered": ("sweep D --vary durations=1,2 --out s.zarr", "has steps, start.q_1, start.dq_1, m, k"),
