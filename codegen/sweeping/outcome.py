@@ -34,7 +34,7 @@ from codegen.sweeping.modules import Modules, modules_of
 from codegen.sweeping.quantities import STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
 from codegen.sweeping.store import Store
-from codegen.sweeping.unfinished import resumable
+from codegen.sweeping.unfinished import only_sweep, resumable
 from codegen.sweeping.work import Rows, Work
 from codegen.tasks import task_of
 
@@ -118,22 +118,23 @@ def _into_store(
     """Chunk after chunk into a store that is laid out before, or was begun before; how many cases were there then."""
     assert request.out is not None, "a store has a place"
     digest, place = _digest(request, modules, work), Store(request.out.absolute())
-    was_begun = request.resume and request.out.exists()
-    if was_begun:
-        journal = store.resumed(request.out, frame, digest)
-    else:
-        journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, team)), digest)
-    left = [number for number in range(journal.chunks.number) if number not in journal.finished]
-    before = sum(journal.finished.values(), Tally())
-    keep: Callable[[int, Done], None] = lambda number, done: journal.add(number, done.tally)  # noqa: E731
-    with resumable(request.out, journal):
-        if was_begun and left:
-            _tried(work, team)
-        work = replace(work, chunks=journal.chunks, sink=place)
-        tally = team.do(work, left, work.cases.number, before, keep)
-        if _is_cut(work):
-            tally = _marked(work, tally, place.read("cost"), place.write, team)
-    return tally, before.cases, place.dataset
+    with only_sweep(request.out):
+        was_begun = request.resume and request.out.exists()
+        if was_begun:
+            journal = store.resumed(request.out, frame, digest)
+        else:
+            journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, team)), digest)
+        left = [number for number in range(journal.chunks.number) if number not in journal.finished]
+        before = sum(journal.finished.values(), Tally())
+        keep: Callable[[int, Done], None] = lambda number, done: journal.add(number, done.tally)  # noqa: E731
+        with resumable(request.out, journal):
+            if was_begun and left:
+                _tried(work, team)
+            work = replace(work, chunks=journal.chunks, sink=place)
+            tally = team.do(work, left, work.cases.number, before, keep)
+            if _is_cut(work):
+                tally = _marked(work, tally, place.read("cost"), place.write, team)
+        return tally, before.cases, place.dataset
 
 
 def _is_cut(work: Work) -> bool:

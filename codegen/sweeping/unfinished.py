@@ -1,17 +1,27 @@
-"""What is said of a store whose sweep ends before its last case: how many are in it, and how the rest is done."""
+"""Stores that are not full: one sweep fills one at a time, and if it ends it says how many cases are there.
+
+Another one does the rest, with `--resume`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from codegen.errors import ClusterError, FileError, Interrupted
+from codegen.engines.machines import only_one
+from codegen.errors import ArgumentError, ClusterError, FileError, Interrupted
 from codegen.sweeping import journal
 from codegen.sweeping.journal import SweepJournal
 
 _REST = "--resume does the rest"
+
+
+def only_sweep(out: Path) -> AbstractContextManager[None]:
+    """Refuse, as an ArgumentError, a store that another process of this machine fills at this time."""
+    remedy = "wait until it ends, or choose another name"
+    return only_one(str(out.resolve()), ArgumentError(f"--out {out}: another process is at work on it", remedy))
 
 
 @contextmanager
