@@ -8,6 +8,10 @@ INTERRUPTED = "codegen: interrupted; no file was left half written"
 """What a command says when it is interrupted; files are written as a whole or not at all."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """An interrupt of work of which a part stays; its text says how much, and how the rest is done."""
+
+
 def one_line(text: str, limit: int = 1000) -> str:
     """The text without line breaks, cut where it is very long."""
     line = " ".join(text.split())

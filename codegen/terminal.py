@@ -14,15 +14,26 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from codegen.errors import INTERRUPTED, CodegenError, one_line
+from codegen.errors import INTERRUPTED, CodegenError, Interrupted, one_line
 from codegen.files import is_refusal, refused
 
 FILE_WIDTH = 120
 """Characters of a line where the output is no terminal."""
 
 
+class _Ended(Exception):
+    """An interrupt that has something to say, of which typer would leave the exit status alone."""
+
+
 class OneLineErrors(TyperGroup):
     """A group of commands whose errors are one line on stderr and an exit status."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; what stays of one that is interrupted is said."""
+        try:
+            return super().invoke(ctx)
+        except Interrupted as error:
+            raise _Ended(str(error)) from error
 
     def main(self, *positional: Any, **options: Any) -> Any:
         """Run and exit."""
@@ -35,6 +46,9 @@ class OneLineErrors(TyperGroup):
             sys.stdout.flush()  # while an error can still be told
             if status == 130:  # which is what typer makes of an interrupt
                 typer.echo(INTERRUPTED, err=True)
+        except _Ended as ended:
+            status = 130
+            typer.echo(f"codegen: {one_line(str(ended))}", err=True)
         except Exception as error:
             status, text = _described(error)
             typer.echo(f"codegen: error: {text}", err=True)

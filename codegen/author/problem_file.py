@@ -16,7 +16,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, cast
@@ -276,5 +276,17 @@ def _keywords(path: Path, function: Callable[..., Any], arguments: Mapping[str, 
             close = difflib.get_close_matches(name, known, n=1)
             remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
             remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
+            if _is_parameter(function, name):
+                given = f"{name}={arguments[name]}"
+                remedy = f"{name} is a parameter: give solve --parameter {given}, or sweep --vary {given}; {remedy}"
             raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
     return {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
+
+
+def _is_parameter(function: Callable[..., Any], name: str) -> bool:
+    """Whether the problem as it is without arguments declares a parameter of that name."""
+    from codegen.author.symbols import Parameter, recorded_declarations
+
+    with recorded_declarations() as declared, suppress(Exception, SystemExit):  # what is wrong is said without --set
+        function()
+    return any(isinstance(symbol, Parameter) and symbol.name == name for symbol in declared)

@@ -38,7 +38,12 @@ Samples = Annotated[
     typer.Option(metavar="NAME=DISTRIBUTION", help='As "m=normal(100, 5)", or any of scipy.stats by name.'),
 ]
 CasesOf = Annotated[
-    str | None, typer.Option(metavar="FILE.csv or N", help="A table with a row for each case; of samples how many.")
+    str | None,
+    typer.Option(
+        metavar="FILE.csv or N",
+        help="A table with a row for each case; of samples how many. [default: 1000 samples]",
+        show_default=False,
+    ),
 ]
 Sampling = Annotated[str, typer.Option(help="Of samples: random, latin or sobol.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of samples.")]
@@ -191,7 +196,7 @@ def _kept(names: str) -> tuple[str, ...]:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
-    from codegen.engines.tally import table_of
+    from codegen.engines.tally import counted, table_of
     from codegen.solutions.output import as_json
 
     for line in outcome.said:
@@ -201,12 +206,18 @@ def _tell(outcome: Any, json: bool) -> None:
         typer.echo(as_json(outcome.record))
     else:
         console().print(table_of(tally))
-        console().print(f"{tally.cases} cases in {outcome.seconds:.3g} s: {outcome.out}", markup=False)
+        new = counted(tally.cases - outcome.before, "case")
+        there = f", {outcome.before} of {tally.cases} were there already" if outcome.before else ""
+        console().print(f"{new} in {outcome.seconds:.3g} s{there}: {outcome.out}", markup=False)
     if tally.improved:
-        typer.echo(f"{tally.improved} cases were improved from neighbours beyond a jump of the cost", err=True)
+        were = "was" if tally.improved == 1 else "were"
+        cases = counted(tally.improved, "case")
+        typer.echo(f"{cases} {were} improved from neighbours beyond a jump of the cost", err=True)
     if tally.jumps:
-        typer.echo(f"{tally.jumps} jumps of the cost remain: where jump is 1, a neighbour is better", err=True)
+        remain = "remains" if tally.jumps == 1 else "remain"
+        text = f"{counted(tally.jumps, 'jump')} of the cost {remain}: where jump is 1, a neighbour is better"
+        typer.echo(text, err=True)
     if tally.failed:
-        number = tally.cases - tally.solved
-        message = f"codegen: {number} of {tally.cases} cases failed; see status and message in {outcome.out}"
+        cases = f"{tally.cases - tally.solved} of {counted(tally.cases, 'case')}"
+        message = f"codegen: {cases} failed; see status and message in {outcome.out}"
         typer.echo(message + on_statuses(*tally.failed), err=True)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from codegen.cache import cache_folder
+from codegen.errors import CodegenError
 from codegen.files import refused
 
 
@@ -57,8 +59,7 @@ def alone(name: str) -> Iterator[None]:
     """One process of this machine after the other, where the system can tell them to wait."""
     folder = workers_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock").open("a") as file:
+        with _lock_file(folder, name) as file:
             with suppress(ImportError, OSError):  # without it all compile, and find the same
                 import fcntl
 
@@ -67,3 +68,34 @@ def alone(name: str) -> Iterator[None]:
     except OSError as error:
         remedy = f"let CODEGEN_CACHE_DIR name a folder that may be written to on {platform.node()}"
         raise refused(error, folder, remedy) from error
+
+
+@contextmanager
+def only_one(name: str, taken: CodegenError) -> Iterator[None]:
+    """One process of this machine, and for others an error; whatever ends a process, its lock ends with it."""
+    try:
+        file = _lock_file(workers_folder(), name)
+    except OSError:  # where nothing can be written to the cache, nobody can be told
+        yield
+        return
+    with file:
+        if _is_locked(file):
+            raise taken
+        yield
+
+
+def _lock_file(folder: Path, name: str) -> TextIO:
+    folder.mkdir(parents=True, exist_ok=True)
+    return (folder / f"{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock").open("a")
+
+
+def _is_locked(file: TextIO) -> bool:
+    """Whether another process has the file; else this one has it now, and its forks do not inherit it."""
+    with suppress(ImportError):
+        import fcntl
+
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:  # others than these come from disks without locks
+            return error.errno in (errno.EACCES, errno.EAGAIN)
+    return False

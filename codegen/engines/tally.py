@@ -70,6 +70,11 @@ class Tally:
         return Tally(counts, messages, float(record["seconds"]), *jumps)
 
 
+def counted(number: int, what: str) -> str:
+    """A number and what is counted, in the singular or the plural."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def table_of(tally: Tally) -> Table:
     """A line for every status, with one of its messages."""
     from rich import box

@@ -39,6 +39,11 @@ def duration_arguments(module: Any) -> tuple[str, ...]:
     return tuple(name for name in _keywords(module) if name.startswith("duration") and name not in of_parameters)
 
 
+def apart_from_delays(module: Any) -> tuple[str, ...]:
+    """The arguments for durations that may have other values: none where delays are parts of them."""
+    return () if segments_of(module.metadata) else duration_arguments(module)
+
+
 def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
     """Prescribed values by names such as `end.x`: which end, and the name that the module's functions know.
 

@@ -9,7 +9,7 @@ from typing import Any
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.interfaces import few_steps, is_connect
 from codegen.solutions.given_values import (
-    duration_arguments,
+    apart_from_delays,
     parameter_arguments,
     prescribed_ends,
     require_apart_from_arrays,
@@ -50,7 +50,7 @@ def _known(module: Any) -> dict[str, tuple[str, str]]:
 
     A parameter comes before a duration or an end of the same name.
     """
-    durations = {name: (name, "") for name in duration_arguments(module)}
+    durations = {name: (name, "") for name in apart_from_delays(module)}
     own = {name: (argument, "") for name, argument in parameter_arguments(module).items()}
     return {**own, **{name: key for name, key in (durations | prescribed_ends(module)).items() if name not in own}}
 

@@ -144,10 +144,16 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
     except CodegenError as error:
         return failed(UNUSABLE, str(error))
     except (ValueError, ArithmeticError) as error:  # modules know nothing of errors of this package
-        return failed(UNUSABLE, f"{UNUSABLE}: {error.args[-1] if error.args else type(error).__name__}")
+        reason = error.args[-1] if error.args else type(error).__name__
+        return failed(UNUSABLE, f"{UNUSABLE}: {reason} ({_told(values)})")
     if varied.wanted is None or not found.is_solved:
         return found
     return replace(found, rates=varied.wanted.of_solution(own, varied.driver, run, attempt, values))
+
+
+def _told(values: Mapping[Quantity, float]) -> str:
+    """What varies, with the values of a case."""
+    return ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
 
 
 def _run(varied: Varied, own: Any, steps: int, start: Start[Attempt] | None, values: Mapping[Quantity, float]) -> Run:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.engines.tally import counted
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
 
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
@@ -30,13 +31,15 @@ class Cases:
     """The varied quantities by name: their values, and the dimension along which each varies.
 
     `columns` has arrays (n,), as long as their dimension; the number of cases is the product of the `shape`, and cases
-    are counted with the last dimension varying fastest.
+    are counted with the last dimension varying fastest. Where they were read from a file, `lines` (n,) tells where.
     """
 
     dims: tuple[str, ...]
     shape: tuple[int, ...]
     columns: Mapping[str, Values]
     axes: Mapping[str, int]
+    file: Path | None = None
+    lines: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
         """Refuse more cases than can be counted out."""
@@ -52,6 +55,10 @@ class Cases:
     def is_grid(self) -> bool:
         """Whether every quantity, or group of them, has a dimension of its own."""
         return self.dims != (CASE,)
+
+    def origin(self, row: int) -> str:
+        """Where a row was read, as the beginning of a message; nothing for cases that are in no file."""
+        return "" if self.lines is None else f"{self.file}:{self.lines[row]}: "
 
     def places(self, indices: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
         """Where the values of some cases stand in the column of each quantity, (n,) for n cases."""
@@ -131,7 +138,7 @@ def _heads(columns: Mapping[str, Values], zipped: Sequence[Sequence[str]]) -> di
             if name in seen:
                 raise ArgumentError(f"--zip names {name} twice", "put all that vary together into one --zip")
             if columns[name].size != columns[group[0]].size:
-                sizes = f"{columns[group[0]].size} values, {name} has {columns[name].size}"
+                sizes = f"{counted(columns[group[0]].size, 'value')}, {name} has {columns[name].size}"
                 raise ArgumentError(f"--zip {words}: {group[0]} has {sizes}", "give as many of both")
             heads[name] = group[0]
         seen.update(group)
@@ -212,21 +219,34 @@ def table(given: Any) -> Cases:
     Raises ArgumentError, naming the file and the line, for what is no such table.
     """
     if isinstance(given, str | Path):
-        columns = {name: _column(words) for name, words in _read(Path(given)).items()}
-        what = str(given)
-    elif hasattr(given, "keys"):
-        columns, what = {str(name): np.asarray(given[name]) for name in given.keys()}, "cases"  # noqa: SIM118  of pandas
+        return _table_of(Path(given))
+    if hasattr(given, "keys"):
+        columns = {str(name): np.asarray(given[name]) for name in given.keys()}  # noqa: SIM118  of pandas
     else:
         raise ArgumentError(
             f"cases are {clause(repr(given))}", "give a file, a mapping of names to columns, or a number"
         )
     if not columns:
-        raise ArgumentError(f"{what}: there are no columns", "name the varied quantities in the first line")
-    checked = {name: values_of(f"{what}: {name}", values) for name, values in columns.items()}
+        raise ArgumentError("cases: there are no columns", "give a column for each varied quantity")
+    checked = {name: values_of(f"cases: {name}", values) for name, values in columns.items()}
     sizes = {values.size for values in checked.values()}
     if len(sizes) > 1:
-        raise ArgumentError(f"{what}: columns of different lengths", "give a row for each case")
+        raise ArgumentError("cases: columns of different lengths", "give a row for each case")
     return as_rows(checked, sizes.pop())
+
+
+def _table_of(path: Path) -> Cases:
+    """The cases of a file, which know their lines."""
+    words, lines = _read(path)
+    if not words:
+        raise ArgumentError(f"{path}: there are no columns", "name the varied quantities in the first line")
+    found = replace(as_rows({name: _column(own) for name, own in words.items()}, lines.size), file=path, lines=lines)
+    for name, column in found.columns.items():
+        if column.dtype.kind == "f" and not np.isfinite(column).all():
+            row = int(np.argmin(np.isfinite(column)))
+            finding = f"{found.origin(row)}{name} is not finite ({column[row]})"
+            raise ArgumentError(clause(finding), "give finite numbers")
+    return found
 
 
 def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
@@ -234,8 +254,8 @@ def as_rows(columns: Mapping[str, Values], number: int) -> Cases:
     return Cases((CASE,), (number,), columns, dict.fromkeys(columns, 0))
 
 
-def _read(path: Path) -> dict[str, list[str]]:
-    """The columns of a file, as text."""
+def _read(path: Path) -> tuple[dict[str, list[str]], NDArray[np.intp]]:
+    """The columns of a file, as text, and the lines of its rows."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             return _columns(path, csv.reader(file, skipinitialspace=True))
@@ -244,19 +264,22 @@ def _read(path: Path) -> dict[str, list[str]]:
         raise ArgumentError(f"--cases {path} cannot be read ({reason})", "give a table as text") from None
 
 
-def _columns(path: Path, lines: Iterable[Sequence[str]]) -> dict[str, list[str]]:
+def _columns(path: Path, lines: Iterable[Sequence[str]]) -> tuple[dict[str, list[str]], NDArray[np.intp]]:
     rows = ((number, [word.strip() for word in line]) for number, line in enumerate(lines, start=1) if line)
     _, names = next(rows, (1, []))
     if not all(names) or len(set(names)) < len(names):
         finding = f"{path}:1: the names {clause(','.join(names))} are missing in parts, or twice there"
         raise ArgumentError(finding, "name each varied quantity once in the first line")
     columns: dict[str, list[str]] = {name: [] for name in names}
+    numbers = list[int]()
     for number, words in rows:
         if len(words) != len(names) or not all(words):
-            finding = f"{path}:{number}: {sum(map(bool, words))} values for {len(names)} names"
+            there = counted(sum(map(bool, words)), "value")
+            finding = f"{path}:{number}: {there} for {counted(len(names), 'name')}"
             raise ArgumentError(finding, "give a value for every name")
+        numbers.append(number)
         for name, word in zip(names, words, strict=True):
             columns[name].append(word)
     if names and not columns[names[0]]:
         raise ArgumentError(f"{path} holds no cases", "give a line for each case behind the names")
-    return columns
+    return columns, np.array(numbers, dtype=np.intp)

@@ -22,6 +22,11 @@ class SweepJournal:
     chunks: Chunks
     finished: Mapping[int, Tally]
 
+    @property
+    def digest(self) -> str:
+        """What tells this sweep from others."""
+        return str(self.lines.header["sweep"])
+
     def add(self, number: int, tally: Tally) -> None:
         """Note that a chunk is whole; FileError when the file system refuses."""
         self.lines.add([{"chunk": number, **tally.as_record()}])

@@ -128,7 +128,7 @@ def _fitting(request: Request, cases: Cases, module: Any, arguments: Sequence[st
     require_apart_from_delays(module, others)
     require_apart_from_arrays(module, others)
     varied = quantities(cases.columns, module, arguments)
-    require_fitting(varied, cases.columns)
+    require_fitting(varied, cases)
     if request.steps is not None and any(quantity.kind == STEPS for quantity in varied):
         raise ArgumentError("steps vary and are given by --steps", "leave one of them out")
     return varied

@@ -16,7 +16,7 @@ import numpy as np
 
 from codegen.author.sources import ProblemFile, ProblemObject
 from codegen.engines import connected
-from codegen.engines.tally import Tally
+from codegen.engines.tally import Tally, counted
 from codegen.engines.team import Progress, Team, Working, silent
 from codegen.engines.work import Done
 from codegen.machine import versions
@@ -34,6 +34,7 @@ from codegen.sweeping.modules import Modules, modules_of
 from codegen.sweeping.quantities import STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
 from codegen.sweeping.store import Store
+from codegen.sweeping.unfinished import only_sweep, resumable
 from codegen.sweeping.work import Rows, Work
 from codegen.tasks import task_of
 
@@ -46,9 +47,13 @@ MOST_LOOKED_THROUGH = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class SweepOutcome:
-    """How the cases ended, the seconds that this took, what is to be said, and where the results are."""
+    """How the cases ended, the seconds that this took, what is to be said, and where the results are.
+
+    `before` is how many cases were in the store already, whose solves are not part of the seconds.
+    """
 
     tally: Tally
+    before: int
     seconds: float
     said: tuple[str, ...]
     out: Path | None
@@ -57,9 +62,9 @@ class SweepOutcome:
     @property
     def record(self) -> dict[str, Any]:
         """The JSON object of `--json`."""
-        tally = self.tally
+        tally, before = self.tally, {"before": self.before} if self.before else {}
         return {
-            "cases": tally.cases, "solved": tally.solved, "failed": tally.failed, "seconds": self.seconds,
+            "cases": tally.cases, **before, "solved": tally.solved, "failed": tally.failed, "seconds": self.seconds,
             "out": None if self.out is None else str(self.out), **tally.won,
         }  # fmt: skip
 
@@ -82,15 +87,15 @@ def outcome_of(
         require(frame.outlined())
         finish = _into_store if request.is_store else _into_memory
         team = Team(request.workers, cluster, working, progress)
-        tally, dataset = finish(request, modules, work, frame, team)
+        tally, before, dataset = finish(request, modules, work, frame, team)
     said = (*modules.said, *team.notes)
-    return SweepOutcome(tally, time.perf_counter() - begin, said, request.out, dataset)
+    return SweepOutcome(tally, before, time.perf_counter() - begin, said, request.out, dataset)
 
 
 def _into_memory(
     request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
-) -> tuple[Tally, Callable[[], Dataset]]:
-    """All rows in memory, and then in a file, if there is to be one."""
+) -> tuple[Tally, int, Callable[[], Dataset]]:
+    """All rows in memory, and then in a file, if there is to be one; none were there before."""
     memory = Memory(frame)
     work = replace(work, chunks=_chunks(request, modules, work, _tried(work, team)))
 
@@ -104,29 +109,32 @@ def _into_memory(
     found = memory.dataset()
     if request.out is not None:
         write_netcdf(found, request.out)
-    return tally, lambda: found
+    return tally, 0, lambda: found
 
 
 def _into_store(
     request: SweepRequest, modules: Modules, work: Work, frame: Frame, team: Team
-) -> tuple[Tally, Callable[[], Dataset]]:
-    """Chunk after chunk into a store that is laid out before, or was begun before."""
+) -> tuple[Tally, int, Callable[[], Dataset]]:
+    """Chunk after chunk into a store that is laid out before, or was begun before; how many cases were there then."""
     assert request.out is not None, "a store has a place"
     digest, place = _digest(request, modules, work), Store(request.out.absolute())
-    if request.resume and request.out.exists():
-        journal = store.resumed(request.out, digest)
-        if len(journal.finished) < journal.chunks.number:
-            _tried(work, team)
-    else:
-        journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, team)), digest)
-    work = replace(work, chunks=journal.chunks, sink=place)
-    left = [number for number in range(journal.chunks.number) if number not in journal.finished]
-    before = sum(journal.finished.values(), Tally())
-    keep: Callable[[int, Done], None] = lambda number, done: journal.add(number, done.tally)  # noqa: E731
-    tally = team.do(work, left, work.cases.number, before, keep)
-    if _is_cut(work):
-        tally = _marked(work, tally, place.read("cost"), place.write, team)
-    return tally, place.dataset
+    with only_sweep(request.out):
+        was_begun = request.resume and request.out.exists()
+        if was_begun:
+            journal = store.resumed(request.out, frame, digest)
+        else:
+            journal = store.begun(request.out, frame, _chunks(request, modules, work, _tried(work, team)), digest)
+        left = [number for number in range(journal.chunks.number) if number not in journal.finished]
+        before = sum(journal.finished.values(), Tally())
+        keep: Callable[[int, Done], None] = lambda number, done: journal.add(number, done.tally)  # noqa: E731
+        with resumable(request.out, journal):
+            if was_begun and left:
+                _tried(work, team)
+            work = replace(work, chunks=journal.chunks, sink=place)
+            tally = team.do(work, left, work.cases.number, before, keep)
+            if _is_cut(work):
+                tally = _marked(work, tally, place.read("cost"), place.write, team)
+        return tally, before.cases, place.dataset
 
 
 def _is_cut(work: Work) -> bool:
@@ -150,9 +158,9 @@ def _marked(
         write((slice(None),) * costs.ndim, {"jump": flags})
     jumps = int(flags.sum())
     if between := max(0, jumps - tally.jumps):
-        team.notes[f"codegen: note: {between} jumps of the cost lie between chunks; a larger --chunk may mend them"] = (
-            None
-        )
+        lie, them = ("lies", "it") if between == 1 else ("lie", "them")
+        note = f"{counted(between, 'jump')} of the cost {lie} between chunks; a larger --chunk may mend {them}"
+        team.notes[f"codegen: note: {note}"] = None
     return replace(tally, jumps=jumps)
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.solutions.given_values import duration_arguments, parameter_arguments, prescribed_ends
-from codegen.sweeping.cases import Values
+from codegen.solutions.given_values import apart_from_delays, parameter_arguments, prescribed_ends
+from codegen.sweeping.cases import Cases
 
 STEPS = "steps"
 
@@ -49,19 +49,20 @@ def _known(module: Any, arguments: Sequence[str]) -> list[Quantity]:
     It may do more than set the parameter that is called like it.
     """
     own = [Quantity(name, "parameter", key) for name, key in parameter_arguments(module).items()]
-    times = [Quantity(key, "parameter", key) for key in duration_arguments(module)]
+    times = [Quantity(key, "parameter", key) for key in apart_from_delays(module)]
     values = [Quantity(name, "boundary", " ".join(key)) for name, key in prescribed_ends(module).items()]
     given = [Quantity(name, "argument", name) for name in arguments]
     return [Quantity(STEPS, STEPS, STEPS), *times, *values, *own, *given]
 
 
-def require_fitting(varied: Iterable[Quantity], columns: Mapping[str, Values]) -> None:
+def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
     """Refuse words for numbers, and numbers of intervals that are none."""
     for quantity in varied:
-        column = columns[quantity.name]
+        column = cases.columns[quantity.name]
         if quantity.kind != "argument" and column.dtype.kind == "U":
-            word = next(word for word in column.tolist() if not _is_number(word))
-            raise ArgumentError(clause(f"{quantity.name} takes numbers, not {word!r}"), "give finite numbers")
+            row, word = next((row, word) for row, word in enumerate(column.tolist()) if not _is_number(word))
+            finding = f"{cases.origin(row)}{quantity.name} takes numbers, not {word!r}"
+            raise ArgumentError(clause(finding), "give finite numbers")
         if quantity.kind == STEPS:
             steps = np.asarray(column, dtype=float)
             if not ((steps >= 1.0) & (steps == np.rint(steps)) & (steps < 1e12)).all():

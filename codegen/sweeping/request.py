@@ -5,9 +5,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from codegen.engines.tally import counted
 from codegen.engines.team import team_size
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.solutions.output import require_folder
@@ -78,6 +80,8 @@ def sweep_request(
     _require_known(options)
     if "formulation" in options:
         options["method"] = options.pop("formulation")
+    if not isinstance(out, str | PathLike | None):
+        raise ArgumentError(f"--out {clause(repr(out))} is no path", 'give one, such as "sweep.zarr"')
     place = None if out is None else Path(out)
     if place is not None:
         _require_place(place, resume)
@@ -135,9 +139,8 @@ def _cases(
         return reading.grid(_named(vary, "vary"), zipped), "grid"
     if distributions:
         number = NUMBER if given is None else given
-        return samples(
-            _named(distributions, "samples"), number, method, seed
-        ), f"{number} {method} samples, seed {seed}"
+        made = samples(_named(distributions, "samples"), number, method, seed)
+        return made, f"{counted(number, f'{method} sample')}, seed {seed}"
     if given is None:
         raise ArgumentError("nothing varies", "give --vary, --sample or --cases, as --vary r1=5.5:6.5:101")
     return reading.table(given), "table"

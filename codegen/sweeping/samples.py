@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -108,11 +109,26 @@ def _distribution(name: str, given: Any) -> Any:
     try:
         made = PLAIN[family](*positional, **named) if family in PLAIN else getattr(stats, family)(*positional, **named)
         made.ppf(0.5)
-    except (TypeError, ValueError) as error:
+    except TypeError:  # whose text is about functions of scipy, or of this file
+        form = f"{family}({', '.join(_arguments(family))})"
+        raise ArgumentError(
+            clause(f"--sample {name}={given} has other arguments than {form}"), f"write {form}"
+        ) from None
+    except ValueError as error:
         reason = one_line(str(error), 150)
         remedy = "give its arguments as in normal(mean, deviation), uniform(low, high), or as scipy.stats has them"
         raise ArgumentError(clause(f"--sample {name}={given}: {reason}"), remedy) from None
     return made
+
+
+def _arguments(family: str) -> list[str]:
+    """The names of what a distribution is given."""
+    if family in PLAIN:
+        return list(inspect.signature(PLAIN[family]).parameters)
+    from scipy import stats
+
+    shapes = getattr(getattr(stats, family), "shapes", None) or ""
+    return [*filter(None, (shape.strip() for shape in shapes.split(","))), "loc=0", "scale=1"]
 
 
 def _call(name: str, given: Any) -> tuple[str, list[float], dict[str, float]]:

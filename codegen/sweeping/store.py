@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 DIGEST = "sweep"
 """The attribute that says which sweep a store belongs to."""
+_CONFIG: Any = {"write_empty_chunks": True}
+"""A chunk of cases that failed has its files as well, so that one which is missing was taken away."""
+_INCOMPLETE = "delete the store, or choose another name"
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ def _opened(path: Path, mark: tuple[int, ...], names: tuple[str, ...]) -> dict[s
     import zarr
 
     group: Any = zarr.open_group(path, mode="r+", use_consolidated=False)
-    return {name: group[name] for name in names}
+    return {name: group[name].with_config(_CONFIG) for name in names}
 
 
 def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal:
@@ -96,8 +99,11 @@ def begun(path: Path, frame: Frame, chunks: Chunks, digest: str) -> SweepJournal
     return started
 
 
-def resumed(path: Path, digest: str) -> SweepJournal:
-    """The journal of a store that is there already; ArgumentError where it belongs to another sweep, or is none."""
+def resumed(path: Path, frame: Frame, digest: str) -> SweepJournal:
+    """The journal of a store that is there already.
+
+    ArgumentError where it belongs to another sweep, is none, or lacks something that was written.
+    """
     import zarr
 
     try:
@@ -106,7 +112,27 @@ def resumed(path: Path, digest: str) -> SweepJournal:
         raise ArgumentError(f"--resume: {path} is no store of a sweep", "choose another name") from None
     if attributes.get(DIGEST) != digest:
         raise ArgumentError(f"--resume: {path} is the store of another sweep", journal.ANOTHER)
-    return journal.read(journal_of(path), digest)
+    found = journal.read(journal_of(path), digest)
+    _require_whole(path, frame, found)
+    return found
+
+
+def _require_whole(path: Path, frame: Frame, found: SweepJournal) -> None:
+    """Refuse a store without arrays that it was laid out with, or without chunks that its journal says are whole."""
+    for name, (_, values) in frame.coordinates.items():
+        _require_files(path, name, [(0,)] if values.size else [])
+    places = [tuple(map(int, np.unravel_index(number, found.chunks.counts))) for number in sorted(found.finished)]
+    for name, (_, shape, _) in frame.variables.items():
+        inner = shape[len(found.chunks.block) :]
+        _require_files(path, name, [(*place, *(0 for _ in inner)) for place in places] if 0 not in inner else [])
+
+
+def _require_files(path: Path, name: str, places: list[tuple[int, ...]]) -> None:
+    """Refuse a store that lacks an array, or its chunks at some places."""
+    for file in ("zarr.json", *("/".join(map(str, ("c", *place))) for place in places)):
+        if not (path / name / file).is_file():
+            lacking = f"{name}/{file}" if (path / name).is_dir() else name
+            raise ArgumentError(f"--resume: {path} lacks {lacking}, which was written", _INCOMPLETE)
 
 
 def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
@@ -147,4 +173,5 @@ def _array(
         fill_value=fill,
         compressors=codec,
         dimension_names=dims,
+        config=_CONFIG,
     )

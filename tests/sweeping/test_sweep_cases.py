@@ -87,8 +87,8 @@ class TestTables:
         ("text", "fragment"),
         [
             ("", "missing"), ("r1,m\n", "holds no cases"), ("r1,r1\n1,2\n", "twice"), ("r1,\n1,2\n", ":1:"),
-            ("r1,m\n1,2\n3\n", ":3: 1 values for 2 names"), ("r1,m\n1,2,3\n", ":2:"), ("r1,m\n1,\n", ":2:"),
-            ("r1\nnan\n", "not finite"),
+            ("r1,m\n1,2\n3\n", ":3: 1 value for 2 names"), ("r1,m\n1,2,3\n", ":2:"), ("r1,m\n1,\n", ":2:"),
+            ("r1\nnan\n", ":2: r1 is not finite"),
         ],
     )  # fmt: skip
     def test_what_is_no_table(self, tmp_path, text, fragment):

@@ -9,6 +9,7 @@ from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 
 import codegen
 from codegen.errors import ArgumentError, ExtraError, NumericsError
+from codegen.sweeping.samples import NUMBER
 
 LINES = {
     "nothing-varies": ("sweep O --out s.zarr", "nothing varies"),
@@ -39,6 +40,14 @@ LINES = {
     "cases-zero": ("sweep O --sample m=normal(100,5) --cases 0 --out s.zarr", "0 samples"),
     "cases-missing": ("sweep O --cases nothing.csv --out s.zarr", "nothing.csv"),
     "cases-ragged": ("sweep O --cases ragged.csv --out s.zarr", "ragged.csv:3"),
+    "cases-word": ("sweep O --cases words.csv --out s.zarr", "words.csv:4: r1 takes numbers, not 'abc'"),
+    "cases-not-finite": ("sweep O --cases nan.csv --out s.zarr", "nan.csv:3: m is not finite"),
+    "normal-of-one": ("sweep O --sample r1=normal(1) --out s.zarr", "; write normal(mean, deviation)"),
+    "lognorm-of-none": ("sweep O --sample r1=lognorm() --out s.zarr", "; write lognorm(s, loc=0, scale=1)"),
+    "set-of-a-parameter": ("sweep O --set m=90 --vary r1=5,6 --out s.zarr", "--parameter m=90, or sweep --vary m=90"),
+    "zip-one-value": ("sweep O --vary r1=5 --vary m=1,2 --zip r1,m --out s.zarr", "r1 has 1 value, m has 2"),
+    "duration-with-delays": ("sweep D --vary duration=1,2 --out s.zarr", "has delays"),
+    "duration-not-offered": ("sweep D --vary durations=1,2 --out s.zarr", "has steps, start.q_1, start.dq_1, m, k"),
     "method-unknown": ("sweep O --sample m=normal(100,5) --method hamiltonian --out s.zarr", "--formulation"),
     "formulation-unknown": ("sweep O --vary r1=5:6:3 --formulation lagrangian --out s.zarr", "lagrangian"),
     "seed-negative": ("sweep O --sample m=normal(100,5) --seed -1 --out s.zarr", "--seed"),
@@ -67,11 +76,13 @@ def test_malformed_command_lines(folder, words, fragment):
     (folder / "old.zarr").mkdir()
     (folder / "old.nc").write_text("keep me")
     (folder / "ragged.csv").write_text("r1,m\n5,100\n6\n")
+    (folder / "words.csv").write_text("r1,m\n5,100\n\nabc,90\n")
+    (folder / "nan.csv").write_text("r1,m\n5,100\n6,nan\n")
     before = contents(folder)
-    files = {"P": PENDULUM, "O": ORBIT}
+    files = {"P": PENDULUM, "O": ORBIT, "D": PROBLEMS / "delayed_oscillator.py"}
     assert_refused(run(*[files.get(word, word) for word in words.split()]), fragment)
     assert contents(folder) == before
-    assert {path.name for path in folder.iterdir()} == {"old.zarr", "old.nc", "ragged.csv"}
+    assert {path.name for path in folder.iterdir()} == {"old.zarr", "old.nc", "ragged.csv", "words.csv", "nan.csv"}
 
 
 @pytest.mark.parametrize("library", ["xarray", "zarr"])
@@ -91,6 +102,7 @@ def test_without_the_libraries_one_line_names_the_command(folder, monkeypatch, l
         ({"vary": {"r1": [6.0]}, "workers": 0}, NumericsError, "workers"),
         ({"vary": {"r1": [6.0]}, "chunk": 1.5}, NumericsError, "chunk"),
         ({"vary": {"r1": [6.0]}, "keep": "q"}, ArgumentError, "keep"),
+        ({"vary": {"r1": [6.0]}, "out": 3}, ArgumentError, "--out 3 is no path"),
         ({"vary": {"r1": [6.0]}, "resume": True}, ArgumentError, "without --out"),
         ({"samples": {"m": "normal(1, 2)"}, "cases": {"m": [1.0]}}, ArgumentError, "several ways"),
         ({"vary": {"r1": [6.0]}, "guesses": 3}, ArgumentError, "no option guesses"),
@@ -104,3 +116,7 @@ def test_malformed_calls(given, kind, fragment):
 def test_calls_without_a_problem():
     with pytest.raises(ArgumentError, match="give a problem"):
         codegen.sweep()
+
+
+def test_help_says_how_many_samples_there_are():
+    assert f"[default: {NUMBER} samples]" in " ".join(run("sweep", "--help").stdout.split())
