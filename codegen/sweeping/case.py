@@ -18,11 +18,12 @@ from codegen.errors import CodegenError, one_line
 from codegen.interfaces import Vector, is_connect
 from codegen.solutions.result import Outline, Run
 from codegen.solutions.segments import segments_of
+from codegen.solving.multistart import varied as varied_guess
 from codegen.solving.other_tables import with_arguments
 from codegen.solving.refinement import transferred
 from codegen.sweeping.continuation import Start
 from codegen.sweeping.layout import Shapes
-from codegen.sweeping.quantities import STEPS, Quantity, given_to
+from codegen.sweeping.quantities import GUESS, STEPS, Quantity, given_to
 from codegen.sweeping.rates import CaseRates, Wanted
 from codegen.sweeping.statuses import NOT_BUILT, UNUSABLE
 from codegen.tasks import task_of
@@ -162,7 +163,9 @@ def _run(varied: Varied, own: Any, steps: int, start: Start[Attempt] | None, val
         return replace(varied.run, steps=steps, guess=_unknowns(own, steps, start, values))
     if varied.task.name != "control":
         return replace(varied.run, steps=steps)
-    return replace(varied.run, steps=steps, guess=own.initial_guess(own.make_grid(steps)), near=False)
+    number = next((int(value) for quantity, value in values.items() if quantity.kind == GUESS), 1)
+    guess = own.initial_guess(own.make_grid(steps)) if number == 1 else varied_guess(own, steps, number - 1)
+    return replace(varied.run, steps=steps, guess=guess, near=False)
 
 
 def _unknowns(module: Any, steps: int, start: Start[Attempt], values: Mapping[Quantity, float]) -> Vector:

@@ -31,7 +31,7 @@ from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
 from codegen.sweeping.jumps import Costs, along, jumps_of
 from codegen.sweeping.layout import layout_of
 from codegen.sweeping.modules import Modules, modules_of
-from codegen.sweeping.quantities import STEPS
+from codegen.sweeping.quantities import GUESS, STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
 from codegen.sweeping.store import Store
 from codegen.sweeping.unfinished import only_sweep, resumable
@@ -177,7 +177,8 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
         time_limit=np.inf if solve.time_limit is None else solve.time_limit, points=modules.points,
     )  # fmt: skip
     require_memory(task.numbers(module.metadata, run), most)
-    has_jumps = task.name == "control" and cases.is_grid
+    has_guesses = any(quantity.kind == GUESS for quantity in modules.quantities)
+    has_jumps = task.name == "control" and cases.is_grid and not has_guesses
     layout = replace(layout_of(shapes, steps, request.keep), has_jumps=has_jumps)
     warm = request.warm_starts and task.name == "control"
     loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module

@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
+from codegen.interfaces import is_control
 from codegen.solutions.given_values import apart_from_delays, parameter_arguments, prescribed_ends
 from codegen.sweeping.cases import Cases
 
-STEPS = "steps"
+STEPS, GUESS = "steps", "guess"
+COUNTS = (STEPS, GUESS)
+"""Kinds of quantities whose values are positive integers."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,8 @@ class Quantity:
     """A varied quantity: its name, the kind of thing it is, and what that is called where it is given.
 
     The kind is `parameter` (an argument of the module's functions), `boundary` (a prescribed value, whose key is the
-    end and the name), `steps`, or `argument` (of problem(), a module for each value).
+    end and the name), `steps`, `guess` (of an optimisation: 1 is the problem's own, others are varied at random, seeded
+    by their number), or `argument` (of problem(), a module for each value).
     """
 
     name: str
@@ -52,7 +56,8 @@ def _known(module: Any, arguments: Sequence[str]) -> list[Quantity]:
     times = [Quantity(key, "parameter", key) for key in apart_from_delays(module)]
     values = [Quantity(name, "boundary", " ".join(key)) for name, key in prescribed_ends(module).items()]
     given = [Quantity(name, "argument", name) for name in arguments]
-    return [Quantity(STEPS, STEPS, STEPS), *times, *values, *own, *given]
+    guesses = [Quantity(GUESS, GUESS, GUESS)] if is_control(module) else []
+    return [Quantity(STEPS, STEPS, STEPS), *guesses, *times, *values, *own, *given]
 
 
 def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
@@ -63,10 +68,11 @@ def require_fitting(varied: Iterable[Quantity], cases: Cases) -> None:
             row, word = next((row, word) for row, word in enumerate(column.tolist()) if not _is_number(word))
             finding = f"{cases.origin(row)}{quantity.name} takes numbers, not {word!r}"
             raise ArgumentError(clause(finding), "give finite numbers")
-        if quantity.kind == STEPS:
-            steps = np.asarray(column, dtype=float)
-            if not ((steps >= 1.0) & (steps == np.rint(steps)) & (steps < 1e12)).all():
-                raise NumericsError("steps has values that are no positive integers", "give positive integers")
+        if quantity.kind in COUNTS:
+            counts = np.asarray(column, dtype=float)
+            if not ((counts >= 1.0) & (counts == np.rint(counts)) & (counts < 1e12)).all():
+                finding = f"{quantity.kind} has values that are no positive integers"
+                raise NumericsError(finding, "give positive integers")
 
 
 def _is_number(word: str) -> bool:

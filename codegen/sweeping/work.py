@@ -29,7 +29,7 @@ from codegen.sweeping.continuation import Continuation, Start
 from codegen.sweeping.jumps import along_dimensions, improved, jumps_of
 from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
 from codegen.sweeping.order import nearest_chain, serpentine
-from codegen.sweeping.quantities import Quantity, as_argument
+from codegen.sweeping.quantities import GUESS, Quantity, as_argument
 from codegen.sweeping.rates import CaseRates, Wanted
 from codegen.sweeping.texts import Texts, texts_of
 
@@ -99,8 +99,7 @@ class Work:
         """
         values = rows_of(piece.columns)
         keys = [self._key(of_case) for of_case in values]
-        variants = list(self.variants)
-        families = np.array([variants.index(key) for key in keys])
+        families = self._families(keys, values)
         continuation = Continuation[Attempt](piece.points, families, self.warm_starts)
         modules = {key: self._varied(self.variants[key]) for key in dict.fromkeys(keys)}
         given = [self._given(of_case) for of_case in values]
@@ -131,6 +130,13 @@ class Work:
         for index, own in enumerate(attempts):
             self._tell(rows, index, own)
         return self._finished(piece.region, rows)
+
+    def _families(self, keys: Sequence[tuple[str, ...]], values: Sequence[Mapping[str, Any]]) -> NDArray[np.intp]:
+        """Which cases may start from each other (n,): those of a module, and of a guess where these vary."""
+        guesses = [own.name for own in self.quantities if own.kind == GUESS]
+        families = [(key, *(of_case[name] for name in guesses)) for key, of_case in zip(keys, values, strict=True)]
+        known = {family: number for number, family in enumerate(dict.fromkeys(families))}
+        return np.array([known[family] for family in families])
 
     def _improve(
         self,
