@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
+from conftest import PROBLEMS
 
 import codegen
 from codegen.errors import ArgumentError, ExtraError, NumericsError
