@@ -2,7 +2,9 @@
 
 Along a line of a smooth function the difference of two neighbours lies between those that the slopes on either side
 predict, or close to it. Where one branch of optima takes over from another at equal cost it still does; where a search
-has ended on the worse of two, the difference lies outside.
+has ended on the worse of two, the difference lies outside. At an end, of a line or before a case without a solution,
+there is a slope on one side only: a cost there is expected where a parabola and a cubic through what follows lead. One
+that lies elsewhere is worth a solve and nothing more, since a smooth cost may well grow faster towards an end.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ LEAST = 4
 BENT, STEEP, ROUNDING = 0.5, 0.05, 1e-6
 """What a difference may lie outside the predictions: in parts of their distance, of the larger one, of the cost."""
 BENT_AT_ENDS = 4.0
-"""As the first of these, where there is no slope beyond and both predictions are guesses."""
+"""As the first of these, where there is no slope beyond, for what is told and not only tried."""
+AHEAD = 4
+"""So many values after one at an end are asked what it should be; without the last of them it is less certain."""
 BETTER = 1e-7
 """What part of a cost has to be won for a solution to be another one."""
 
@@ -70,7 +74,47 @@ def _of_lines(
             before = 2.0 * left - np.column_stack([left[:, :1], left[:, :-1]])
             after = 2.0 * right - np.column_stack([right[:, 1:], right[:, -1:]])
             low, high = np.minimum.reduce([low, before, after]), np.maximum.reduce([high, before, after])
-        return steps - high > allowed, low - steps > allowed
+            return steps - high > allowed, low - steps > allowed
+        places = np.concatenate([[0.0], np.cumsum(distances)])
+        above, below = _of_ends(costs, places)
+        above_last, below_last = (found[:, ::-1] for found in _of_ends(costs[:, ::-1], places[::-1]))
+        return (steps - high > allowed) | below | above_last, (low - steps > allowed) | above | below_last
+
+
+def _of_ends(costs: Costs, places: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Where nothing solved lies before a pair: whether its first costs more than what follows says, or less.
+
+    `costs` are (lines, n), what is found (lines, n - 1).
+    """
+    number = places.size - 1
+    later = [_shifted(costs, k)[:, :number] for k in range(AHEAD + 1)]
+    there = [_shifted(places[None], k)[:, :number] for k in range(AHEAD + 1)]
+    line, parabola, cubic = (_polynomial(later[1:k], there[1:k], there[0]) for k in (3, 4, 5))
+    # Of four values there is no cubic: the parabola may be off by as much as the line is.
+    low = np.where(np.isnan(cubic), np.minimum(line, 2.0 * parabola - line), np.minimum(parabola, cubic))
+    high = np.where(np.isnan(cubic), np.maximum(line, 2.0 * parabola - line), np.maximum(parabola, cubic))
+    step = np.maximum.reduce([np.abs(value - later[1]) for value in (line, low, high)])
+    # How far off the same predictions are one place further in, where there is one.
+    off = _shifted(np.fmax(np.abs(later[0] - parabola), np.abs(later[0] - cubic)), 1)
+    bent = BENT * (high - low + np.where(np.isnan(off), 0.0, off))
+    allowed = bent + STEEP * step + ROUNDING * np.maximum(np.abs(later[0]), np.abs(later[1]))
+    is_end = np.isnan(np.column_stack([np.full(len(costs), np.nan), costs[:, : number - 1]]))
+    return is_end & (later[0] - high > allowed), is_end & (low - later[0] > allowed)
+
+
+def _shifted(values: Costs, places: int) -> Costs:
+    """Rows (lines, n) begun so many places later, NaN behind their end."""
+    return np.column_stack([values[:, places:], np.full((len(values), places), np.nan)])
+
+
+def _polynomial(values: Sequence[Costs], places: Sequence[Costs], place: Costs) -> Costs:
+    """The value at a place of the polynomial through values at others; Neville's algorithm."""
+    found = list(values)
+    for degree in range(1, len(found)):
+        for k in range(len(found) - degree):
+            begin, end = places[k], places[k + degree]
+            found[k] = ((place - end) * found[k] - (place - begin) * found[k + 1]) / (begin - end)
+    return found[0]
 
 
 def along_dimensions(points: Costs, shape: Sequence[int]) -> list[NDArray[np.float64]]:
@@ -118,17 +162,41 @@ def improved(
     """
     costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
     best, attempts, tried = list(outcomes), dict[int, list[Found]](), set[tuple[int, int, float]]()
+    behind: list[Pair] = []
     while True:
-        begun = len(tried)
-        for worse, better in jumps_of(costs.reshape(tuple(shape)), places):
+        begun, pairs, behind = len(tried), [*jumps_of(costs.reshape(tuple(shape)), places), *behind], []
+        for worse, better in dict.fromkeys(pairs):
             key = (worse, better, float(costs[better]))
             # Each case may be improved along every dimension and from either side, but a search has to end.
             if key in tried or len(tried) >= 2 * len(best):
                 continue
             tried.add(key)
             found = attempt(worse, best[better])
-            if found.is_start and found.cost < costs[worse] - BETTER * abs(costs[worse]):
+            if is_better(found, best[worse]):
                 best[worse], costs[worse] = found, found.cost
+                behind += [(other, worse) for other in _followers(worse, better, costs.reshape(tuple(shape)))]
             attempts.setdefault(worse, []).append(found)
         if len(tried) == begun:
             return attempts
+
+
+def is_better(found: Solved, than: Solved) -> bool:
+    """Whether a solution is another one than a solution of the same case, and costs less."""
+    return found.is_start and found.cost < than.cost - BETTER * abs(than.cost)
+
+
+def _followers(worse: int, better: int, costs: Costs) -> list[int]:
+    """What may follow a case that was improved from its neighbour: the case behind it, and the neighbour at an end.
+
+    No slope beyond tells whether the cost at an end is one with that beside it.
+    """
+    place, origin = (np.array(np.unravel_index(k, costs.shape)) for k in (worse, better))
+    behind = _solved(2 * place - origin, costs)
+    return behind if _solved(2 * origin - place, costs) else [*behind, better]
+
+
+def _solved(place: NDArray[np.intp], costs: Costs) -> list[int]:
+    """The case at a place of a grid, if it is one and has a solution."""
+    if (place < 0).any() or (place >= costs.shape).any() or np.isnan(costs[tuple(place)]):
+        return []
+    return [int(np.ravel_multi_index(tuple(place), costs.shape))]

@@ -26,7 +26,7 @@ from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_cas
 from codegen.sweeping.cases import Cases, rows_of
 from codegen.sweeping.chunks import Chunks, Piece
 from codegen.sweeping.continuation import Continuation, Start
-from codegen.sweeping.jumps import along_dimensions, improved, jumps_of
+from codegen.sweeping.jumps import along_dimensions, improved, is_better, jumps_of
 from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import GUESS, Quantity, as_argument
@@ -150,7 +150,9 @@ class Work:
         places = along_dimensions(piece.points, piece.extent)
         found = improved(outcomes, piece.extent, places, lambda index, solution: attempt(index, Start(solution)))
         for index, more in found.items():
-            kept = min((*more, outcomes[index]), key=lambda one: one.cost if one.is_start else np.inf)
+            kept = outcomes[index]
+            for one in more:
+                kept = one if is_better(one, kept) else kept
             rest = [own for own in (*attempts[index], *more) if own is not kept]
             attempts[index] = [*rest, kept]
         costs = np.array([own[-1].cost for own in attempts])

@@ -63,13 +63,23 @@ def test_a_planted_jump_is_found_and_mended(hill):
     np.testing.assert_array_equal(data.iterations[:20], codegen.sweep(hill, {"c": C[:20]}, workers=1).iterations)
 
 
+@pytest.mark.parametrize("c", [np.linspace(0.1, 0.9, 5), np.linspace(0.9, 0.1, 5), np.linspace(0.05, 0.8, 6)])
+def test_a_case_at_the_end_of_a_line_is_mended(hill, c):
+    """Only the case at the end is on the wrong side of the hill; on the other side of zero none is."""
+    data, mirrored = (codegen.sweep(hill, {"c": side * c}, workers=1, keep=()) for side in (1.0, -1.0))
+    assert (mirrored.improvement == 0.0).all()
+    np.testing.assert_allclose(data.cost, mirrored.cost, rtol=1e-8)
+    np.testing.assert_array_equal(np.flatnonzero(data.improvement > 2.0), np.flatnonzero(c < 0.2))
+    assert (data.jump == 0).all()
+
+
 def test_a_jump_between_chunks_is_left_and_told(hill):
     words = ("sweep", hill, "--vary", "c=-1:1:41", "--chunk", 23, "--workers", 1, "--out", "s.zarr")
     done = run(*words, "--plot", "s.png")
     assert done.exit_code == 0
     assert Path("s.png").stat().st_size > 1000
-    assert "1 cases were improved" in done.stderr
-    assert "1 jumps of the cost remain" in done.stderr
+    assert "1 case was improved" in done.stderr
+    assert "1 jump of the cost remains" in done.stderr
     assert "a larger --chunk" in done.stderr
     data = xarray.open_zarr("s.zarr", chunks=None)
     np.testing.assert_array_equal(np.flatnonzero(data.jump == 1), [22])

@@ -20,11 +20,40 @@ SMOOTH = {
     "kink of two branches": np.minimum(2.0 + 3.0 * X, 2.1 - X),
     "rounding": 5.0 + 1e-9 * np.cos(1e4 * X),
 }
+TRIED = {"pole": [(0, 1)]}
+"""What costs a solve though it is smooth: towards an end it grows faster than what follows says, as a jump would."""
 
 
 @pytest.mark.parametrize("name", SMOOTH)
 def test_where_a_cost_is_smooth_nothing_is_suspected(name):
-    assert jumps_of(SMOOTH[name], [X]) == []
+    assert jumps_of(SMOOTH[name], [X]) == TRIED.get(name, [])
+    assert jumps_of(SMOOTH[name], [X], certain=True) == []
+
+
+END = [71.890, 60.431, 51.622, 45.172, 41.987, 44.636]
+"""Costs of a cart with a pole over its duration, the last of which has a better optimum, 34.554."""
+
+
+@pytest.mark.parametrize("places", [np.linspace(1.0, 2.0, 6), np.geomspace(1.0, 1.2, 6)])
+def test_at_an_end_a_cost_off_what_the_others_say_is_tried_and_not_told(places):
+    costs = np.array(END)
+    assert jumps_of(costs, [places]) == [(5, 4)]
+    assert jumps_of(costs[::-1], [places[::-1]]) == [(0, 1)]
+    assert jumps_of(costs[1:], [places[1:]]) == [(4, 3)]
+    assert jumps_of(costs, [places], certain=True) == []
+    costs[-1] = 34.554  # what is better than expected may be so for its neighbour
+    assert (4, 5) in jumps_of(costs, [places])
+
+
+def test_before_a_failure_a_line_ends():
+    costs = np.array([np.nan, *END, np.nan, 3.0, 2.0, 1.0])
+    assert jumps_of(costs, [np.arange(11.0)]) == [(6, 5)]
+
+
+def test_what_is_off_inside_does_not_make_the_end_suspect():
+    costs = np.linspace(0.0, 1.0, 8)
+    costs[2] += 1.0
+    assert jumps_of(costs, [np.arange(8.0)]) == [(2, 1), (2, 3)]
 
 
 def test_a_kink_of_curved_branches_is_suspected_but_not_certain():
@@ -44,8 +73,9 @@ def test_from_a_jump_on_cases_are_worse_and_the_first_of_them_is_named(name, pla
     later = np.arange(41) >= place
     found = jumps_of(smooth + jump * later, [X], certain)
     assert (place, place - 1) in found
-    assert {worse for worse, _ in found} == {place}
-    assert {worse for worse, _ in jumps_of(smooth + jump * ~later, [X], certain)} == {place - 1}
+    ends = set() if certain else {worse for worse, _ in TRIED.get(name, [])}
+    assert {worse for worse, _ in found} == {place} | ends
+    assert {worse for worse, _ in jumps_of(smooth + jump * ~later, [X], certain)} == {place - 1} | ends
 
 
 def test_a_single_case_is_worse_than_both_neighbours():
@@ -99,3 +129,44 @@ def test_what_finds_nothing_better_is_tried_once():
     tried = improved(outcomes, (41,), [X], attempt)
     assert starts == [31] or starts == [30]
     assert list(tried) == starts
+
+
+@pytest.mark.parametrize("end", [0, 40])
+def test_a_worse_case_at_an_end_is_tried_once_and_mended(end):
+    """By as much as a cell's step, in either direction along the line."""
+    better = np.exp(X) + X**2
+    outcomes = [Found(int(k == end), float(cost) + 0.1 * (k == end)) for k, cost in enumerate(better)]
+    starts = []
+
+    def attempt(place, solution):
+        starts.append((place, solution.branch))
+        return Found(0, float(better[place]))
+
+    tried = improved(outcomes, (41,), [X], attempt)
+    assert starts == [(end, 0)]
+    assert [found.cost for found in tried[end]] == [better[end]]
+
+
+def test_an_end_follows_what_it_has_improved():
+    """A search from the end of a line leads to a branch that is better there as well, by too little to see."""
+    costs = 1.0 + 0.1 * X**2
+    outcomes = [Found(0, float(cost) + (k == 1)) for k, cost in enumerate(costs)]
+
+    def attempt(place, solution):
+        return Found(1, float(costs[place]) - 1e-5)
+
+    tried = improved(outcomes, (41,), [X], attempt)
+    assert tried[0][-1].cost == costs[0] - 1e-5
+
+
+def test_what_lies_behind_an_improved_case_is_tried_until_nothing_is_won():
+    """The better branch is so near that no jump is seen behind the first case, and ends at 20."""
+    costs = 1.0 + 0.1 * X**2
+    outcomes = [Found(int(k > 30), float(cost) + (k == 30) - 1e-5 * (k > 30)) for k, cost in enumerate(costs)]
+
+    def attempt(place, solution):
+        return Found(solution.branch, float(costs[place]) - 1e-5 * (solution.branch == 1 and place > 20))
+
+    tried = improved(outcomes, (41,), [X], attempt)
+    assert sorted(tried) == list(range(20, 32))
+    assert all(min(found.cost for found in tried[k]) == costs[k] - 1e-5 for k in range(21, 31))
