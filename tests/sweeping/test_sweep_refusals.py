@@ -48,7 +48,7 @@ LINES = {
     "set-of-a-parameter": ("sweep O --set m=90 --vary r1=5,6 --out s.zarr", "--parameter m=90, or sweep --vary m=90"),
     "zip-one-value": ("sweep O --vary r1=5 --vary m=1,2 --zip r1,m --out s.zarr", "r1 has 1 value, m has 2"),
     "duration-with-delays": ("sweep D --vary duration=1,2 --out s.zarr", "has delays"),
-    "duration-not-offered": ("sweep D --vary durations=1,2 --out s.zarr", "has steps, guess, start.q_1, start.dq_1, m, k"),
+    "duration-not-offered": ("sweep D --vary durations=1,2 --out s.zarr", "guess, start.q_1, start.dq_1, m, k"),
     "method-unknown": ("sweep O --sample m=normal(100,5) --method hamiltonian --out s.zarr", "--formulation"),
     "formulation-unknown": ("sweep O --vary r1=5:6:3 --formulation lagrangian --out s.zarr", "lagrangian"),
     "seed-negative": ("sweep O --sample m=normal(100,5) --seed -1 --out s.zarr", "--seed"),
