@@ -11,7 +11,12 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.interfaces import is_control
-from codegen.solutions.given_values import apart_from_delays, parameter_arguments, prescribed_ends
+from codegen.solutions.given_values import (
+    apart_from_delays,
+    duration_arguments,
+    parameter_arguments,
+    prescribed_ends,
+)
 from codegen.sweeping.cases import Cases
 
 STEPS, GUESS = "steps", "guess"
@@ -39,9 +44,12 @@ def quantities(names: Iterable[str], module: Any, arguments: Sequence[str]) -> t
     found = []
     for name in names:
         if name not in known:
-            close = difflib.get_close_matches(name, known, 3, 0.5)
+            # Durations of which delays are parts have derivatives, and no other values.
+            refused = {*duration_arguments(module)} - {*apart_from_delays(module)}
+            offered = [word for word in known if word not in refused]
+            close = difflib.get_close_matches(name, offered, 3, 0.5)
             nearest = f"did you mean {' or '.join(close)}? " if close else ""
-            remedy = f"{nearest}{module.metadata['problem']} has {', '.join(known)}"
+            remedy = f"{nearest}{module.metadata['problem']} has {', '.join(offered)}"
             raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
         found.append(known[name])
     return tuple(found)
@@ -53,7 +61,7 @@ def _known(module: Any, arguments: Sequence[str]) -> list[Quantity]:
     It may do more than set the parameter that is called like it.
     """
     own = [Quantity(name, "parameter", key) for name, key in parameter_arguments(module).items()]
-    times = [Quantity(key, "parameter", key) for key in apart_from_delays(module)]
+    times = [Quantity(key, "parameter", key) for key in duration_arguments(module)]
     values = [Quantity(name, "boundary", " ".join(key)) for name, key in prescribed_ends(module).items()]
     given = [Quantity(name, "argument", name) for name in arguments]
     guesses = [Quantity(GUESS, GUESS, GUESS)] if is_control(module) else []
