@@ -1,14 +1,15 @@
 """Sensitivities of a solution against central differences of the problem solved again, with other data.
 
 All quantities change at once, in proportions drawn at random: first by themselves, then parameters alone, which
-boundary values and the duration follow. Differences with three lengths, halved each time, are extrapolated twice
-(Richardson): the two results differ by what the reference may be off.
+boundary values and the duration follow. Where that leaves no solution, as beyond the range of a table or a bound on a
+prescribed value, those that cannot change even alone stay as they are, and are named. Differences with three lengths,
+halved each time, are extrapolated twice (Richardson): the two results differ by what the reference may be off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -77,11 +78,12 @@ def _compared(module: Any, steps: int, solution: Any, direction: _Direction) -> 
         return not_measured(_NAME, subject, found.failure)
     if found.doubtful.size:
         return not_measured(_NAME, subject, f"strict complementarity fails for {found.doubtful.size} unknowns")
-    references = [_reference(module, steps, solution, direction, length) for length in _LENGTHS]
-    pairs = [pair[:2] for pair in references if pair is not None]
-    if len(pairs) < len(references):
-        return not_measured(_NAME, subject, "the problem beside the solution is not solved")
-    if any(_bends(references, kind, _array(solution, kind)) for kind in _KINDS):  # type: ignore[arg-type]  # all are there
+    direction, references, left_out = _references(module, steps, solution, direction)
+    if not references:
+        return not_measured(_NAME, subject, f"the problem beside the solution is not solved{left_out}")
+    subject += left_out
+    pairs = [pair[:2] for pair in references]
+    if any(_bends(references, kind, _array(solution, kind)) for kind in _KINDS):
         return not_measured(_NAME, subject, "derivatives to both sides differ, as where bounds begin to hold")
     said = _along(module, grid, solution, found, direction)
     worst, beyond, rough, of = 0.0, 0.0, 0.0, ""
@@ -115,6 +117,39 @@ def _along(module: Any, grid: Any, solution: Any, found: Any, direction: _Direct
         for kind, own in (("cost", found.cost[i]), ("q", q), ("u", u), ("multipliers", multipliers)):
             total[kind] = total[kind] + change * own
     return total
+
+
+def _references(
+    module: Any, steps: int, solution: Any, direction: _Direction
+) -> tuple[_Direction, list[tuple[dict[str, Any], ...]], str]:
+    """The direction along which there are references of all lengths, these, and words for what it leaves out.
+
+    There are none where the problem is not solved beside the solution, though every quantity can change alone.
+    """
+    found = [_reference(module, steps, solution, direction, length) for length in _LENGTHS]
+    references = [pair for pair in found if pair is not None]
+    if len(references) == len(found):
+        return direction, references, ""
+    count = len(direction.varied)
+    can = np.array([_can_change(module, steps, solution, direction, np.arange(count) == i) for i in range(count)])
+    if can.all() or not can.any():
+        return direction, [], ""
+    left_out = ", ".join(direction.varied[i].name for i in np.flatnonzero(~can))
+    direction = _part(direction, can)
+    found = [_reference(module, steps, solution, direction, length) for length in _LENGTHS]
+    references = [pair for pair in found if pair is not None]
+    return direction, references if len(references) == len(found) else [], f", without {left_out}"
+
+
+def _can_change(module: Any, steps: int, solution: Any, direction: _Direction, which: Any) -> bool:
+    """Whether there are solutions to both sides of some quantities' values, as far as the longest differences go."""
+    alone = _part(direction, which)
+    return all(_moved(module, steps, solution, alone, side * _LENGTHS[0]) is not None for side in (1, -1))
+
+
+def _part(direction: _Direction, which: Any) -> _Direction:
+    """A direction in which only some of the quantities change; the others keep their values by themselves."""
+    return replace(direction, changes=np.where(which, direction.changes, 0.0))
 
 
 def _reference(
