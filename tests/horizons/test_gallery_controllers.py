@@ -67,17 +67,28 @@ def test_few_newton_steps_keep_it_upright_as_well(cart_pole, newton_steps, push)
     assert np.abs(loop.states[-1]).max() < 0.2
 
 
-def test_the_example_of_the_site(cart_pole, tmp_path, monkeypatch, capsys):
+def examples_of_the_site():
     """What stands there word for word, with the problem files of this checkout."""
     text = (PROBLEMS.parent / "docs" / "guide" / "controllers.md").read_text(encoding="utf-8")
-    code = text.split("```python\n")[1].split("```")[0].replace('"problems/', f'"{PROBLEMS}/')
+    return [part.split("```")[0].replace('"problems/', f'"{PROBLEMS}/') for part in text.split("```python\n")[1:]]
+
+
+def test_the_example_of_the_site(cart_pole, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     found = {"codegen": codegen}
-    exec(code, found)
+    exec(examples_of_the_site()[0], found)
     assert "{'solved': 160}" in capsys.readouterr().out
     assert (tmp_path / "loop.png").stat().st_size > 10_000
     assert abs(found["loop"].states[-1, 0] - 1.0) < 0.1  # at the place that it was led to
     assert np.abs(found["loop"].states[:, 1]).max() < 0.8
+
+
+def test_the_example_of_a_delay(cart_pole, capsys):
+    found = {"codegen": codegen}
+    exec(examples_of_the_site()[1], found)
+    assert "{'solved': 160} 0.3" in capsys.readouterr().out
+    assert np.abs(found["loop"].states[-1]).max() < 0.1
+    assert found["loop"].inputs[0] == 0.0
 
 
 def test_sampled_every_50_ms_with_a_delay_of_one_the_pole_stands_where_the_controller_knows_of_it(cart_pole):

@@ -81,6 +81,7 @@ MODULES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changes", "tolerance"), MODULES)
 @pytest.mark.parametrize("intervals", [1.0, 2.5])
 def test_what_is_predicted_is_what_scipy_integrates(changes, tolerance, intervals):
