@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.horizons.controller import Controller
-from codegen.horizons.interface import number, vector
+from codegen.horizons.interface import number, require_count, vector
 from codegen.horizons.plants import PlantFailed, plant_of
 from codegen.horizons.recording import ClosedLoop, Recording
 from codegen.horizons.values import Moving
@@ -26,7 +25,7 @@ def close_loop(
     arguments: Mapping[str, Any] | None = None,
     disturbances: Mapping[str, Moving] | None = None,
     noise: Any = 0.0,
-    delay: int = 0,
+    delay: int | None = None,
     inputs: Any = None,
     seed: int = 0,
 ) -> ClosedLoop:
@@ -42,24 +41,27 @@ def close_loop(
     `disturbances` are parameters of the plant by name, numbers or functions of time, of which the controller does not
     know; what it is to know are its own `parameters`. To what it measures, `noise` adds normally distributed errors of
     that standard deviation, a number, an array (states,) or a mapping by name, from the random `seed`. With a `delay`
-    of n sampling times inputs act so much later than they should; before, `inputs` (controls,) act, zero unless
-    given.
+    of n sampling times inputs act so much later than what they follow from was measured; before, `inputs` (controls,)
+    act, an array or by name, zero unless given, which a controller with a delay knows. The delay is the controller's
+    own unless it is given; one that is longer disturbs the loop.
 
-    A plant that runs away ends the loop; `message` of the result says so. Raises ArgumentError for a plant that does
-    not fit the controller, NumericsError for unusable numbers, and what `codegen.build` does for a problem file.
+    A plant that runs away ends the loop; `message` of the result says so. Raises ArgumentError for a plant or a delay
+    that does not fit the controller, NumericsError for unusable numbers, and what `codegen.build` does for a problem
+    file.
     """
     if not isinstance(controller, Controller):
         raise ArgumentError(f"close_loop of a {type(controller).__name__}", "give a codegen.Controller and a plant")
-    _require_count("samples", samples, 1)
-    _require_count("delay", delay, 0)
+    require_count("samples", samples, 1)
+    delay = _delay_of(controller, delay)
     names = controller.states, controller.inputs
     acts_on = plant_of(plant, arguments or {}, names, disturbances or {})
     state = controller.first_state() if start is None else vector(start, controller.states, "the start")
     deviations = _deviations(controller, noise)
     inputs = np.zeros(len(controller.inputs)) if inputs is None else inputs
-    waiting = [vector(inputs, controller.inputs, "the array of inputs")] * delay
+    inputs = vector(inputs, controller.inputs, "the array of inputs")
+    waiting = [inputs] * delay
     random, recording = np.random.default_rng(seed), Recording(controller, samples, state)
-    controller.reset()
+    controller.reset(inputs if controller.delay else None)
     for k in range(samples):
         t = k * controller.sample
         measured = state + deviations * random.standard_normal(state.size)
@@ -74,10 +76,15 @@ def close_loop(
     return recording.ended()
 
 
-def _require_count(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        remedy = "a positive integer" if least else "a whole number that is not negative"
-        raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
+def _delay_of(controller: Controller, delay: Any) -> int:
+    """The delay of a loop in sampling times; ArgumentError where inputs would act before their plan begins."""
+    if delay is None:
+        return controller.delay
+    require_count("delay", delay, 0)
+    if delay < controller.delay:
+        finding = f"the controller plans for a delay of {controller.delay}, and the loop has one of {delay}"
+        raise ArgumentError(finding, "leave delay out here, or give the controller no longer one")
+    return int(delay)
 
 
 def _deviations(controller: Controller, noise: Any) -> Vector:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from threading import Lock
 from time import perf_counter
 from typing import Any
@@ -16,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError
+from codegen.horizons.delay import delay_of
+from codegen.horizons.feedback import Feedback
 from codegen.horizons.grids import Grids
 from codegen.horizons.interface import Interface, interface_of, module_of, number
 from codegen.horizons.judgement import BestIterate, Candidate, better, candidate, holds, is_solution
@@ -29,34 +30,14 @@ from codegen.solutions.result import Run
 BEFORE, PREPARED, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
 """Where searches begin."""
 UNFINISHED = ("iteration limit", "time limit")
-MOST = 3000
-"""Iterations at most, as for every solve."""
+MOST, MOST_WARM = 3000, 200
+"""Iterations at most, as for every solve; and with those of restorations, which are not counted otherwise, from a plan.
+
+Most states from which a controller brings a system back take ten to fifty, seldom 180. Where there is no way back all
+that a solve can try would take thousands: half a second of a cart-pole, whose pole falls in a tenth of it.
+"""
 WARM_UPS, NUDGE = 20, 1e-4
 """Solves before the first sampling time, which are timed, and how far from its state, in parts of that or of one."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Feedback:
-    """What became of one sampling time.
-
-    `inputs` (controls,) are to be applied until the next one, in the problem's units. `status` is "solved" where all
-    equations hold to the tolerance, evaluated again outside the solver; "iteration limit" or "time limit" where
-    Newton steps or time ran out first; else it says how the solve failed. `message` says so in a sentence.
-    `fell_back` tells that the inputs are those where the search began, as a rule the plan before, shifted.
-    `residual` is the max-norm of the plan's equations, `cost` what the plan costs. `seconds` is the time from the
-    call to the inputs; `in_time`: it is within the deadline.
-    """
-
-    t: float
-    inputs: Vector
-    status: str
-    message: str
-    cost: float
-    residual: float
-    iterations: int
-    seconds: float
-    in_time: bool
-    fell_back: bool
 
 
 class Controller:
@@ -65,26 +46,32 @@ class Controller:
     `problem` is as for `codegen.solve`: an optimisation with all that is measured in `start`.
     `arguments`, `scheme` and `method` are those of a build. The horizon lasts `horizon`, by default the problem's
     duration (whose parameter, if it stands in other formulas as well, is given instead), and has `steps` intervals;
-    `sample` is the sampling time, by default one interval. `parameters` are run-time values by name: numbers, or
-    functions of the present time, for references that move and disturbances that are known; `end.x` is a prescribed
-    value at the end.
+    `sample` is the sampling time in seconds, by default one interval. `parameters` are run-time values by name:
+    numbers, or functions of the time at which a plan starts, for references that move and disturbances that are known;
+    `end.x` is a prescribed value at the end.
+
+    Where inputs begin to act `delay` sampling times after the measurement, as where they are computed meanwhile, the
+    state is predicted by the model over that time, under the inputs that act until then, which are the last `delay`
+    ones that `step` returned (delay compensation). The plan starts from there and then, and so do its inputs.
 
     A solve begins from the last plan, shifted by a sampling time, in which the state is the measured one: its first
     Newton step is the tangential predictor. It ends at the `tolerance`, or after `newton_steps` of them (real-time
-    iteration; a single one ends at the first bound that it meets, so that with bounds three come closer), or before the
-    `deadline`, in seconds from the call: no iteration begins that steps before tell would end too late. Then the best
-    feasible iterate is applied, the cheapest whose equations hold to the root of the tolerance; where there is none the
-    last iterate, or the plan before where its residual is smaller. A solve that fails falls back on the plan before.
-    Before the first plan a search begins from the problem's guess, and where there is a deadline from the solution for
-    the problem's own start, which is found when a controller is made. `scaling` is "auto", which decides once, at that
-    solution, whether the solver works in parts of sizes (then the best feasible iterate is the last one), or "none".
+    iteration; a single one ends at the first bound that it meets, so that with bounds three come closer), by default
+    after 200 with those of restorations, or before the `deadline`, in seconds from the call: no iteration begins that
+    steps before tell would end too late. Then the best feasible iterate is applied, the cheapest whose equations hold
+    to the root of the tolerance; where there is none the last iterate, or the plan before where its residual is
+    smaller. A solve that fails falls back on the plan before. Before the first plan a search begins from the problem's
+    guess, and where there is a deadline from the solution for the problem's own start, which is found when a controller
+    is made. `scaling` is "auto", which decides once, at that solution, whether the solver works in parts of sizes (then
+    the best feasible iterate is the last one), or "none".
 
     `states` and `inputs` are names in the order of arrays. `last` is the Feedback of the last step. Nothing is kept of
     earlier ones. A controller may be called from any thread; calls take turns.
 
     Raises ArgumentError for a problem without controls or a measured start, with phases, delays, inner times or a free
-    duration, and for options that mean nothing; NumericsError for numbers that are unusable; what `codegen.build` does
-    for a problem that cannot be read or derived.
+    duration, for one with a `delay` whose motion does not follow from its start and inputs, and for options that mean
+    nothing; NumericsError for numbers that are unusable; what `codegen.build` does for a problem that cannot be read or
+    derived.
     """
 
     def __init__(
@@ -102,8 +89,9 @@ class Controller:
         newton_steps: int | None = None,
         deadline: float | None = None,
         scaling: str = "auto",
+        delay: int = 0,
     ) -> None:
-        self.options = Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling)
+        self.options = Options(steps, horizon, sample, tolerance, newton_steps, deadline, scaling, delay)
         self.module: Any = module_of(problem, arguments or {}, scheme, method)
         self._interface: Interface = interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
@@ -114,7 +102,10 @@ class Controller:
         grid = self._grids.at(self._values.given(0.0))
         self.horizon = grid.steps * grid.h
         self.sample = grid.h if sample is None else sample
-        self._shift = shift_by(self.module, grid, self.options.intervals_of(self.sample, self.horizon, self.steps))
+        intervals = self.options.intervals_of(self.sample, self.horizon, self.steps)
+        self._shift = shift_by(self.module, grid, intervals)
+        self.delay = delay
+        self._delay = delay_of(self.module, self._interface, self._values, delay, self.sample, intervals)
         numbers = np.arange(grid.is_multiplier.size, dtype=float)
         self._of_inputs = self.module.unpack(grid, numbers)[3][0].astype(np.intp)
         self.last: Feedback | None = None
@@ -129,26 +120,41 @@ class Controller:
     def step(self, state: Any, t: float = 0.0, parameters: Mapping[str, float] | None = None) -> Vector:
         """The inputs (controls,) to apply from the time t on, for the measured state, (states,) or a mapping by names.
 
-        `parameters` are run-time values by name that hold at this time alone, beside those that the controller was
-        given. Numerical failure is no exception: then the inputs are those of the plan before, shifted, and
-        `last.status` says so. Raises NumericsError for a state that is not finite or of another shape and for run-time
-        values that are unusable, ArgumentError for a name that there is not.
+        With a delay they are to be applied so much later, and every sampling time needs its step. `parameters` are
+        run-time values by name that hold in this step alone, beside those that the controller was given. Numerical
+        failure is no exception: then the inputs are those of the plan before, shifted, and `last.status` says so.
+        Raises NumericsError for a state that is not finite or of another shape and for run-time values that are
+        unusable, ArgumentError for a name that there is not.
         """
         begin = self._clock()
-        start = self._interface.state_vector(state)
+        measured = self._interface.state_vector(state)
         t = number(t, "the time")
         with self._lock:
-            grid = self._grids.at(self._values.given(t, parameters), start)
-            self.last = last = self._feedback(begin, t, grid)
+            start = measured if self._delay is None else self._delay.state_after(measured, t, parameters)
+            given = self._values.given(self._start_of_plan(t), parameters)
+            grid = self._grids.at(given, measured if start is None else start)
+            self.last = last = self._feedback(begin, t, grid, start is not None)
+            if self._delay is not None:
+                self._delay.append(last.inputs)
         return last.inputs.copy()
 
     def first_state(self) -> Vector:
         """The state (states,) that the problem itself starts from."""
         return self._interface.start_of(self._grids.separate(self._values.given(0.0)))
 
-    def reset(self) -> None:
-        """Forget the plan, where the next state has nothing to do with the last one: begin as at first."""
+    def reset(self, inputs: Any = None) -> None:
+        """Forget the plan, where the next state has nothing to do with the last one: begin as at first.
+
+        With a delay, `inputs` (controls,), an array or a mapping by names, act until the first ones of the controller
+        do; they are zero unless given. Raises ArgumentError for inputs without a delay, NumericsError for unusable
+        ones.
+        """
+        if inputs is not None and self._delay is None:
+            finding = "inputs on their way to a controller without a delay"
+            raise ArgumentError(finding, "leave them out, or give Controller(..., delay=1)")
         with self._lock:
+            if self._delay is not None:
+                self._delay.reset(inputs)
             self._plan, self.last = None, None
 
     def plan(self) -> tuple[Vector, Matrix, Matrix]:
@@ -160,17 +166,22 @@ class Controller:
             last, plan = self.last, self._plan
         if last is None or plan is None:
             raise ArgumentError("there is no plan yet", "call step first")
-        times, q, _, u, _ = self.module.unpack(self._grids.separate(self._values.given(last.t)), plan)
-        return last.t + times, q, u
+        begin = self._start_of_plan(last.t)
+        times, q, _, u, _ = self.module.unpack(self._grids.separate(self._values.given(begin)), plan)
+        return begin + times, q, u
 
-    def _feedback(self, begin: float, t: float, grid: Grid) -> Feedback:
-        """Solve, judge what was found, and keep as the plan what is applied."""
+    def _start_of_plan(self, t: float) -> float:
+        """When a plan starts that is made at the time t, and its inputs begin to act."""
+        return t + self.delay * self.sample
+
+    def _feedback(self, begin: float, t: float, grid: Grid, is_known: bool) -> Feedback:
+        """Solve, judge what was found, and keep as the plan what is applied; `is_known`: the state is, in the grid."""
         deadline, clock = self.options.deadline, self._clock
         guess, what = self._guess(grid)
         limit = math.inf if deadline is None else self._pace.limit(deadline - (clock() - begin))
-        log = BestIterate(limit, self._feasible, clock)
         most = None if self._plan is None else self.options.newton_steps
-        best, fell_back, status, message, iterations = self._judged(grid, guess, what, log, most)
+        log = BestIterate(limit, self._feasible, clock, math.inf if self._plan is None else max(MOST_WARM, most or 0))
+        best, fell_back, status, message, iterations = self._judged(grid, guess, what, log, most, is_known)
         self._plan = best.unknowns
         end = clock()
         seconds = end - begin
@@ -193,7 +204,7 @@ class Controller:
         return self.module.initial_guess(grid), OWN_GUESS
 
     def _judged(
-        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None
+        self, grid: Grid, guess: Vector, what: str, log: BestIterate, most: int | None, is_known: bool = True
     ) -> tuple[Candidate, bool, str, str, int]:
         """(what is applied, whether that is the guess, status, message, iterations) of a search from a guess.
 
@@ -202,8 +213,14 @@ class Controller:
         status, iterations = "time limit", 0
         point: Any = None
         message = f"{status}: there was no time for an iteration"
-        if log.limit > 0.0:
+        if not is_known:
+            status = "newton failed"
+            message = f"{status}: the motion under the inputs on their way cannot be followed"
+        elif log.limit > 0.0:
             status, message, point, iterations = self._solve(grid, guess, what is not OWN_GUESS, log, most)
+            if log.is_exhausted and status != "solved":
+                status = "iteration limit"
+                message = f"{status} after {iterations} iterations and {log.asked - 1 - iterations} of restorations"
         if status == "solved":
             best = candidate(self.module, grid, point.unknowns)
             if self._is_solved(grid, guess, best, iterations):
@@ -259,7 +276,7 @@ class Controller:
             status, point, iterations = module.minimise(grid, guess, *how, log, **known)
             if status == "solved":
                 return status, f"all {module.reached(point)}", point, iterations
-            if status in UNFINISHED:  # what is worst is not looked for: there is no time
+            if status in UNFINISHED or log.is_exhausted:  # what is worst is not looked for: there is no time
                 return status, f"{status} after {iterations} iterations", point, iterations
             status = module.final_status(grid, guess, point, status)
             return status, module.describe(grid, guess, point, status)[1], point, iterations
@@ -267,6 +284,8 @@ class Controller:
     def _warm_up(self, grid: Grid) -> Pace:
         """Solve the problem as it stands: that compiles, decides on sizes, and tells how long parts of a step take."""
         module, given = self.module, self._values.given(0.0)
+        if self._delay is not None:
+            self._delay.state_after(self._interface.start_of(grid), 0.0, None)
         log = BestIterate(math.inf, 0.0)
         status, _, point, _ = self._solve(grid, module.initial_guess(grid), False, log, None)
         if self._scaling == "auto" and status == "solved":

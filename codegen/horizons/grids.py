@@ -14,12 +14,13 @@ from codegen.interfaces import Grid, Vector
 class Grids:
     """Makes grids of so many steps of a module, and keeps the last one, whose state alone most often changes.
 
-    `search` is what a search on the last grid can take over from those before, or None.
+    `search` is what a search on the last grid can take over from those before, or None. Grids on which
+    nothing `is_searched` have no bounds either.
     """
 
-    def __init__(self, module: Any, interface: Interface, steps: int) -> None:
-        self._module, self._steps, self._interface = module, steps, interface
-        self._is_bounded = bool(module.metadata["inequalities"])
+    def __init__(self, module: Any, interface: Interface, steps: int, is_searched: bool = True) -> None:
+        self._module, self._steps, self._interface, self._is_searched = module, steps, interface, is_searched
+        self._is_bounded = is_searched and bool(module.metadata["inequalities"])
         self._given: dict[str, Any] | None = None
         self._last: Any = None
         self.search: Any = None
@@ -51,7 +52,7 @@ class Grids:
             same = same and all(map(np.array_equal, bounds, self._last.bounds))
             grid = grid._replace(bounds=self._last.bounds if same else bounds)
         self._last = grid
-        if not same and hasattr(module, "search_on"):  # a linear-quadratic problem has none
+        if self._is_searched and not same and hasattr(module, "search_on"):  # a linear-quadratic problem has none
             self.search = (
                 None if self._is_bounded and module.contradictory_bounds(grid) >= 0 else module.search_on(grid)
             )

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,13 @@ def number(value: Any, what: str) -> float:
     if not math.isfinite(found):
         raise NumericsError(clause(f"{what} is {value!r}"), "give a finite number")
     return found
+
+
+def require_count(name: str, value: Any, least: int) -> None:
+    """Refuse what is no whole number from `least` on, zero or one, with a NumericsError."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        remedy = "a positive integer" if least else "a whole number that is not negative"
+        raise NumericsError(f"{name} is {value!r}", f"give {remedy}")
 
 
 def interface_of(module: Any) -> Interface:

@@ -35,11 +35,15 @@ class BestIterate:
     """The log of a search for a plan: the `best` iterate, and what of the time has passed.
 
     The best is the cheapest whose equations hold to `feasible`. It takes the place of a module's own log, which keeps a
-    row for each; points are in the problem's own units. After `limit` seconds by the clock no iteration begins.
+    row for each; points are in the problem's own units. After `limit` seconds by the clock no iteration begins, nor
+    after the search has `asked` so often whether it is late as `most` says, at iterates and steps of restorations.
     """
 
-    def __init__(self, limit: float, feasible: float, clock: Callable[[], float] = perf_counter) -> None:
-        self.limit, self._feasible, self._clock = limit, feasible, clock
+    def __init__(
+        self, limit: float, feasible: float, clock: Callable[[], float] = perf_counter, most: float = np.inf
+    ) -> None:
+        self.limit, self._feasible, self._clock, self._most = limit, feasible, clock, most
+        self.asked = 0
         self._begin = clock()
         self._end = self._begin + limit
         self._reached: float | None = None
@@ -60,7 +64,10 @@ class BestIterate:
             self.best = point
 
     def is_late(self) -> bool:
-        """Whether the time is up."""
+        """Whether the time is up, or the number of iterations."""
+        self.asked += not self.is_exhausted
+        if self.is_exhausted:
+            return True
         now = self._clock()
         if now > self._end:
             self.was_late = True
@@ -68,6 +75,11 @@ class BestIterate:
         if self._went_on is None:
             self._went_on = now
         return False
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Whether the search would have gone on had its number of iterations not been limited."""
+        return self.asked > self._most
 
     def rest(self, now: float) -> float | None:
         """The seconds since the search went on from the iterate before the last one; None where there is none.

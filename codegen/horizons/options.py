@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral
 
 from codegen.errors import ArgumentError, NumericsError
+from codegen.horizons.interface import require_count
 from codegen.solutions.given_values import as_number
 from codegen.solving.request import SCALINGS
 
@@ -24,13 +24,14 @@ class Options:
     newton_steps: int | None
     deadline: float | None
     scaling: str
+    delay: int
 
     def __post_init__(self) -> None:
         """Refuse what is unusable whatever the problem is."""
         for name in ("steps", "newton_steps"):
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, Integral) or value < 1):
-                raise NumericsError(f"{name} is {value!r}", "give a positive integer")
+            if getattr(self, name) is not None:
+                require_count(name, getattr(self, name), 1)
+        require_count("delay", self.delay, 0)
         for name in ("horizon", "sample", "deadline"):
             value = getattr(self, name)
             if value is not None and not 0.0 < as_number(value) < float("inf"):

@@ -15,14 +15,12 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.horizons.interface import Interface, module_of
 from codegen.horizons.values import Moving, Values
+from codegen.horizons.velocities import velocities_of
 from codegen.interfaces import Vector, is_control, is_of_particles, is_simulation
 from codegen.solutions.given_values import parameter_arguments
 
 Plant: TypeAlias = Callable[[Vector, Vector, float, float], Vector]
 """The state (states,) after a state, inputs (controls,), the time, and how long they act."""
-
-NEWTON_STEPS, CLOSE = 20, 1e-12
-"""For velocities from momenta: one is enough where kinetic energy is quadratic in them."""
 
 
 class PlantFailed(Exception):
@@ -126,22 +124,12 @@ class ModulePlant:
         return np.array([values[name] for name in self.states])
 
     def _velocities(self, found: Any, given: Mapping[str, Any]) -> Vector:
-        """The velocities (coordinates,) with the momenta at the end, by Newton's method on dL/dv = p.
-
-        Its matrix is that of differences over one, exact for a kinetic energy that is quadratic in velocities.
-        """
-        q, p = found.q[-1], found.p[-1]
+        """The velocities (coordinates,) with the momenta at the end."""
+        q = found.q[-1]
         place = dict(zip(self.module.metadata["coordinates"], q.tolist(), strict=True))
 
         def momenta(v: Vector) -> Vector:
             start = place | dict(zip(self._rates, v.tolist(), strict=True))
             return np.asarray(self.module.make_grid(1, **{**given, "start": start}).start[q.size :])
 
-        v = np.array([given["start"][name] for name in self._rates])
-        for _ in range(NEWTON_STEPS):
-            missing = p - momenta(v)
-            if np.abs(missing).max() <= CLOSE * max(1.0, np.abs(p).max()):
-                break
-            mass = np.column_stack([momenta(v + unit) - momenta(v) for unit in np.eye(q.size)])
-            v = v + np.linalg.solve(mass, missing)
-        return v
+        return velocities_of(momenta, found.p[-1], np.array([given["start"][name] for name in self._rates]))

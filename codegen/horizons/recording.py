@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.horizons.controller import Controller, Feedback
+from codegen.horizons.controller import Controller
+from codegen.horizons.feedback import Feedback
 from codegen.interfaces import Matrix, Vector
 from codegen.tasks import Home
 

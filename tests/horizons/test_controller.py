@@ -227,6 +227,45 @@ def test_a_solve_that_fails_falls_back_on_the_plan_before(status):
     assert controller.last.status == "solved"
 
 
+@pytest.mark.parametrize("status", ["time limit", "stalled", "infeasible"])
+@pytest.mark.parametrize(("newton_steps", "most"), [(None, 200), (3, 200), (500, 500)])
+def test_a_search_that_would_go_on_and_on_ends_with_what_it_has(status, newton_steps, most):
+    """Whatever a search that was told to end says of itself: it was the number of iterations and restorations."""
+    module = altered(carried())
+    controller = codegen.Controller(module, newton_steps=newton_steps)
+    controller.step([1.0, 0.0])
+    nearly = module.solve(STEPS, start={"x": 0.9, "dx": -0.2}, tolerance=1e-3).unknowns
+
+    def endless(grid, *given, **_named):
+        log, turns = given[-1], 0
+        while not log.is_late():
+            turns += 1
+        assert log.is_late()
+        return status, module.evaluate(grid, nearly), turns - 40
+
+    module.minimise = endless
+    controller.step([0.9, -0.2], H)
+    last = controller.last
+    assert (last.status, last.fell_back, last.iterations) == ("iteration limit", False, most - 40)
+    start = f"iteration limit after {most - 40} iterations and 40 of restorations; applied is the best feasible iterate"
+    assert last.message.startswith(start)
+    np.testing.assert_array_equal(controller.plan()[2], module.unpack(module.make_grid(STEPS), nearly)[3])
+
+
+def test_the_first_search_is_not_limited_so():
+    module, turns = altered(carried()), []
+    controller = codegen.Controller(module)
+    own = module.minimise
+
+    def long(grid, *given, **named):
+        turns.append(sum(not given[-1].is_late() for _ in range(1000)))
+        return own(grid, *given, **named)
+
+    module.minimise = long
+    controller.step([1.0, 0.0])
+    assert (turns, controller.last.status) == ([1000], "solved")
+
+
 def test_a_claim_that_is_not_so_is_taken_back():
     module = altered(carried())
     controller = codegen.Controller(module)

@@ -1,0 +1,123 @@
+"""The motion of a module's own model under inputs that are given, by the discrete equations of which plans are made.
+
+Where nothing disturbs it, the state at the end is therefore the one that a plan with these inputs has there.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import ArgumentError
+from codegen.horizons.grids import Grids
+from codegen.horizons.interface import Interface
+from codegen.horizons.options import WHOLE
+from codegen.horizons.velocities import velocities_of
+from codegen.interfaces import Grid, Indices, Vector
+
+NEWTON_STEPS, CLOSE = 20, 1e-10
+"""On one interval, and the part of what is solved for that the last of them may be."""
+
+
+class Motion:
+    """What a state becomes within `seconds`, which are so many `intervals` of a plan.
+
+    They are divided into intervals that are no longer than those of the plan. Raises ArgumentError for a module whose
+    states do not follow from its start and its inputs.
+    """
+
+    def __init__(self, module: Any, interface: Interface, seconds: float, intervals: float) -> None:
+        self._module, self._seconds = module, {"duration": seconds}
+        steps = max(1, math.ceil(intervals - WHOLE))
+        self._grids = Grids(module, interface, steps, is_searched=False)
+        self._starts = Grids(module, interface, 1, is_searched=False)
+        coordinates = module.metadata["coordinates"]
+        self._places = [interface.states.index(name) for name in coordinates if name in interface.states]
+        self._rates = [i for i in range(len(interface.states)) if i not in self._places]
+        pair = module.make_grid(2)
+        numbers = np.arange(pair.is_multiplier.size, dtype=float)
+        first, second = module.views(pair, numbers)[0][0, :2].astype(np.intp)
+        self._node, self._stride = first, int(second[0])
+        self._controls = module.unpack(pair, numbers)[3][0].astype(np.intp)
+        multipliers, primal = module.multiplier_unknowns(pair), module.primal_unknowns(pair)
+        self._equations: Indices = multipliers[multipliers < self._stride]
+        own = np.setdiff1d(primal[primal < self._stride], self._controls)
+        states = np.setdiff1d(primal[np.isin(primal, second)], own + self._stride)
+        self._unknowns: Indices = np.concatenate([own, states])
+        if self._equations.size != self._unknowns.size or module.metadata["free_parameters"]:
+            finding = f"the state of {module.metadata['problem']} does not follow from its start and inputs alone"
+            raise ArgumentError(finding, "leave delay out, and give step the state that inputs on their way lead to")
+        self._entries = self._entries_of_matrix()
+
+    def __call__(self, state: Vector, inputs: Vector, given: dict[str, Any], later: dict[str, Any]) -> Vector | None:
+        """The state (states,) after a state under inputs (controls,); None where it cannot be followed.
+
+        The run-time values `given` hold on the way, those of `later` at its end.
+        """
+        grid = self._grids.at(given | self._seconds, state)
+        unknowns = self._module.initial_guess(grid)
+        try:
+            for k in range(grid.steps):
+                here = k * self._stride
+                unknowns[here + self._controls] = inputs
+                unknowns[here + self._stride + self._node] = unknowns[here + self._node]
+                if not self._is_solved(grid, unknowns, k):
+                    return None
+            _, q, p, _, _ = self._module.unpack(grid, unknowns)
+            found = state.copy()
+            found[self._places] = q[-1]
+            if self._rates:
+                found[self._rates] = self._velocities(found, p[-1], later)
+        except np.linalg.LinAlgError:
+            return None
+        return found if np.isfinite(found).all() else None
+
+    def _entries_of_matrix(self) -> tuple[Indices, Indices, Indices]:
+        """Which entries of an interval's Hessian belong to its motion, and their rows and columns there."""
+        row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (self._equations, self._unknowns))
+        pairs = list(enumerate(zip(self._module.HESSIAN_ROWS, self._module.HESSIAN_COLUMNS, strict=True)))
+        found = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]
+        found += [(k, row[j], column[i]) for k, (i, j) in pairs if j in row and i in column]
+        entry, rows, columns = np.array(found, dtype=np.intp).T
+        return entry, rows, columns
+
+    def _is_solved(self, grid: Grid, unknowns: Vector, k: int) -> bool:
+        """Whether Newton's method finds what interval k leads to, which is put into `unknowns` (n,)."""
+        module, here = self._module, k * self._stride
+        equations, solved = here + self._equations, here + self._unknowns
+        values = np.empty((grid.steps, module.HESSIAN_ROWS.size))
+        matrix = np.zeros((equations.size, equations.size))
+        entry, rows, columns = self._entries
+        for _ in range(NEWTON_STEPS):
+            residual = module.evaluate(grid, unknowns).gradient[equations]
+            module.interval_hessians(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, values)
+            matrix[rows, columns] = values[k, entry]
+            step = np.linalg.solve(matrix, residual)
+            unknowns[solved] -= step
+            largest = np.abs(step).max()
+            if not largest < np.inf:
+                return False
+            if largest <= CLOSE * max(1.0, np.abs(unknowns[solved]).max()):
+                return True
+        return False
+
+    def _velocities(self, state: Vector, wanted: Vector, later: dict[str, Any]) -> Vector:
+        """The rates of a state with its places, and with the momenta (coordinates,) that the motion ended with."""
+        module, start = self._module, state.copy()
+        of_node = self._equations[self._equations < self._node.size]
+        grid = self._starts.at(later | self._seconds, start)
+        unknowns = module.initial_guess(grid)
+
+        def momenta(rates: Vector) -> Vector:
+            start[self._rates] = rates
+            grid = self._starts.at(later | self._seconds, start)
+            module.pin_values(grid, unknowns, module.views(grid, unknowns)[0])
+            found: Vector = module.unpack(grid, unknowns)[2][0]
+            # Discrete equations at the start: what is given there, less the momentum of the first interval.
+            if of_node.size:
+                found = found + module.evaluate(grid, unknowns).gradient[of_node]
+            return found
+
+        return velocities_of(momenta, wanted, state[self._rates])
