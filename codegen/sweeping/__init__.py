@@ -44,13 +44,13 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
     - `driver`, `arguments`, `scheme`, `formulation` (the `method` of a solve), `controls`, `steps`, `every`,
       `tolerance`, `max_iterations`, `time_limit` and `scaling`: as for `codegen.solve`, the same for all cases.
 
-    The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with NaN
-    where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all attempts at a
-    case, status and message; free parameters by their names; with sensitivities d_cost (..., by), likewise d_T of a
-    free parameter T, and d_q (..., by, node, names), NaN where d_message says why there are none; of optimisations on a
-    grid `improvement`, what a case has won by a start from beyond a jump of the cost, and `jump`, 1 where a better
-    neighbour is left. A case that fails is a row with these, and NaN in cost and arrays. All quantities are in the
-    units of the problem file.
+    The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with
+    NaN where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all
+    attempts at a case, status and message; free parameters by their names; with sensitivities d_cost (..., by),
+    likewise d_T of a free parameter T, and d_q (..., by, node, names), NaN where d_message says why there are none;
+    of optimisations whose guesses do not vary `improvement`, what a case has won by a start from beyond a jump of the
+    cost, and `jump`, 1 where a better neighbour is left. A case that fails is a row with these, and NaN in cost and
+    arrays. All quantities are in the units of the problem file.
 
     Raises ArgumentError for names and options that do not exist or do not apply, ExtraError without xarray and zarr, or
     dask for a cluster, ClusterError when its scheduler does not answer, has no workers or is lost, and what

@@ -138,8 +138,9 @@ def _into_store(
 
 
 def _is_cut(work: Work) -> bool:
-    """Whether jumps of the cost may lie between chunks, and there is memory for looking."""
-    return work.layout.has_jumps and work.chunks.number > 1 and work.cases.number <= MOST_LOOKED_THROUGH
+    """Whether jumps of the cost may lie between chunks of a grid, and there is memory for looking."""
+    is_looked_through = work.cases.is_grid and work.cases.number <= MOST_LOOKED_THROUGH
+    return work.layout.has_jumps and work.chunks.number > 1 and is_looked_through
 
 
 def _marked(
@@ -178,7 +179,7 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     )  # fmt: skip
     require_memory(task.numbers(module.metadata, run), most)
     has_guesses = any(quantity.kind == GUESS for quantity in modules.quantities)
-    has_jumps = task.name == "control" and cases.is_grid and not has_guesses
+    has_jumps = task.name == "control" and not has_guesses
     layout = replace(layout_of(shapes, steps, request.keep), has_jumps=has_jumps)
     warm = request.warm_starts and task.name == "control"
     loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
