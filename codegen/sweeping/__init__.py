@@ -29,8 +29,9 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
 
     - `out`: a zarr store (.zarr), written chunk by chunk, or a file of netCDF (.nc); what is there already is never
       overwritten. `resume` goes on with a store that was begun by the same sweep;
-    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said; with
-      `sensitivities` also of d_t, d_q, d_p, d_u and d_multipliers, their derivatives;
+    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, unless said all, or t, q and u where
+      all would take more than 250 MB of all cases, before they are compressed; with `sensitivities` also of d_t, d_q,
+      d_p, d_u and d_multipliers, their derivatives;
     - `workers`: how many processes share the work, unless said as many as there are processors. Results do not depend
       on it. With `spawn` as the only way to start a process, a script needs its `if __name__ == "__main__"`;
     - `cluster`: the address of a scheduler of dask, a `distributed.Client`, or "local", for workers of a cluster;
