@@ -55,7 +55,8 @@ Keep = Annotated[
     str,
     typer.Option(
         metavar="NAMES",
-        help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: t,q,u]",
+        help="Of t,q,p,u,multipliers,energy, and of d_q, d_u, ..., derivatives of them; or none. [default: all but "
+        "derivatives, or t,q,u where that is more than 250 MB]",
         show_default=False,
     ),
 ]
@@ -122,7 +123,6 @@ def sweep(
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.author.problem_file import parse_arguments
     from codegen.sweeping.cases import assigned, axis_of
-    from codegen.sweeping.layout import KEPT
     from codegen.sweeping.outcome import outcome_of
     from codegen.sweeping.request import sweep_request
 
@@ -133,7 +133,7 @@ def sweep(
         zipped=[[name.strip() for name in group.split(",")] for group in zip_],
         samples=_once("--sample", [assigned("--sample", item, '"m=normal(100, 5)"') for item in sample]),
         cases=int(cases) if cases is not None and cases.isascii() and cases.isdigit() and len(cases) < 13 else cases,
-        method=method, seed=seed, out=out, resume=resume, keep=_kept(keep) if keep else KEPT, workers=workers,
+        method=method, seed=seed, out=out, resume=resume, keep=_kept(keep) if keep else None, workers=workers,
         warm_starts=warm_starts, chunk=chunk, cluster=cluster, driver=driver, arguments=parse_arguments(set_, problem),
         scheme=scheme, formulation=formulation, controls=controls.value, steps=steps, every=every,
         tolerance=tolerance, max_iterations=max_iterations, time_limit=time_limit, scaling=scaling,
@@ -194,6 +194,17 @@ def _kept(names: str) -> tuple[str, ...]:
     return () if names.strip() == "none" else tuple(name.strip() for name in names.split(","))
 
 
+def _kept_of_each(layout: Any) -> str:
+    """Which arrays there are of each case, and which are left out because all would be too much."""
+    from codegen.sweeping.layout import FITS
+
+    if not layout.dims:
+        return ""
+    rest = ", ".join(layout.left_out)
+    without = f"; with {rest} all would be more than {FITS / 1e6:.0f} MB" if rest else ""
+    return f"{', '.join(layout.dims)} of each, {layout.bytes / 1e3:.3g} kB before compression{without} (--keep)"
+
+
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
     from codegen.engines.tally import counted, table_of
@@ -209,6 +220,8 @@ def _tell(outcome: Any, json: bool) -> None:
         new = counted(tally.cases - outcome.before, "case")
         there = f", {outcome.before} of {tally.cases} were there already" if outcome.before else ""
         console().print(f"{new} in {outcome.seconds:.3g} s{there}: {outcome.out}", markup=False)
+        if of_each := _kept_of_each(outcome.layout):
+            console().print(of_each, markup=False)
     if tally.improved:
         were = "was" if tally.improved == 1 else "were"
         cases = counted(tally.improved, "case")

@@ -19,19 +19,28 @@ from codegen.plots.style import AMBER, BLUE, DARK, body_map, label, statuses
 if TYPE_CHECKING:
     from xarray import Dataset
 
-MOST_PANELS, MOST_LINES, MOST_CASES = 6, 60, 4000
+MOST_PANELS, MOST_LINES, MOST_CASES = 15, 60, 4000
 """Quantities, trajectories and cases for quantiles that are drawn at most."""
+MOST_CONTROLS = 6
+"""So many controls at most take the place of states, where there are more of both than are drawn."""
 BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
 """Quantiles between which a fan is filled, and how strongly."""
 _COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
 
 
-def groups_of(data: Dataset) -> list[tuple[str, str]]:
-    """The trajectories that are there, as (array, column)."""
+def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
+    """The trajectories that are drawn, as (array, column), states and then controls, and the columns for which there is
+    no room.
+    """
     if "t" not in data:
-        return []
-    found = [(name, str(c)) for name, (dim, _) in _COLUMNS.items() if name in data for c in data[dim].values]
-    return found[:MOST_PANELS]
+        return [], []
+    states, controls = (
+        [(name, str(column)) for column in data[dim].values] if name in data else []
+        for name, (dim, _) in _COLUMNS.items()
+    )
+    few = controls[: max(MOST_CONTROLS, MOST_PANELS - len(states))]
+    drawn = [*states[: MOST_PANELS - len(few)], *few]
+    return drawn, [column for name, column in (*states, *controls) if (name, column) not in drawn]
 
 
 def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.intp]]:

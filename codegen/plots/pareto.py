@@ -19,14 +19,18 @@ if TYPE_CHECKING:
 
 _WIDE = 100.0
 """Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+_EDGE = 0.02
+"""Where failed cases stand, in parts of the panel."""
+_FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5, "zorder": 3.0}
 _WORDS = {"start": "at the start", "end": "at the end", "max": "at its largest", "min": "at its smallest"}
 
 
 def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
     """A page about two objectives of a sweep, as `codegen.sweep` returns it.
 
-    The front is a line through its cases; what is dominated is lighter, and failed cases are crosses between their two
-    nearest neighbours that are solved. Cases of the front have the colour of the first quantity that varies beside.
+    The front is a line through its cases; what is dominated is lighter. Failed cases have no objectives but those that
+    vary: by these they are crosses at the edge, and else told by their number alone. Cases of the front have the colour
+    of the first quantity that varies beside.
     """
     figure = new_figure(8.6, 5.6)
     axes = figure.subplots()
@@ -45,9 +49,7 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
     axes.plot(one[front], other[front], "-", color=DARK, linewidth=1.0, zorder=2.2)
     _front(figure, axes, data, _first_varied(data, objectives), (one, other), front, size)
     if not solved.all():
-        x, y = _between(data, solved, (one, other))
-        look: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 5.5}
-        axes.plot(x, y, **look, zorder=3.0, label=f"{int((~solved).sum())} failed")
+        _failed(axes, one[~solved], other[~solved])
     for objective, values, is_first in ((objectives[0], one, True), (objectives[1], other, False)):
         _axis(axes, objective, values, is_first)
     handles, names = axes.get_legend_handles_labels()
@@ -95,34 +97,19 @@ def _first_varied(data: Dataset, objectives: tuple[Objective, Objective]) -> str
     return None
 
 
-def _between(
-    data: Dataset, solved: NDArray[np.bool_], values: tuple[NDArray[np.float64], NDArray[np.float64]]
-) -> list[NDArray[np.float64]]:
-    """Where failed cases are drawn: what varies has its value, the rest lies between the two nearest solved cases."""
-    points, found = _points(data), [array[~solved].copy() for array in values]
-    (there,) = np.nonzero(solved)
-    for k, place in enumerate(np.flatnonzero(~solved)):
-        if not there.size:
-            break
-        distances = ((points[there] - points[place]) ** 2).sum(axis=1)
-        nearest = there[np.argsort(distances, kind="stable")[:2]]
-        for own, array in zip(found, values):
-            own[k] = own[k] if np.isfinite(own[k]) else array[nearest].mean()
-    return found
-
-
-def _points(data: Dataset) -> NDArray[np.float64]:
-    """Cases as points (n, quantities), in parts of ranges; words are numbered."""
-    columns = []
-    for coordinate in data.coords.values():
-        if not coordinate.dims or coordinate.dims[0] not in data["status"].dims:
-            continue
-        own = coordinate.broadcast_like(data["status"]).transpose(*data["status"].dims).values.ravel()
-        numbers = (
-            own.astype(float) if own.dtype.kind in "fiub" else np.unique(own, return_inverse=True)[1].astype(float)
-        )
-        columns.append((numbers - numbers.min()) / (np.ptp(numbers) or 1.0))
-    return np.column_stack(columns) if columns else np.arange(data["status"].size, dtype=float)[:, None]
+def _failed(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """Cases that failed: where an objective is what varies at its edge of the panel, and how many they are."""
+    has_x, has_y, look = np.isfinite(x).all(), np.isfinite(y).all(), {**_FAILED}
+    at_foot, at_side = np.full(x.size, _EDGE), np.full(y.size, _EDGE)
+    if has_x and has_y:
+        axes.plot(x, y, **look)
+    elif has_x:
+        axes.plot(x, at_foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
+    elif has_y:
+        axes.plot(at_side, y, **look, transform=axes.get_yaxis_transform(), clip_on=False)
+    is_seen = bool(has_x or has_y)
+    name = f"{x.size} failed" if is_seen else f"{x.size} failed: no objectives"
+    axes.plot([], [], **(look if is_seen else {**look, "marker": ""}), label=name)
 
 
 def _axis(axes: Any, objective: Objective, values: NDArray[np.float64], is_first: bool) -> None:

@@ -9,24 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from codegen.plots import fans
+from codegen.plots import coinciding, fans
+from codegen.plots.contours import contours
 from codegen.plots.first_order import prediction
-from codegen.plots.purposes import letter_size, new_figure
+from codegen.plots.measures import FAILED, JUMP, has_jump, is_failed, is_wide, measures_of, no_room, scale
+from codegen.plots.purposes import new_figure
 from codegen.plots.style import (
     BLUE,
     CRIMSON,
-    DARK,
     GREY,
-    PINK,
     body_colours,
     body_map,
     heading,
-    label,
     quantity,
-    statuses,
 )
 
 if TYPE_CHECKING:
@@ -34,16 +31,9 @@ if TYPE_CHECKING:
 
 MOST_LINES = 7
 """A second quantity of so many values is shown as lines; of more, the two span a map."""
-_MOST_MAPS, _MOST_MEASURES, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 4, 20_000
-_WIDE = 100.0
-"""Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+_MOST_MAPS, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 20_000
 _FOOT = 0.035
 """How much of a panel's height a row of failed cases takes."""
-_FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
-_JUMP: dict[str, Any] = {
-    "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
-    "markeredgewidth": 1.6,
-}  # fmt: skip
 
 
 def sweep_figure(data: Dataset) -> Figure:
@@ -62,33 +52,8 @@ def sweep_figure(data: Dataset) -> Figure:
     data = data.isel({dim: 0 for dim in dims if dim not in drawn} | middle)
     figure = _lines(data, drawn) if second <= MOST_LINES else _maps(data, drawn)
     at = ", ".join(f"{quantity(dim)} = {_named(whole, dim)[k]}" for dim, k in middle.items())
-    heading(figure, whole, f"; drawn are those at {at}" if at else "")
+    heading(figure, whole, (f"; drawn are those at {at}" if at else "") + no_room(data, second == 1))
     return figure
-
-
-def _measures(data: Dataset) -> dict[str, NDArray[np.float64]]:
-    """What a case comes to by its label: the cost, or the state at the end."""
-    cost = data["cost"].values
-    if np.isfinite(cost).any() or "q" not in data:
-        return {"cost": cost}
-    names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
-    ends = np.moveaxis(_at_end(data), -1, 0)
-    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
-
-
-def _at_end(data: Dataset) -> NDArray[np.float64]:
-    """The last values of q that are numbers: arrays of fewer steps end in NaN."""
-    q = data["q"].transpose(..., "node", "coordinate").values
-    number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
-    return np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :])
-
-
-def _is_failed(data: Dataset) -> NDArray[np.bool_]:
-    return np.asarray(statuses(data) != "solved")
-
-
-def _has_jump(data: Dataset) -> NDArray[np.bool_]:
-    return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
 
 
 def _places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
@@ -104,7 +69,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     """Measures over one quantity, a line for each value of another, and trajectories graded by the first."""
     x, order, words = _places(data, dims[0])
     by = dims[1] if len(dims) > 1 else None
-    measures, groups = _measures(data), fans.groups_of(data)
+    measures, (groups, _) = measures_of(data), fans.groups_of(data)
     columns = _columns(len(groups))
     rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
     names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
@@ -112,7 +77,7 @@ def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     rows += [names[first : first + columns] for first in range(0, len(names), columns)]
     figure = new_figure(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
-    failed, jumps = (_rows(table, data, dims)[:, order] for table in (_is_failed(data), _has_jump(data)))
+    failed, jumps = (_rows(table, data, dims)[:, order] for table in (is_failed(data), has_jump(data)))
     for i, (name, values) in enumerate(measures.items()):
         _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by, bool(words))
         panels[f"m{i}"].set_ylabel(name)
@@ -149,40 +114,35 @@ def _measure(
     is_of_words: bool,
 ) -> None:
     """Lines of one measure, failed cases below, in a row for each line and its colour, and jumps where they are."""
-    _scale(axes, rows)
+    scale(axes, rows)
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
+    same = coinciding.groups(rows, axes.get_yscale() == "log")
+    looks = coinciding.looks(same)
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
         name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
-        axes.plot(x, row, marker, linestyle="none" if is_of_words else "-", color=colour, markersize=5, label=name)
+        look = {**looks[i], **({"linestyle": "none"} if is_of_words else {})}
+        axes.plot(x, row, marker, **{"linestyle": "-", **look}, color=colour, markersize=5, label=name)
+    if len(same) < len(rows):
+        axes.plot([], [], " ", label="in turn where they coincide")
     if jumps.any():
         places = np.nonzero(jumps)
-        axes.plot(x[places[1]], rows[places], **_JUMP, label="jump")
+        axes.plot(x[places[1]], rows[places], **JUMP, label="jump")
     for i, (row, colour) in enumerate(zip(failed, body_colours(len(rows), CRIMSON))):
         if row.any():
-            foot, look = np.full(int(row.sum()), 0.03 + _FOOT * i), {**_FAILED, "color": colour}
+            foot, look = np.full(int(row.sum()), 0.03 + _FOOT * i), {**FAILED, "color": colour}
             (marks,) = axes.plot(x[row], foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
             marks.set_label("failed" if len(rows) == 1 else "")
     if failed.any() and len(rows) > 1:
-        axes.plot([], [], **_FAILED, label="failed")
+        axes.plot([], [], **FAILED, label="failed")
     if len(rows) > 1 or failed.any() or jumps.any():
-        axes.legend(loc="best")
+        coinciding.legend(axes)
     axes.margins(x=0.02, y=0.05 + _FOOT * len(failed) * failed.any())
 
 
 def _named(data: Dataset, dim: str) -> list[str]:
     places, order, words = _places(data, dim)
     return words or [f"{value:.6g}" for value in places[np.argsort(order)]]
-
-
-def _scale(axes: Any, values: NDArray[np.float64]) -> None:
-    if _is_wide(values):
-        axes.set_yscale("log")
-
-
-def _is_wide(values: NDArray[np.float64]) -> bool:
-    finite = values[np.isfinite(values)]
-    return finite.size > 1 and bool(finite.min() > 0.0) and bool(finite.max() > _WIDE * finite.min())
 
 
 def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
@@ -193,7 +153,7 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
         number = data.sizes[dims[2]]
         chosen = sorted({round(i) for i in np.linspace(0, number - 1, min(number, _MOST_MAPS))})
     panels = [(data if k is None else data.isel({dims[2]: k}), k) for k in chosen]
-    shown = [(part, k, name, values) for part, k in panels for name, values in _measures(part).items()]
+    shown = [(part, k, name, values) for part, k in panels for name, values in measures_of(part).items()]
     columns = _columns(len(shown))
     size = max(6.4, 4.3 * columns), 1.2 + 3.7 * math.ceil(len(shown) / columns)
     figure = new_figure(*size)
@@ -223,7 +183,7 @@ def _columns(panels: int) -> int:
 def _norm(values: NDArray[np.float64]) -> Normalize:
     finite = values[np.isfinite(values)]
     least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return LogNorm(least, most) if _is_wide(values) else Normalize(least, most)
+    return LogNorm(least, most) if is_wide(values) else Normalize(least, most)
 
 
 def _map(
@@ -239,14 +199,8 @@ def _map(
 
     shown = laid(values)
     shades = axes.pcolormesh(x, y, shown, shading="nearest", cmap=body_map(), norm=norm, rasterized=True)
-    levels = _levels(norm)
-    if min(shown.shape) > 2 and np.isfinite(shown).any() and levels.size:
-        halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
-        lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
-        lines.set_path_effects(halo)
-        for text in axes.clabel(lines, fontsize=letter_size(7.5), fmt="%.4g"):
-            text.set_path_effects(halo)
-    for table, look, name in ((laid(_is_failed(data)), _FAILED, "failed"), (laid(_has_jump(data)), _JUMP, "jump")):
+    contours(axes, x, y, shown, norm)
+    for table, look, name in ((laid(is_failed(data)), FAILED, "failed"), (laid(has_jump(data)), JUMP, "jump")):
         if table.any():
             i, j = np.nonzero(table)
             axes.plot(
@@ -261,19 +215,6 @@ def _map(
     return shades
 
 
-def _levels(norm: Normalize) -> NDArray[np.float64]:
-    """Round values between the least and the largest, for contours."""
-    from matplotlib.ticker import LogLocator, MaxNLocator
-
-    least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
-    if not least < most:
-        return np.zeros(0)
-    few = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
-    locator: Any = LogLocator(subs=few) if isinstance(norm, LogNorm) else MaxNLocator(8)
-    found = np.asarray(locator.tick_values(least, most), dtype=float)
-    return found[(found > least) & (found < most)]
-
-
 def _crowd(cells: int) -> float:
     """How large marks are where there are many cells."""
     return min(1.0, math.sqrt(900.0 / cells))
@@ -286,12 +227,12 @@ def _samples(data: Dataset) -> Figure:
     """
     stride = max(1, -(-data.sizes["case"] // _MOST_POINTS))
     data = data.isel(case=slice(None, None, stride))
-    measures, groups = _measures(data), fans.groups_of(data)
+    measures, (groups, _) = measures_of(data), fans.groups_of(data)
     own = {"status", "message", *map(str, data.sizes)}
     varied = [str(name) for name, values in data.coords.items() if values.dims == ("case",) and str(name) not in own]
     varied = [name for name in varied if data[name].dtype.kind in "fiub"]
     every, varied = varied, varied[:_MOST_SCATTERS]
-    columns = max(2, min(4, 1 + len(varied)))
+    columns = max(3 if len(groups) > 6 else 2, min(4, 1 + len(varied)))
     blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
     blocks.append([f"g{i}" for i in range(len(groups))])
     rows: list[Any] = [
@@ -300,25 +241,34 @@ def _samples(data: Dataset) -> Figure:
     ]  # fmt: skip
     figure = new_figure(3.6 * columns, 1.0 + 2.9 * len(rows))
     panels = figure.subplot_mosaic(rows)
-    failed, linear = _is_failed(data), prediction(data, every)
+    marked, linear = (is_failed(data), has_jump(data)), prediction(data, every)
     for i, (name, values) in enumerate(measures.items()):
         mean, deviation = linear.of(data, "cost") if linear is not None else (np.nan, np.nan)
-        fans.histogram(panels[f"m{i}"], name, values, _is_wide(values), (float(mean), float(deviation)))
+        fans.histogram(panels[f"m{i}"], name, values, is_wide(values), (float(mean), float(deviation)))
         for j, varied_one in enumerate(varied):
-            _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, failed)
+            _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, *marked)
             panels[f"s{i},{j}"].set_xlabel(quantity(varied_one, data))
             panels[f"s{i},{j}"].set_ylabel(name)
     for i, group in enumerate(groups):
         fans.fan(panels[f"g{i}"], data, group, linear)
-    heading(figure, data)
+    heading(figure, data, no_room(data, True, [f"the cost over {quantity(name)}" for name in every[_MOST_SCATTERS:]]))
     return figure
 
 
-def _scatter(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], failed: NDArray[np.bool_]) -> None:
-    _scale(axes, y)
+def _scatter(
+    axes: Any,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    failed: NDArray[np.bool_],
+    jumps: NDArray[np.bool_],
+) -> None:
+    scale(axes, y)
     axes.plot(x, y, ".", color=BLUE, markersize=max(1.0, 5.0 * _crowd(x.size)), alpha=0.5, rasterized=True)
+    if jumps.any():
+        axes.plot(x[jumps], y[jumps], **JUMP, label="jump")
     if failed.any():
         foot = axes.get_xaxis_transform()
         number = int(failed.sum())
-        axes.plot(x[failed], np.full(number, 0.03), **_FAILED, transform=foot, clip_on=False, label=f"{number} failed")
+        axes.plot(x[failed], np.full(number, 0.03), **FAILED, transform=foot, clip_on=False, label=f"{number} failed")
+    if failed.any() or jumps.any():
         axes.legend(loc="best", labelcolor=GREY)

@@ -29,8 +29,9 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
 
     - `out`: a zarr store (.zarr), written chunk by chunk, or a file of netCDF (.nc); what is there already is never
       overwritten. `resume` goes on with a store that was begun by the same sweep;
-    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, t, q and u unless said; with
-      `sensitivities` also of d_t, d_q, d_p, d_u and d_multipliers, their derivatives;
+    - `keep`: which of t, q, p, u, multipliers and energy are kept of each case, unless said all, or t, q and u where
+      all would take more than 250 MB of all cases, before they are compressed; with `sensitivities` also of d_t, d_q,
+      d_p, d_u and d_multipliers, their derivatives;
     - `workers`: how many processes share the work, unless said as many as there are processors. Results do not depend
       on it. With `spawn` as the only way to start a process, a script needs its `if __name__ == "__main__"`;
     - `cluster`: the address of a scheduler of dask, a `distributed.Client`, or "local", for workers of a cluster;
@@ -44,13 +45,13 @@ def sweep(*positional: Any, **options: Any) -> Dataset:
     - `driver`, `arguments`, `scheme`, `formulation` (the `method` of a solve), `controls`, `steps`, `every`,
       `tolerance`, `max_iterations`, `time_limit` and `scaling`: as for `codegen.solve`, the same for all cases.
 
-    The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with NaN
-    where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all attempts at a
-    case, status and message; free parameters by their names; with sensitivities d_cost (..., by), likewise d_T of a
-    free parameter T, and d_q (..., by, node, names), NaN where d_message says why there are none; of optimisations on a
-    grid `improvement`, what a case has won by a start from beyond a jump of the cost, and `jump`, 1 where a better
-    neighbour is left. A case that fails is a row with these, and NaN in cost and arrays. All quantities are in the
-    units of the problem file.
+    The data set has t (..., node), q and p (..., node, names), u and multipliers on nodes or intervals, padded with
+    NaN where `steps` vary; cost, residual (evaluated again outside the driver), iterations and seconds of all
+    attempts at a case, status and message; free parameters by their names; with sensitivities d_cost (..., by),
+    likewise d_T of a free parameter T, and d_q (..., by, node, names), NaN where d_message says why there are none;
+    of optimisations whose guesses do not vary `improvement`, what a case has won by a start from beyond a jump of the
+    cost, and `jump`, 1 where a better neighbour is left. A case that fails is a row with these, and NaN in cost and
+    arrays. All quantities are in the units of the problem file.
 
     Raises ArgumentError for names and options that do not exist or do not apply, ExtraError without xarray and zarr, or
     dask for a cluster, ClusterError when its scheduler does not answer, has no workers or is lost, and what

@@ -1,4 +1,4 @@
-"""Jumps between local optima: where the cost along a grid is not smooth, and the worse side is begun from the better.
+"""Jumps between local optima: where the cost along a grid is not smooth.
 
 Along a line of a smooth function the difference of two neighbours lies between those that the slopes on either side
 predict, or close to it. Where one branch of optima takes over from another at equal cost it still does; where a search
@@ -9,8 +9,9 @@ that lies elsewhere is worth a solve and nothing more, since a smooth cost may w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Protocol, TypeAlias, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,6 @@ BENT_AT_ENDS = 4.0
 """As the first of these, where there is no slope beyond, for what is told and not only tried."""
 AHEAD = 4
 """So many values after one at an end are asked what it should be; without the last of them it is less certain."""
-BETTER = 1e-7
-"""What part of a cost has to be won for a solution to be another one."""
 
 
 def jumps_of(costs: Costs, places: Sequence[NDArray[np.float64]], certain: bool = False) -> list[Pair]:
@@ -134,69 +133,29 @@ def along(points: Costs) -> NDArray[np.float64]:
     return np.concatenate([[0.0], np.cumsum(parts)])
 
 
-class Solved(Protocol):
-    """What is known of a solution: its cost, and whether others may start from it."""
+@dataclass(frozen=True)
+class Grid:
+    """The neighbours on a grid of cases, or on a block of one, by its shape and the `places` of `jumps_of`."""
 
-    @property
-    def is_start(self) -> bool:
-        """Whether they may."""
+    shape: tuple[int, ...]
+    places: tuple[NDArray[np.float64], ...]
 
-    @property
-    def cost(self) -> float:
-        """What it costs, NaN where it is none."""
+    def jumps(self, costs: Costs, certain: bool = False) -> list[Pair]:
+        """Pairs of neighbours between which the cost (n,) jumps; see `jumps_of`."""
+        return jumps_of(costs.reshape(self.shape), self.places, certain)
 
+    def followers(self, worse: int, better: int, costs: Costs) -> list[int]:
+        """What may follow a case that was improved: the case behind it, and at an end the neighbour it was begun from.
 
-Found = TypeVar("Found", bound=Solved)
+        No slope beyond tells whether the cost at an end is one with that beside it.
+        """
+        place, origin = (np.array(np.unravel_index(k, self.shape)) for k in (worse, better))
+        behind = self._solved(2 * place - origin, costs)
+        return behind if self._solved(2 * origin - place, costs) else [*behind, better]
 
-
-def improved(
-    outcomes: Sequence[Found],
-    shape: Sequence[int],
-    places: Sequence[NDArray[np.float64]],
-    attempt: Callable[[int, Found], Found],
-) -> dict[int, list[Found]]:
-    """Try the worse side of every jump from its neighbour, and what then jumps, until nothing improves.
-
-    `outcomes` are those of all cases of a grid; `attempt` solves a case from a solution. Returns the
-    further attempts at each case that has some; of these and its outcome the cheapest solution counts.
-    """
-    costs = np.array([outcome.cost if outcome.is_start else np.nan for outcome in outcomes])
-    best, attempts, tried = list(outcomes), dict[int, list[Found]](), set[tuple[int, int, float]]()
-    behind: list[Pair] = []
-    while True:
-        begun, pairs, behind = len(tried), [*jumps_of(costs.reshape(tuple(shape)), places), *behind], []
-        for worse, better in dict.fromkeys(pairs):
-            key = (worse, better, float(costs[better]))
-            # Each case may be improved along every dimension and from either side, but a search has to end.
-            if key in tried or len(tried) >= 2 * len(best):
-                continue
-            tried.add(key)
-            found = attempt(worse, best[better])
-            if is_better(found, best[worse]):
-                best[worse], costs[worse] = found, found.cost
-                behind += [(other, worse) for other in _followers(worse, better, costs.reshape(tuple(shape)))]
-            attempts.setdefault(worse, []).append(found)
-        if len(tried) == begun:
-            return attempts
-
-
-def is_better(found: Solved, than: Solved) -> bool:
-    """Whether a solution is another one than a solution of the same case, and costs less."""
-    return found.is_start and found.cost < than.cost - BETTER * abs(than.cost)
-
-
-def _followers(worse: int, better: int, costs: Costs) -> list[int]:
-    """What may follow a case that was improved from its neighbour: the case behind it, and the neighbour at an end.
-
-    No slope beyond tells whether the cost at an end is one with that beside it.
-    """
-    place, origin = (np.array(np.unravel_index(k, costs.shape)) for k in (worse, better))
-    behind = _solved(2 * place - origin, costs)
-    return behind if _solved(2 * origin - place, costs) else [*behind, better]
-
-
-def _solved(place: NDArray[np.intp], costs: Costs) -> list[int]:
-    """The case at a place of a grid, if it is one and has a solution."""
-    if (place < 0).any() or (place >= costs.shape).any() or np.isnan(costs[tuple(place)]):
-        return []
-    return [int(np.ravel_multi_index(tuple(place), costs.shape))]
+    def _solved(self, place: NDArray[np.intp], costs: Costs) -> list[int]:
+        """The case at a place of the grid, if it is one and has a solution."""
+        if (place < 0).any() or (place >= self.shape).any():
+            return []
+        case = int(np.ravel_multi_index(tuple(place), self.shape))
+        return [] if np.isnan(costs[case]) else [case]

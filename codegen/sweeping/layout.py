@@ -6,8 +6,9 @@ arrays are as large as the largest, names stand at the same place in all, and wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +23,9 @@ from codegen.solutions.segments import multiplier_names, segments_of
 from codegen.tasks import task_of
 
 KEPT = ("t", "q", "u")
-"""What is kept of each case where nothing is said."""
+"""What is kept of each case where nothing is said, and all arrays would be too much."""
+FITS = 250_000_000
+"""So many bytes of all cases together are not too much, counted before a file compresses them."""
 NUMBERS = {"cost": "f8", "residual": "f8", "iterations": "i4", "seconds": "f8"}
 JUMPS = {"improvement": "f8", "jump": "i4"}
 """What there is beside where jumps of the cost are looked for: what was won by them, and whether one is left."""
@@ -105,7 +108,7 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
 class Layout:
     """The arrays of all cases: their dimensions beside those of cases, the sizes of these, and the names of columns.
 
-    `free` are free parameters, which are numbers of each case.
+    `free` are free parameters, which are numbers of each case; `left_out` are arrays for which all cases are too many.
     """
 
     dims: Mapping[str, tuple[str, ...]]
@@ -113,6 +116,7 @@ class Layout:
     names: Mapping[str, tuple[str, ...]]
     has_jumps: bool = False
     free: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def numbers(self) -> dict[str, str]:
@@ -138,6 +142,11 @@ class Layout:
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each array for one case."""
         return {name: tuple(self.sizes[dim] for dim in dims) for name, dims in self.dims.items()}
+
+    @property
+    def bytes(self) -> int:
+        """What the arrays of one case take before they are compressed."""
+        return 8 * sum(math.prod(shape) for shape in self.shapes.values())
 
     def placed(self, name: str, array: Matrix, columns: Sequence[str]) -> Matrix:
         """The numbers of a case in the shape of its array, NaN where it has none."""
@@ -170,13 +179,30 @@ def free_label(name: str) -> str:
     return f"{name}_" if name in RESERVED else name
 
 
-def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) -> Layout:
-    """The arrays that are kept of cases of some modules, of at most so many intervals, or of each module's own.
+def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str] | None, cases: int) -> Layout:
+    """The arrays that are kept of so many cases of some modules, of at most so many intervals, or of each module's own.
 
-    Raises ArgumentError where a name is that of no array, or where arrays of the modules do not fit together.
+    Without a word, None, all that fit are. Raises ArgumentError where a name is that of no array, or where arrays of
+    the modules do not fit together.
     """
     shapes = tuple(shapes)
     have = [name for name in _ALL if any(name in own.rows and _has(own, name) for own in shapes)]
+    if keep is None:
+        every = _laid(shapes, steps, [name for name in have if name in KEPT or _is_one(shapes, name)], have)
+        if every.bytes * cases <= FITS:
+            return every
+        left_out = tuple(name for name in _ALL if name in every.dims and name not in KEPT)
+        return replace(_laid(shapes, steps, [name for name in KEPT if name in have], have), left_out=left_out)
+    return _laid(shapes, steps, keep, have)
+
+
+def _is_one(shapes: Iterable[Shapes], name: str) -> bool:
+    """Whether an array has its rows at the same places in all modules."""
+    return len({own.rows[name] for own in shapes if name in own.rows and _has(own, name)}) == 1
+
+
+def _laid(shapes: Sequence[Shapes], steps: int | None, keep: Sequence[str], have: Sequence[str]) -> Layout:
+    """The layout of arrays with these names, of those that the modules have."""
     by = tuple(dict.fromkeys(name for own in shapes for name in own.by))
     free = tuple(dict.fromkeys(name for own in shapes for name in own.free))
     rates = [name for name in _RATES if by and name in have and f"{RATE}{name}" in keep]
@@ -209,7 +235,7 @@ def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str]) 
 def _required(keep: Sequence[str], have: Sequence[str], by: Sequence[str]) -> Sequence[str]:
     """The names of arrays to be kept; ArgumentError where one is none."""
     for name in keep:
-        if name in have or (keep is KEPT and name in _ALL):
+        if name in have:
             continue
         if name.startswith(RATE) and name.removeprefix(RATE) in _RATES and not by:
             raise ArgumentError(clause(f"--keep {name}: there are no derivatives"), "give --sensitivities as well")

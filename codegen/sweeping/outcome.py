@@ -29,7 +29,7 @@ from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
 from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
 from codegen.sweeping.jumps import Costs, along, jumps_of
-from codegen.sweeping.layout import layout_of
+from codegen.sweeping.layout import Layout, layout_of
 from codegen.sweeping.modules import Modules, modules_of
 from codegen.sweeping.quantities import GUESS, STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
@@ -49,7 +49,8 @@ MOST_LOOKED_THROUGH = 10_000_000
 class SweepOutcome:
     """How the cases ended, the seconds that this took, what is to be said, and where the results are.
 
-    `before` is how many cases were in the store already, whose solves are not part of the seconds.
+    `before` is how many cases were in the store already, whose solves are not part of the seconds; `layout` tells
+    what is kept of each.
     """
 
     tally: Tally
@@ -58,6 +59,7 @@ class SweepOutcome:
     said: tuple[str, ...]
     out: Path | None
     dataset: Callable[[], Dataset]
+    layout: Layout
 
     @property
     def record(self) -> dict[str, Any]:
@@ -89,7 +91,7 @@ def outcome_of(
         team = Team(request.workers, cluster, working, progress)
         tally, before, dataset = finish(request, modules, work, frame, team)
     said = (*modules.said, *team.notes)
-    return SweepOutcome(tally, before, time.perf_counter() - begin, said, request.out, dataset)
+    return SweepOutcome(tally, before, time.perf_counter() - begin, said, request.out, dataset, work.layout)
 
 
 def _into_memory(
@@ -138,8 +140,9 @@ def _into_store(
 
 
 def _is_cut(work: Work) -> bool:
-    """Whether jumps of the cost may lie between chunks, and there is memory for looking."""
-    return work.layout.has_jumps and work.chunks.number > 1 and work.cases.number <= MOST_LOOKED_THROUGH
+    """Whether jumps of the cost may lie between chunks of a grid, and there is memory for looking."""
+    is_looked_through = work.cases.is_grid and work.cases.number <= MOST_LOOKED_THROUGH
+    return work.layout.has_jumps and work.chunks.number > 1 and is_looked_through
 
 
 def _marked(
@@ -178,8 +181,8 @@ def _planned(request: SweepRequest, modules: Modules) -> tuple[Work, Frame]:
     )  # fmt: skip
     require_memory(task.numbers(module.metadata, run), most)
     has_guesses = any(quantity.kind == GUESS for quantity in modules.quantities)
-    has_jumps = task.name == "control" and cases.is_grid and not has_guesses
-    layout = replace(layout_of(shapes, steps, request.keep), has_jumps=has_jumps)
+    has_jumps = task.name == "control" and not has_guesses
+    layout = replace(layout_of(shapes, steps, request.keep, cases.number), has_jumps=has_jumps)
     warm = request.warm_starts and task.name == "control"
     loaded = None if all(variant.path or not variant.shapes for variant in modules.variants.values()) else module
     single = Chunks(cases.shape, (1,) * len(cases.shape))

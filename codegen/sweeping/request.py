@@ -16,7 +16,6 @@ from codegen.solutions.output import require_folder
 from codegen.solving.request import Request
 from codegen.sweeping import cases as reading
 from codegen.sweeping.cases import Cases
-from codegen.sweeping.layout import KEPT
 from codegen.sweeping.samples import NUMBER, require_method, samples
 
 if TYPE_CHECKING:
@@ -34,7 +33,8 @@ OPTIONS = (
 class SweepRequest:
     """The solve that all cases share, the cases and where they come from, and what becomes of the results.
 
-    `chunk` is the number of cases of a chunk, about a second of work where it is None; `cluster` is the address of a
+    `keep` are names of arrays, all that fit where it is None; `chunk` is the number of cases of a chunk, about a second
+    of work where it is None; `cluster` is the address of a
     scheduler of dask, a client of one, "local", or None.
     """
 
@@ -43,7 +43,7 @@ class SweepRequest:
     origin: str
     out: Path | None
     resume: bool
-    keep: Sequence[str]
+    keep: Sequence[str] | None
     workers: int
     warm_starts: bool
     chunk: int | None
@@ -66,7 +66,7 @@ def sweep_request(
     seed: int = 0,
     out: Path | str | None = None,
     resume: bool = False,
-    keep: Sequence[str] = KEPT,
+    keep: Sequence[str] | None = None,
     workers: int | None = None,
     warm_starts: bool = False,
     chunk: int | None = None,
@@ -89,12 +89,12 @@ def sweep_request(
         raise ArgumentError("--resume without --out", "name the store to go on with")
     solve = Request(problem, **options)
     made, origin = _cases(vary, zipped, samples, cases, method, seed)
-    if isinstance(keep, str) or not all(isinstance(name, str) for name in keep):
+    if keep is not None and (isinstance(keep, str) or not all(isinstance(name, str) for name in keep)):
         raise ArgumentError(f"--keep {clause(repr(keep))}", 'give names of arrays, such as ("q", "u")')
     if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
         raise NumericsError(f"--chunk {clause(repr(chunk))}", "give a positive integer")
     used = team_size(workers, cluster)
-    kept = keep if keep is KEPT else tuple(dict.fromkeys(keep))
+    kept = None if keep is None else tuple(dict.fromkeys(keep))
     return SweepRequest(solve, made, origin, place, resume, kept, used, warm_starts, chunk, cluster)
 
 

@@ -26,11 +26,13 @@ from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_cas
 from codegen.sweeping.cases import Cases, rows_of
 from codegen.sweeping.chunks import Chunks, Piece
 from codegen.sweeping.continuation import Continuation, Start
-from codegen.sweeping.jumps import along_dimensions, improved, is_better, jumps_of
+from codegen.sweeping.improving import Neighbours, improved, is_better
+from codegen.sweeping.jumps import Grid, along_dimensions
 from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
 from codegen.sweeping.order import nearest_chain, serpentine
 from codegen.sweeping.quantities import GUESS, Quantity, as_argument
 from codegen.sweeping.rates import CaseRates, Wanted
+from codegen.sweeping.scattered import scattered
 from codegen.sweeping.texts import Texts, texts_of
 
 Rows = dict[str, NDArray[Any]]
@@ -124,8 +126,9 @@ class Work:
                 attempts[index] = [attempt(index, None)]
             else:
                 attempts[index] = continuation.solve(index, partial(noted, index))
-        if self.layout.has_jumps and len(modules) == 1:
-            for index in self._improve(piece, attempts, rows, attempt):
+        if self.layout.has_jumps:
+            neighbours = self._neighbours(piece, families, [own[-1] for own in attempts])
+            for index in self._improve(neighbours, attempts, rows, attempt):
                 self._place(rows, index, self.variants[keys[index]], attempts[index][-1])
         for index, own in enumerate(attempts):
             self._tell(rows, index, own)
@@ -138,17 +141,22 @@ class Work:
         known = {family: number for number, family in enumerate(dict.fromkeys(families))}
         return np.array([known[family] for family in families])
 
+    def _neighbours(self, piece: Piece, families: NDArray[np.intp], outcomes: Sequence[Attempt]) -> Neighbours:
+        """Which cases of a chunk are neighbours; blocks of grids have one module."""
+        if piece.is_grid:
+            return Grid(piece.extent, tuple(along_dimensions(piece.points, piece.extent)))
+        return scattered(piece.points, families, np.array([own.is_start and np.isfinite(own.cost) for own in outcomes]))
+
     def _improve(
         self,
-        piece: Piece,
+        neighbours: Neighbours,
         attempts: list[list[Attempt]],
         rows: Rows,
         attempt: Callable[[int, Start[Attempt]], Attempt],
     ) -> list[int]:
         """Begin what is on the worse side of a jump from the better one, and say what it won; the cases that did."""
         outcomes = [own[-1] for own in attempts]
-        places = along_dimensions(piece.points, piece.extent)
-        found = improved(outcomes, piece.extent, places, lambda index, solution: attempt(index, Start(solution)))
+        found = improved(outcomes, neighbours, lambda index, solution: attempt(index, Start(solution)))
         for index, more in found.items():
             kept = outcomes[index]
             for one in more:
@@ -158,7 +166,7 @@ class Work:
         costs = np.array([own[-1].cost for own in attempts])
         rows["improvement"][:] = np.array([outcome.cost for outcome in outcomes]) - costs
         rows["jump"][:] = 0
-        rows["jump"][[worse for worse, _ in jumps_of(costs.reshape(piece.extent), places, certain=True)]] = 1
+        rows["jump"][[worse for worse, _ in neighbours.jumps(costs, certain=True)]] = 1
         return [index for index in found if attempts[index][-1] is not outcomes[index]]
 
     def lost(self, number: int, reason: str) -> Done:

@@ -9,6 +9,7 @@ import xarray
 from codegen.errors import ArgumentError
 from codegen.plots import pareto_figure, save_sweep
 from codegen.plots.objectives import Objective, is_dominated, objectives_of, require_objectives, values_of
+from codegen.plots.style import CRIMSON
 
 ATTRIBUTES = {"title": "A test.", "formulation": "variational", "scheme": "midpoint", "steps": 4}
 WEIGHTS = np.linspace(0.0, 1.0, 11)
@@ -103,9 +104,22 @@ def test_the_front_is_the_quarter_of_a_circle_and_the_rest_is_lighter():
     np.testing.assert_allclose(front, np.delete(expected, 5, axis=0))
     assert len(shown["dominated"]) == 11
     assert figure.axes[0].lines[0].get_alpha() < 0.5
-    # The failed case lies between its two neighbours of the same offset.
-    np.testing.assert_allclose(shown["1 failed"], [(expected[4] + expected[6]) / 2.0])
+    # The failed case has neither objective, and is told and not drawn.
+    assert len(shown["1 failed: no objectives"]) == 0
+    assert sum(line.get_color() == CRIMSON and len(line.get_xdata()) > 0 for line in figure.axes[0].lines) == 0
     assert "1 FAILED" in figure.get_suptitle()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("w,cost", [[0.5, 0.02]]), ("cost,w", [[0.02, 0.5]]), ("w,k", [[0.5, 0.0]])]
+)
+def test_failed_cases_stand_at_the_edge_by_what_varies(text, expected):
+    axes = pareto_figure(weighted(failed=[(5, 0)]), objectives_of(text)).axes[0]
+    (failed,) = (line for line in axes.lines if line.get_color() == CRIMSON and len(line.get_xdata()))
+    np.testing.assert_allclose(failed.get_xydata(), expected)
+    x, y = failed.get_transform().transform(failed.get_xydata())[0]
+    inside = axes.transData.transform((0.5, 0.5)) if text != "w,k" else (x, y)
+    assert (x == pytest.approx(inside[0])) or (y == pytest.approx(inside[1]))
 
 
 def test_what_is_to_be_large():

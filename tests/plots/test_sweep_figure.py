@@ -86,6 +86,28 @@ def test_failed_cases_of_lines_stand_below_in_the_colour_of_their_line():
     assert axes.get_legend_handles_labels()[1][3:] == ["failed"]
 
 
+def test_lines_that_coincide_take_turns_and_the_legend_says_so():
+    """Nothing depends on the quantity of the lines but for the last of them."""
+    cost = X[:, None] ** 2 + np.where(np.arange(4) == 3, 0.5, 0.0)
+    axes = sweep_figure(made({"m": X, "k": Y[:4]}, cost=cost)).axes[0]
+    *lines, note = axes.lines
+    assert note.get_label() == "in turn where they coincide"
+    assert [line.get_markevery() for line in lines] == [(0, 3), (1, 3), (2, 3), None]
+    # Of three dashes one is drawn, and at every place by one of the lines.
+    dashes = [line._unscaled_dash_pattern for line in lines]
+    assert dashes[3] == (0, None)
+    place = np.arange(0.0, 48.0, 0.25) + 0.1
+    drawn = [(place + offset) % (dash + gap) < dash for offset, (dash, gap) in dashes[:3]]
+    assert (np.sum(drawn, axis=0) == 1).all()
+    assert {handle.get_linestyle() for handle in axes.get_legend().get_lines()} == {"-", "None"}
+
+
+def test_lines_that_cross_are_whole():
+    cost = X[:, None] * np.array([1.0, -1.0, 0.5])
+    axes = sweep_figure(made({"m": X, "k": Y[:3]}, cost=cost)).axes[0]
+    assert [line.get_linestyle() for line in axes.lines] == ["-"] * 3
+
+
 def test_a_slice_of_a_grid_is_named_and_all_its_cases_are_counted():
     figure = sweep_figure(made({"m": X, "k": Y[:3], "c": Y[:2]}, failed=[(0, 0, 0)]))
     title = " ".join(figure.get_suptitle().split())
@@ -108,6 +130,29 @@ def test_two_quantities_span_a_map_with_contours(turned):
     np.testing.assert_allclose(jumps, [[X[5], Y[4]] if turned else [X[4], Y[5]]])
 
 
+LONG = np.linspace(-1.0, 1.0, 41)
+
+
+@pytest.mark.parametrize(
+    ("cost", "labelled"),
+    [
+        (lambda x, y: x + 4.0 * y, {"0", "1.5", "3", "4.5", "6", "7.5"}),
+        (lambda x, y: np.tanh(60.0 * x) + 1e-3 * y, set()),  # all lines lie within a cell
+    ],
+)
+def test_contours_have_labels_where_there_is_room(cost, labelled):
+    data = made({"m": LONG, "k": Y})
+    data["cost"][...] = cost(*np.meshgrid(LONG, Y, indexing="ij"))
+    figure = sweep_figure(data)
+    axes = figure.axes[0]
+    (lines,) = (item for item in axes.collections if isinstance(item, ContourSet))
+    assert len(lines.levels) > 4
+    assert {text.get_text() for text in axes.texts} == labelled
+    figure.canvas.draw()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+
+
 def test_a_third_quantity_has_a_map_for_each_of_some_values():
     figure = sweep_figure(made({"m": X, "k": Y, "c": np.array([1.0, 2.0, 3.0])}))
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
@@ -116,7 +161,7 @@ def test_a_third_quantity_has_a_map_for_each_of_some_values():
 
 def test_samples_have_a_distribution_and_fans():
     rng = np.random.default_rng(1)
-    data = made({"m": rng.normal(5.0, 1.0, 500)}, failed=[4, 9], dims=("case",))
+    data = made({"m": rng.normal(5.0, 1.0, 500)}, failed=[4, 9], jumps=[7], dims=("case",))
     figure = sweep_figure(data)
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     finite = data.cost.values[np.isfinite(data.cost.values)]
@@ -124,6 +169,7 @@ def test_samples_have_a_distribution_and_fans():
     assert f"95 %: {np.quantile(finite, 0.95):.4g}" in labels
     assert sum(bar.get_height() for bar in figure.axes[0].patches) == 498
     assert len(marks(figure.axes[1], "2 failed")[0]) == 2
+    np.testing.assert_allclose(marks(figure.axes[1], "jump")[0], [[data.m[7], data.cost[7]]])
     fan = next(axes for axes in figure.axes if axes.get_ylabel() == "$r$")
     outer = next(item for item in fan.collections if isinstance(item, PolyCollection))
     solved = data.m.values[data.status.values == "solved"]
@@ -132,6 +178,37 @@ def test_samples_have_a_distribution_and_fans():
     low, high, _ = fans.BANDS[0]
     np.testing.assert_allclose([at_end.min(), at_end.max()], np.quantile(solved, (low, high)))
     np.testing.assert_allclose(fan.lines[0].get_ydata()[-1], np.median(solved))
+
+
+def with_states(data, states, controls):
+    """The data with so many states and controls, all alike."""
+    found = data.drop_vars(("q", "u", "coordinate", "control"))
+    for name, dim, letter, number in (("q", "coordinate", "x", states), ("u", "control", "f", controls)):
+        found[name] = data[name].isel({dim: [0] * number}).drop_vars(dim, errors="ignore")
+        found[dim] = [f"{letter}{k}" for k in range(1, number + 1)]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("states", "controls", "drawn", "missing"),
+    [(9, 4, 13, ""), (12, 9, 15, "; no room for $x_{10}$, $x_{11}$, $x_{12}$, $f_{7}$, $f_{8}$, $f_{9}$"),
+     (40, 1, 15, "$x_{26}$ and 14 more")],
+)  # fmt: skip
+def test_states_and_controls_are_drawn_while_there_is_room(states, controls, drawn, missing):
+    for data in (made({"m": X}), made({"m": X}, dims=("case",))):
+        figure = sweep_figure(with_states(data, states, controls))
+        assert sum(axes.get_xlabel() == "time" for axes in figure.axes) == drawn
+        title = " ".join(figure.get_suptitle().split())
+        assert title.endswith(missing or "11 cases")
+    chosen = with_states(made({"m": X}), states, controls).sel(coordinate=["x9"], control=[])
+    assert [axes.get_ylabel() for axes in sweep_figure(chosen).axes if axes.get_xlabel() == "time"] == ["$x_{9}$"]
+
+
+def test_states_at_the_end_for_which_there_is_no_room_are_named():
+    data = with_states(made({"m": X}), 6, 1)
+    data["cost"][:] = np.nan
+    figure = sweep_figure(data)
+    assert figure.get_suptitle().endswith("; no room for $x_{5}$ at the end, $x_{6}$ at the end")
 
 
 def test_without_a_cost_the_state_at_the_end_is_shown():

@@ -12,6 +12,7 @@ from command_lines import run
 from compiled_modules import compiled
 
 import codegen
+from codegen.sweeping.store import Store
 
 HILL = '''"""Past a hill, on its one side or the other."""
 
@@ -85,3 +86,63 @@ def test_a_jump_between_chunks_is_left_and_told(hill):
     np.testing.assert_array_equal(np.flatnonzero(data.jump == 1), [22])
     again = run(*words, "--resume", "--json")
     assert json.loads(again.stdout)["jumps"] == 1
+
+
+def mirrored(hill, cases):
+    """The costs of cases on the other side of zero, where none is on the wrong side of the hill."""
+    return codegen.sweep(hill, cases={**cases, "c": -np.abs(cases["c"])}, workers=1, keep=()).cost.values
+
+
+def test_a_planted_jump_is_found_in_a_table_in_any_order(hill):
+    c = np.random.default_rng(1).permutation(C)
+    data = codegen.sweep(hill, cases={"c": c}, workers=1, keep=())
+    np.testing.assert_allclose(data.cost, mirrored(hill, {"c": c}), rtol=1e-8)
+    np.testing.assert_allclose(np.sort(c[data.improvement.values > 0.0]), [0.05, 0.1, 0.15])
+    assert (data.jump == 0).all()
+    # Where nothing is suspected nothing is tried.
+    smooth = {"c": c[c <= 0.0]}
+    apart = codegen.sweep(hill, cases=smooth, chunk=1, workers=1)  # each by itself
+    np.testing.assert_array_equal(codegen.sweep(hill, cases=smooth, workers=1).iterations, apart.iterations)
+
+
+def test_a_planted_jump_is_found_among_samples_of_two_quantities(hill):
+    given = {"c": "uniform(-1, 1)", "end.dx": "uniform(0.8, 1.2)"}
+    data = codegen.sweep(hill, samples=given, cases=300, method="latin", workers=1, chunk=300, keep=("q",))
+    c = data.c.values
+    right = mirrored(hill, {name: data[name].values for name in given})
+    wrong = np.abs(data.cost.values / right - 1.0) > 1e-7
+    before = (c > 0.0) & (c < 0.22)
+    assert before.sum() == 33
+    assert wrong.sum() <= 3
+    assert not wrong[~before].any()
+    won = data.improvement.values > 0.0
+    np.testing.assert_array_equal(won, before & ~wrong & (data.cost + data.improvement > right * (1.0 + 1e-7)))
+    # The motion is that of the better solution.
+    assert (data.q.sel(coordinate="y").values[won, 10] < 0.0).all()
+
+
+def test_jumps_among_samples_are_the_same_by_any_engine_and_after_any_end(hill, monkeypatch):
+    words = ("sweep", hill, "--sample", "c=uniform(-1, 1)", "--cases", 120, "--method", "latin", "--chunk", 40)
+    assert run(*words, "--workers", 1, "--out", "one.zarr").exit_code == 0
+    assert run(*words, "--workers", 2, "--out", "two.zarr").exit_code == 0
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "write", _interrupted(Store.write))
+        assert run(*words, "--workers", 1, "--out", "resumed.zarr").exit_code != 0
+    done = run(*words, "--workers", 1, "--out", "resumed.zarr", "--resume", "--json")
+    one, *others = (xarray.open_zarr(f"{name}.zarr", chunks=None) for name in ("one", "two", "resumed"))
+    assert json.loads(done.stdout)["improved"] == int((one.improvement > 0.0).sum()) >= 9
+    for other in others:
+        for name in set(one.data_vars) - {"seconds"}:
+            np.testing.assert_array_equal(one[name].values, other[name].values)
+
+
+def _interrupted(write):
+    written = []
+
+    def until_the_second(store, region, rows):
+        written.append(region)
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        write(store, region, rows)
+
+    return until_the_second

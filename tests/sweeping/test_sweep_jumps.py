@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from codegen.sweeping.jumps import improved, jumps_of
+from codegen.sweeping.improving import improved
+from codegen.sweeping.jumps import Grid, jumps_of
 
 X = np.linspace(-1.0, 1.0, 41)
 SMOOTH = {
@@ -112,7 +113,7 @@ def test_what_is_improved_goes_on_until_the_branches_cross():
         starts.append(place)
         return Found(solution.branch, float(branches[solution.branch, place]))
 
-    tried = improved(outcomes, (41,), [X], attempt)
+    tried = improved(outcomes, Grid((41,), (X,)), attempt)
     best = [min((outcomes[k], *tried.get(k, ())), key=lambda found: found.cost).cost for k in range(41)]
     np.testing.assert_allclose(best, 2.0 - np.abs(X))
     assert 9 <= len(starts) <= 11  # one solve for each that is improved
@@ -126,7 +127,7 @@ def test_what_finds_nothing_better_is_tried_once():
         starts.append(place)
         return outcomes[place]
 
-    tried = improved(outcomes, (41,), [X], attempt)
+    tried = improved(outcomes, Grid((41,), (X,)), attempt)
     assert starts == [31] or starts == [30]
     assert list(tried) == starts
 
@@ -142,7 +143,7 @@ def test_a_worse_case_at_an_end_is_tried_once_and_mended(end):
         starts.append((place, solution.branch))
         return Found(0, float(better[place]))
 
-    tried = improved(outcomes, (41,), [X], attempt)
+    tried = improved(outcomes, Grid((41,), (X,)), attempt)
     assert starts == [(end, 0)]
     assert [found.cost for found in tried[end]] == [better[end]]
 
@@ -155,7 +156,7 @@ def test_an_end_follows_what_it_has_improved():
     def attempt(place, solution):
         return Found(1, float(costs[place]) - 1e-5)
 
-    tried = improved(outcomes, (41,), [X], attempt)
+    tried = improved(outcomes, Grid((41,), (X,)), attempt)
     assert tried[0][-1].cost == costs[0] - 1e-5
 
 
@@ -167,6 +168,6 @@ def test_what_lies_behind_an_improved_case_is_tried_until_nothing_is_won():
     def attempt(place, solution):
         return Found(solution.branch, float(costs[place]) - 1e-5 * (solution.branch == 1 and place > 20))
 
-    tried = improved(outcomes, (41,), [X], attempt)
+    tried = improved(outcomes, Grid((41,), (X,)), attempt)
     assert sorted(tried) == list(range(20, 32))
     assert all(min(found.cost for found in tried[k]) == costs[k] - 1e-5 for k in range(21, 31))

@@ -191,19 +191,19 @@ def test_modules_with_other_quantities_share_a_dimension():
     rows = {"t": "node", "q": "node", "p": "node", "u": 1, "multipliers": "node"}
     columns = {"q": ("x",), "u": ("u",)}
     one, other = (Shapes(rows, columns, 1, 0, 1, 4, by=by) for by in (("m", "k"), ("k", "c")))
-    layout = layout_of((one, other), None, ("q", "d_q"))
+    layout = layout_of((one, other), None, ("q", "d_q"), 1)
     assert layout.names["by"] == ("m", "k", "c")
     assert layout.dims["d_q"] == ("by", "node", "coordinate")
     found = layout.placed_rates("d_q", np.arange(10.0).reshape(2, 5, 1), other)
     np.testing.assert_array_equal(found[:, :, 0], [[np.nan] * 5, np.arange(5.0), np.arange(5.0, 10.0)])
     np.testing.assert_array_equal(layout.placed_rates("d_cost", np.array([1.0, 2.0]), one), [1.0, 2.0, np.nan])
     assert layout.words == ("status", "message", "d_message")
-    assert layout_of((replace(one, by=()),), None, ("q",)).words == ("status", "message")
+    assert layout_of((replace(one, by=()),), None, ("q",), 1).words == ("status", "message")
 
 
 def test_free_parameters_that_are_called_like_variables_get_an_underscore():
     shapes = Shapes({"t": "node", "q": "node", "p": "node"}, {"q": ("x",)}, 1, 0, 1, 4, ("T", "cost"), ("m",))
-    layout = layout_of((shapes,), None, ("q",))
+    layout = layout_of((shapes,), None, ("q",), 1)
     assert list(layout.numbers)[-2:] == ["T", "cost_"]
     assert {"d_cost", "d_T", "d_cost_"} <= set(layout.dims)
     frame = Frame(grid({"T": [1.0, 2.0], "d_T": [0.0, 1.0]}), layout, {})
