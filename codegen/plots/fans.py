@@ -10,6 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from codegen.plots.first_order import NORMAL_90, Prediction
@@ -154,4 +155,5 @@ def histogram(
         axes.plot([], [], " ", label=f"samples: {finite.mean():.4g} ± {finite.std():.2g}")
     axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
     axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for what the legend says
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=False, axis="x")
