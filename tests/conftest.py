@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import types
 import warnings
 from collections.abc import Iterator
 
@@ -121,10 +122,17 @@ def interpreted(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) ->
     return Interpreted(tmp_path_factory.mktemp("problems"), PROBLEMS)
 
 
+def loaded_uncompiled(path: Path | str) -> types.ModuleType:
+    """A module that the interpreter runs, and that knows its file, as solutions are asked for it."""
+    module = as_machine_code(Path(path).read_text(encoding="utf-8"), Path(path).stem)
+    module.__file__ = str(path)
+    return module
+
+
 @pytest.fixture
 def uncompiled(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let commands run generated modules by the interpreter, where NaN and infinity come without warnings."""
-    monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
+    monkeypatch.setattr("codegen.loading.load", loaded_uncompiled)
     monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
