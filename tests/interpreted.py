@@ -8,6 +8,7 @@ import types
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +21,17 @@ from codegen.compiler import build
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
     """Execute the text of a generated module with numba's decorator replaced by one that does nothing."""
-    assert text.count("\nfrom numba import ") == 1
     module = types.ModuleType(name)
-    inner = text.replace("\nfrom numba import ", "\nfrom interpreted import ")
-    exec(compile(inner, f"<{name}>", "exec"), module.__dict__)
+    exec(_code(text, name), module.__dict__)
     module.__dict__.update(for_module(text))
     return module
+
+
+@lru_cache(maxsize=100)
+def _code(text: str, name: str) -> types.CodeType:
+    """What is executed anew for each module of the same text, whose translation takes a hundred times as long."""
+    assert text.count("\nfrom numba import ") == 1
+    return compile(text.replace("\nfrom numba import ", "\nfrom interpreted import "), f"<{name}>", "exec")
 
 
 def as_machine_code(text: str, name: str = "interpreted") -> types.ModuleType:
