@@ -50,7 +50,8 @@ def all_uncompiled() -> Iterator[None]:
         return module
 
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"), warnings.catch_warnings():
-        patch.setattr("codegen.loading.load", loaded)
+        for place in ("loading", "checks", "checks.particles.pairwise"):
+            patch.setattr(f"codegen.{place}.load", loaded)
         patch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
         warnings.simplefilter("ignore")
         yield

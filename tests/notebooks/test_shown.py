@@ -58,12 +58,12 @@ class Tags(HTMLParser):
         self.texts.append(data)
 
 
-@pytest.fixture(scope="module")
-def solver(cache_folder: Path) -> codegen.Solver:
+@pytest.fixture
+def solver(uncompiled: None) -> codegen.Solver:
     return codegen.compile(typed_use.double_integrator(), name="push", title="Push a cart.")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def solution(solver: codegen.Solver) -> Result:
     return solver.solve()
 
