@@ -1,4 +1,4 @@
-"""What all generated modules have alike, the elimination of dense rows, as machine code where the rest is interpreted.
+"""What generated modules have alike, such as the elimination of dense rows, as machine code where the rest is not.
 
 More than half of the time of interpreted solves is spent in it. It is the text of the module itself that is compiled,
 once for all modules and all processes of a run; a module in which it reads otherwise keeps its own, interpreted.
@@ -22,7 +22,8 @@ FILES = {
     "symmetric": (
         "eliminate_rows", "subtract_row", "subtract_products", "solve_forward", "solve_pivots", "solve_backward",
     ),
-    "arrays": ("clear",),
+    "arrays": ("clear", "copy_part"),
+    "packed_logarithms": ("packed_log1p", "packed_x_minus_log1p", "packed_log1p_minus_ratio"),
 }  # fmt: skip
 """Files of the runtime whose text depends on no problem, and those of their functions that others call the most."""
 
