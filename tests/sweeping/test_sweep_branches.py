@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 from command_lines import run
-from interpreted import as_machine_code
+from compiled_modules import compiled
 
 import codegen
 
@@ -38,7 +38,7 @@ C = np.linspace(-1.0, 1.0, 41)
 
 
 @pytest.fixture
-def hill(folder, uncompiled):
+def hill(folder):
     """The problem, whose guess is on the wrong side of the hill for 0 < c < 0.22."""
     (folder / "hill.py").write_text(HILL)
     return "hill.py"
@@ -46,7 +46,7 @@ def hill(folder, uncompiled):
 
 def test_a_planted_jump_is_found_and_mended(hill):
     """The optimum is even in c, as the problem is but for its guess."""
-    module = as_machine_code(codegen.build(hill).path.read_text(encoding="utf-8"))
+    module = compiled(codegen.build(hill).path)
     alone = module.solve(20, c=0.1)
     assert alone.status == "solved"
     data = codegen.sweep(hill, {"c": C}, steps=20, workers=1)
