@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
-import warnings
 from collections.abc import Iterator
 
 # Threads of linear algebra wait for each other in busy loops: two workers with two each take several times as long.
@@ -23,7 +22,7 @@ import numpy as np
 import pytest
 from compiled_modules import compiled
 from hypothesis import HealthCheck, settings
-from interpreted import Interpreted, as_machine_code
+from interpreted import Interpreted, all_uncompiled
 from registered_images import SHAPE
 
 from codegen.author.points import read_points
@@ -122,12 +121,9 @@ def interpreted(cache_folder: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture
-def uncompiled(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def uncompiled(cache_folder: Path) -> Iterator[None]:
     """Let commands run generated modules by the interpreter, where NaN and infinity come without warnings."""
-    monkeypatch.setattr("codegen.loading.load", lambda path: as_machine_code(path.read_text(), path.stem))
-    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with all_uncompiled():
         yield
 
 

@@ -5,32 +5,56 @@ Only the elimination of dense rows, which is the same text in all of them, is ma
 
 import math
 import types
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 from machine_coded import for_module
 
 from codegen.author.problem import Control, Phases
-from codegen.compiler import build, generate_from_model
-from codegen.lower.module import Origin
-from codegen.model import normalise
-from codegen.naming import Choices
+from codegen.compiler import build
 
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
     """Execute the text of a generated module with numba's decorator replaced by one that does nothing."""
-    assert text.count("\nfrom numba import ") == 1
     module = types.ModuleType(name)
-    inner = text.replace("\nfrom numba import ", "\nfrom interpreted import ")
-    exec(compile(inner, f"<{name}>", "exec"), module.__dict__)
+    exec(_code(text, name), module.__dict__)
     module.__dict__.update(for_module(text))
     return module
+
+
+@lru_cache(maxsize=100)
+def _code(text: str, name: str) -> types.CodeType:
+    """What is executed anew for each module of the same text, whose translation takes a hundred times as long."""
+    assert text.count("\nfrom numba import ") == 1
+    return compile(text.replace("\nfrom numba import ", "\nfrom interpreted import "), f"<{name}>", "exec")
 
 
 def as_machine_code(text: str, name: str = "interpreted") -> types.ModuleType:
     """The same with functions that return NaN and infinity, as in machine code, where Python's raise errors."""
     assert text.count("import math\n") == 1
     return without_compilation(text.replace("import math\n", "from interpreted import silent_math as math\n"), name)
+
+
+@contextmanager
+def all_uncompiled() -> Iterator[None]:
+    """Let all that loads generated modules have them run by the interpreter, and nothing be compiled."""
+
+    def loaded(path: Path | str) -> types.ModuleType:
+        module = as_machine_code(Path(path).read_text(encoding="utf-8"), Path(path).stem)
+        module.__file__ = str(path)  # which solutions are asked for
+        return module
+
+    with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"), warnings.catch_warnings():
+        for place in ("loading", "checks", "checks.particles.pairwise"):
+            patch.setattr(f"codegen.{place}.load", loaded)
+        patch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _silent(name):
@@ -64,9 +88,8 @@ def njit(*_args, **_options):
 
 
 def text_of(problem: Control | Phases, **choices: str) -> str:
-    """The text of the module of a problem that is in no file."""
-    origin = Origin("test.py", "codegen build test.py", "0", ("codegen",))
-    return generate_from_model(normalise(problem), Choices(**choices), origin)
+    """The text of the module of a problem that is in no file, derived once for all worker processes."""
+    return build(problem, **choices).path.read_text(encoding="utf-8")
 
 
 def of_problem(problem: Control | Phases, **choices: str) -> types.ModuleType:

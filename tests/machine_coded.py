@@ -1,4 +1,4 @@
-"""What all generated modules have alike, the elimination of dense rows, as machine code where the rest is interpreted.
+"""What generated modules have alike, such as the elimination of dense rows, as machine code where the rest is not.
 
 More than half of the time of interpreted solves is spent in it. It is the text of the module itself that is compiled,
 once for all modules and all processes of a run; a module in which it reads otherwise keeps its own, interpreted.
@@ -15,6 +15,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from codegen.cache import cache_folder
 from codegen.emit import runtime_source, write
 
@@ -22,7 +24,11 @@ FILES = {
     "symmetric": (
         "eliminate_rows", "subtract_row", "subtract_products", "solve_forward", "solve_pivots", "solve_backward",
     ),
-    "arrays": ("clear",),
+    "arrays": ("clear", "copy_part"),
+    "norms": ("measure",),
+    "barrier": ("measure_optimality", "add_barrier", "move"),
+    "pair_algebra": ("symmetric_product", "cholesky", "solve_cholesky"),
+    "packed_logarithms": ("packed_log1p", "packed_x_minus_log1p", "packed_log1p_minus_ratio"),
 }  # fmt: skip
 """Files of the runtime whose text depends on no problem, and those of their functions that others call the most."""
 
@@ -49,7 +55,7 @@ def source(part: str) -> str:
 @cache
 def functions(part: str) -> dict[str, Callable[..., Any]]:
     """Those of one file, which the first process that calls them compiles."""
-    head = "import numpy as np\nfrom numba import njit\n\n\n"
+    head = "from typing import NamedTuple\n\nimport numpy as np\nfrom numba import njit\n\n\n"
     digest = hashlib.sha256(source(part).encode()).hexdigest()[:16]
     path = cache_folder() / f"{part}_{digest}" / f"{part}.py"
     write(path, f"{head}{source(part)}\n")
@@ -66,9 +72,16 @@ def one_at_a_time(module: types.ModuleType, name: str) -> Callable[..., Any]:
 
     def called(*arguments: Any) -> Any:
         if function.overloads:
-            return function(*arguments)
+            return of_numpy(function(*arguments))
         with (cache_folder() / f"{module.__name__}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            return function(*arguments)
+            return of_numpy(function(*arguments))
 
     return called
+
+
+def of_numpy(found: Any) -> Any:
+    """Numbers as interpreted functions return them: where one of them is zero, Python's own raise errors."""
+    if isinstance(found, tuple):
+        return tuple(map(of_numpy, found))
+    return np.float64(found) if isinstance(found, float) else found

@@ -68,9 +68,9 @@ def test_its_data_are_read(tmp_path):
         file.write_text(text)
 
 
-@pytest.fixture(scope="module")
-def solver(cache_folder: Path) -> codegen.Solver:
-    """The double integrator, compiled once for all tests and processes."""
+@pytest.fixture
+def solver(uncompiled: None) -> codegen.Solver:
+    """The double integrator."""
     return codegen.compile(typed_use.double_integrator(), name="push", title="Push a cart.")
 
 

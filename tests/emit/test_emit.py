@@ -91,10 +91,20 @@ def asked_from_outside() -> frozenset[str]:
     return frozenset(found)
 
 
-@pytest.mark.parametrize("name", sorted(names()))
-def test_generated_modules_hold_nothing_that_nobody_uses(name):
+@pytest.fixture(scope="module", params=sorted(names()))
+def name(request):
+    """The file of a module of the gallery; tests of one follow each other."""
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def tree(name):
+    """What it says, read once."""
+    return ast.parse(text_of(name))
+
+
+def test_generated_modules_hold_nothing_that_nobody_uses(tree):
     """Every function and constant is used in the module or asked for by the package, or is part of its interface."""
-    tree = ast.parse(text_of(name))
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
     made = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     for node in tree.body:
@@ -103,9 +113,7 @@ def test_generated_modules_hold_nothing_that_nobody_uses(name):
     assert made - used - asked_from_outside() <= SPARE
 
 
-@pytest.mark.parametrize("name", sorted(names()))
-def test_generated_modules_import_only_the_standard_library_numpy_and_numba(name):
-    tree = ast.parse(text_of(name))
+def test_generated_modules_import_only_the_standard_library_numpy_and_numba(tree):
     roots = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -115,9 +123,7 @@ def test_generated_modules_import_only_the_standard_library_numpy_and_numba(name
     assert roots <= {*sys.stdlib_module_names, "numpy", "numba"}
 
 
-@pytest.mark.parametrize("name", sorted(names()))
-def test_generated_modules_define_every_name_once_and_use_every_function(name):
-    tree = ast.parse(text_of(name))
+def test_generated_modules_define_every_name_once_and_use_every_function(tree):
     defined = [node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))]
     assert len(defined) == len(set(defined))
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
@@ -143,10 +149,8 @@ def test_generated_modules_define_every_name_once_and_use_every_function(name):
     assert len(unused) <= 3, unused  # callbacks that only other optimisers call
 
 
-@pytest.mark.parametrize("name", sorted(names()))
-def test_names_that_generated_functions_use_are_marked(name):
+def test_names_that_generated_functions_use_are_marked(tree):
     """A parameter of the same name as a local or a function that its own module calls would shadow it."""
-    tree = ast.parse(text_of(name))
     metadata = ast.literal_eval(next(n.value for n in tree.body if isinstance(n, ast.Assign)))
     own = {*metadata["parameters"], *metadata.get("own", ()), "t"}
     for function in [node for node in tree.body if isinstance(node, ast.FunctionDef)]:
@@ -160,18 +164,16 @@ def test_names_that_generated_functions_use_are_marked(name):
         assert not lacking, function.name
 
 
-@pytest.mark.parametrize("name", sorted(names()))
-def test_docstrings_of_generated_functions_fit_a_page(name):
+def test_docstrings_of_generated_functions_fit_a_page(name, tree):
     """That of the module itself holds formulas of the problem, which may be long."""
-    text = text_of(name)
-    for node in [node for node in ast.parse(text).body if isinstance(node, (ast.FunctionDef, ast.ClassDef))]:
+    lines_of_text = text_of(name).splitlines()
+    for node in [node for node in tree.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))]:
         first = node.body[0]
         if ast.get_docstring(node) and not node.name.startswith("coupling_"):
-            lines = text.splitlines()[first.lineno - 1 : first.end_lineno]
+            lines = lines_of_text[first.lineno - 1 : first.end_lineno]
             assert max(map(len, lines)) <= 120, node.name
 
 
-@pytest.mark.parametrize("name", sorted(names()))
 def test_headers_say_where_the_command_works(name):
     """It names the file without a folder, so that any machine makes the same text."""
     first, second = text_of(name).splitlines()[:2]

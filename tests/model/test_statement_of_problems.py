@@ -91,11 +91,11 @@ def test_conditions_have_names_in_metadata_and_messages():
             path=lambda x, v, u: {"speed limit": v**2 + x * v**4 <= 0.01, "lift": u + x <= 100},
         )
     )
-    solution = module.solve()
+    solution = module.solve(4)
     assert solution.status == "infeasible"
     assert "speed limit" in solution.message
     assert "v**2" not in solution.message
-    grid = module.make_grid(8)
+    grid = module.make_grid(4)
     first = len(module.metadata["node"])
     names = [module.unknown_name(grid, solution.unknowns, first + i) for i in range(len(module.metadata["interval"]))]
     slacks = [name for name in names if name.startswith("the slack of ")]
@@ -125,7 +125,7 @@ def test_long_conditions_are_shortened():
     def long(x, v, u):
         return [sum(sympy.Rational(k, 7) * x**k * v for k in range(30)) + u**2 <= -1]
 
-    solution = interpreted.of_problem(pushed(cost=lambda x, v, u: u**2, path=long)).solve()
+    solution = interpreted.of_problem(pushed(cost=lambda x, v, u: u**2, path=long)).solve(2)
     assert solution.status != "solved"
     assert " ... at 1/2 of interval" in solution.message
     assert len(solution.message) < 700

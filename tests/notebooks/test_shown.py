@@ -10,7 +10,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,12 +57,12 @@ class Tags(HTMLParser):
         self.texts.append(data)
 
 
-@pytest.fixture(scope="module")
-def solver(cache_folder: Path) -> codegen.Solver:
+@pytest.fixture
+def solver(uncompiled: None) -> codegen.Solver:
     return codegen.compile(typed_use.double_integrator(), name="push", title="Push a cart.")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def solution(solver: codegen.Solver) -> Result:
     return solver.solve()
 

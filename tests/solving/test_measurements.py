@@ -290,7 +290,7 @@ def test_accuracy_on_request(folder):
     assert result.estimates.values == pytest.approx(best, rel=3e-6)
 
 
-def test_the_command_takes_other_measurements(folder):
+def test_the_command_takes_other_measurements(folder, uncompiled):
     from typer.testing import CliRunner
 
     from codegen.cli import main

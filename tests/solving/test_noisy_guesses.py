@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compiled_modules import compiled
-from conftest import PROBLEMS
-
-from codegen.compiler import build
 
 
 @pytest.fixture(scope="module")
-def hovercraft():
-    return compiled(build(PROBLEMS / "hovercraft.py").path)
+def hovercraft(interpreted):
+    return interpreted("hovercraft")
 
 
 def noisy(module, grid, seed: int):

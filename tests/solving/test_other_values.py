@@ -15,6 +15,8 @@ import codegen
 from codegen.drawing import Mass
 from codegen.errors import ArgumentError, NumericsError
 
+pytestmark = pytest.mark.usefixtures("uncompiled")
+
 
 def pushed() -> codegen.Control:
     """A mass m moves by one in the time T, with the least integral of the force squared, 12 m^2 / T^3."""
@@ -25,8 +27,8 @@ def pushed() -> codegen.Control:
     return codegen.Control(lagrangian=m * dx**2 / 2, force={x: f}, cost=f**2, duration=1, steps=50, **ends)
 
 
-@pytest.fixture(scope="module")
-def push():
+@pytest.fixture
+def push(uncompiled):
     return codegen.compile(pushed(), name="push")
 
 

@@ -31,7 +31,7 @@ def test_argon_has_the_published_energy(argon):
     assert argon.energy(grid.start.ravel(), 0.0, grid.parameters) / BOLTZMANN == pytest.approx(-1260.2, abs=0.05)
 
 
-def test_checks_take_a_step_that_can_be_made(monkeypatch):
+def test_checks_take_a_step_that_can_be_made(monkeypatch, uncompiled):
     """At random positions atoms repel each other so strongly that an implicit step of 0.05 has no solution."""
     found = checks.run(PROBLEMS / "lennard_jones.py")
     assert all(finding.passed for finding in found)

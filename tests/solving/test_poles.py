@@ -90,7 +90,7 @@ def test_short_intervals_are_no_obstacle(least):
         assert len(poles(module, solution.unknowns, 14, fractions)) == (1 if least > 1e-8 else 0)
 
 
-def test_what_is_solved_says_so():
+def test_what_is_solved_says_so(uncompiled):
     result = solve(burning(2.1), steps=10)
     assert result.solved
     assert any("leaps over a pole" in note for note in result.notes)

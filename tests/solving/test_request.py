@@ -87,7 +87,7 @@ class TestProblems:
 
 class TestArguments:
     @pytest.mark.parametrize("given", [{"form": "lagrangian"}, {"form": "hamiltonian"}])
-    def test_of_problem(self, given):
+    def test_of_problem(self, given, uncompiled):
         result = codegen.solve(PROBLEMS / "pendulum.py", arguments=given, scheme="stormer-verlet", steps=20)
         assert result.status == "solved"
 

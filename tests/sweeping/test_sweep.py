@@ -87,7 +87,7 @@ class TestNumbers:
             np.testing.assert_array_equal(data.q.sel(form=form, duration=2.0), module.solve(20, duration=2.0).q)
             assert one.solved
 
-    def test_modules_have_steps_of_their_own(self, folder):
+    def test_modules_have_steps_of_their_own(self, folder, uncompiled):
         (folder / "fall.py").write_text(
             '"""Fall."""\n\nfrom codegen import Simulate, coordinate\n\n\n'
             "def problem(twice: int = 1) -> Simulate:\n    q, dq = coordinate('q')\n"
@@ -99,7 +99,7 @@ class TestNumbers:
         np.testing.assert_allclose(data.t[:, 10], 1.0)
         assert "steps" not in data.attrs
 
-    def test_a_parameter_that_is_called_like_a_variable_gets_an_underscore(self, folder):
+    def test_a_parameter_that_is_called_like_a_variable_gets_an_underscore(self, folder, uncompiled):
         (folder / "fall.py").write_text(
             '"""Fall."""\n\nfrom codegen import Simulate, coordinate, parameters\n\n\n'
             "def problem() -> Simulate:\n    (q, dq), (cost, g) = coordinate('q'), parameters(cost=1, g=1)\n"
@@ -160,7 +160,7 @@ class TestFailures:
         assert (data.iterations == 1).all()
         assert data.q.isnull().all()
 
-    def test_a_module_that_cannot_be_derived_is_rows(self, folder):
+    def test_a_module_that_cannot_be_derived_is_rows(self, folder, uncompiled):
         text = Path(PENDULUM).read_text()
         assert "def problem(" in text
         (folder / "halved.py").write_text(
@@ -321,7 +321,7 @@ class TestGoingOn:
             codegen.sweep(ORBIT, {"r1": [5.9]}, steps=20, workers=1, out="s.zarr", resume=True)
 
 
-def test_segments_are_put_together_as_solve_does():
+def test_segments_are_put_together_as_solve_does(uncompiled):
     delayed = PROBLEMS / "delayed_oscillator.py"
     data = codegen.sweep(delayed, {"k": [1.0, 1.1]}, workers=1, keep=("t", "q", "u", "multipliers"))
     one = codegen.solve(delayed)

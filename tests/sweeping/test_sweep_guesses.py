@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from golden import ROOT
+from interpreted import all_uncompiled
 
 import codegen
 from codegen.errors import ArgumentError, NumericsError
@@ -14,10 +15,11 @@ CART_POLE = ROOT / "problems" / "cart_pole.py"
 
 @pytest.fixture(scope="module")
 def swept():
-    return codegen.sweep(CART_POLE, {"T": [2.0, 3.0], "guess": [1, 2, 6]}, workers=1)
+    with all_uncompiled():
+        return codegen.sweep(CART_POLE, {"T": [2.0, 3.0], "guess": [1, 2, 6]}, workers=1)
 
 
-def test_guesses_are_those_of_a_solve_with_several(swept):
+def test_guesses_are_those_of_a_solve_with_several(swept, uncompiled):
     alone = codegen.solve(CART_POLE, parameters={"T": 3.0}, guesses=6)
     costs = [float(line.rsplit("cost ", 1)[1]) for line in alone.attempts]
     np.testing.assert_allclose(swept.cost.sel(T=3.0), [costs[0], costs[1], costs[5]], rtol=1e-8)

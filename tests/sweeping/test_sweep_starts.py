@@ -17,8 +17,8 @@ MASSES, LEVER = 1.3, 0.15
 """Of both bodies, and the bob's mass times the length of the rod."""
 
 
-@pytest.fixture(scope="module")
-def oscillator():
+@pytest.fixture
+def oscillator(uncompiled):
     """A pendulum of small angles, and of the frequency w."""
     q, dq = codegen.coordinate("q")
     (w,) = codegen.parameters(w=1.5)
@@ -57,7 +57,7 @@ def test_samples_beside_a_parameter(oscillator):
 
 
 @pytest.mark.parametrize("driver", ["newton", "fsolve"])
-def test_pendulums_of_any_amplitude_come_back_after_their_periods(driver):
+def test_pendulums_of_any_amplitude_come_back_after_their_periods(driver, uncompiled):
     """The period is 4 K(sin^2(amplitude/2)), 6.29 to 10.9 here."""
     angles = np.array([0.1, 1.0, 2.0, 2.6])
     columns = {"start.q": angles, "start.p": np.zeros(4), "duration": 4.0 * ellipk(np.sin(angles / 2.0) ** 2)}
@@ -69,7 +69,7 @@ def test_pendulums_of_any_amplitude_come_back_after_their_periods(driver):
     np.testing.assert_allclose(data.energy[:, 0], -np.cos(angles), rtol=1e-15)
 
 
-def test_the_centre_of_mass_of_a_cart_and_its_pole_moves_uniformly(tmp_path):
+def test_the_centre_of_mass_of_a_cart_and_its_pole_moves_uniformly(tmp_path, uncompiled):
     words = ("--vary", "start.x=0,0.1", "--vary", "start.dx=-0.5,1", "--vary", "start.dtheta=-1:1:3", "--keep", "q,p")
     done = run("sweep", CART_POLE, "--set", "plant=True", *words, "--workers", 1, "--out", tmp_path / "s.nc")
     assert done.exit_code == 0, done.stderr
