@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from compiled_modules import compiled
+from conftest import PROBLEMS
 from gallery_references import BIOPTIM, REFERENCES, Reference
 
 from codegen import solving
+from codegen.compiler import build
 
 ON_ALL_GRIDS = ("cart_pole", "goddard_rocket", "hovercraft", "hypersensitive", "brachistochrone")
 """Problems that are solved on all their grids; the others on their coarsest one."""
+
+COMPILED = ("goddard_rocket",)
+"""Those with machine code, of which no other test has any of a free duration."""
 
 
 def name_of(reference: Reference) -> str:
@@ -19,7 +25,10 @@ def name_of(reference: Reference) -> str:
 
 @pytest.mark.parametrize("reference", [r for r in REFERENCES if r.problem in ON_ALL_GRIDS], ids=name_of)
 def test_optimum_and_value(interpreted, reference):
-    module = interpreted(reference.problem, arguments=dict(reference.arguments), scheme=reference.scheme)
+    if name_of(reference) in COMPILED:
+        module = compiled(build(PROBLEMS / f"{reference.problem}.py", scheme=reference.scheme).path)
+    else:
+        module = interpreted(reference.problem, arguments=dict(reference.arguments), scheme=reference.scheme)
     for steps, optimum in reference.optima.items():
         result = solving.solve(module, steps=steps)
         assert result.status == "solved", result.message
