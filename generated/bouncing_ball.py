@@ -2275,6 +2275,7 @@ class Attempt(NamedTuple):
 
     `nearby` is the part of the guess's violation that may be left before the search begins. Steps below the shortest
     make way for restoration; the violation may grow by the factor `funnel`. The guess is bent by a part of its size.
+    `is_factored` says that the linear system is factored, at a point beside it.
     """
 
     weight: float
@@ -2283,6 +2284,7 @@ class Attempt(NamedTuple):
     shortest: float
     funnel: float
     bulge: float = 0.0
+    is_factored: bool = False
 
 
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
@@ -2638,6 +2640,14 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
+def step_with_factors(search, iterate):
+    """The Newton step with the factors that there are, of a matrix beside the iterate that was not shifted."""
+    gradient, _ = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    primal = np.empty(gradient.size)
+    solve_kkt(search.grid, search.system, gradient, primal)
+    return step_along(search, iterate, gradient, primal, InertiaCorrection())
+
+
 def dual_regularisation(iterate):
     """delta_c, for equations that may be dependent."""
     return 1e-8 * iterate.mu**0.25
@@ -2685,7 +2695,7 @@ class Globalisation:
         self.filtered = Filter(attempt.funnel * first)
         self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
         self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
-        self.in_vain = 0
+        self.in_vain, self.is_factored = 0, attempt.is_factored
 
     def is_contradicted(self, point):
         """Whether full steps in turn have left the equations as they were, far from holding."""
@@ -2701,6 +2711,12 @@ class Globalisation:
 
         The next iterate is None where no part of the step is acceptable.
         """
+        if self.is_factored:
+            self.is_factored = False
+            step = step_with_factors(search, iterate)
+            trial = self.line_search(search, iterate, step)
+            if trial is not None:
+                return step, trial
         careful, before = self.monitor.is_due(), self.inertia
         step = regularised_step(search, iterate, before, self.damping, careful)
         if step is None:
@@ -3081,6 +3097,22 @@ def begin_nearby(search, unknowns, tolerance):
     return iterate if iterate.point.error < np.inf else None
 
 
+def factor_nearby(grid, unknowns, tolerance, search):
+    """Factor the linear system of the first step from a neighbour's unknowns, or from others beside them, beforehand.
+
+    `search` is what `search_on` gave for a grid with the same bounds; it has the factors. Return whether there are any
+    that such a step can take: the reduced Hessian is positive definite as it is.
+    """
+    search = Search(grid, *search[1:])
+    iterate = begin_nearby(search, unknowns, tolerance)
+    if iterate is None:
+        return False
+    if iterate.mu == FROM_AFAR.weight:
+        return False
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, search.system) == 0
+
+
 @njit(cache=True, error_model="numpy")
 def fill_bounds(unknowns, gradient, indices, value, side, magnitude, by, mu, distance, duals):
     """Fill `distance` and `duals` (bounds,); return the sum of the logarithms of distances.
@@ -3259,7 +3291,7 @@ BULGE = 0.1  # part of its size by which a guess is bent
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
@@ -3269,7 +3301,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
     one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
     point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
-    bounds, if there was one: its storage serves again.
+    bounds, if there was one: its storage serves again. `is_factored`: `factor_nearby` has factored its linear system
+    for unknowns beside these, and the first step takes its factors.
     """
     first, total = None, 0
     if search is not None:
@@ -3283,13 +3316,17 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     guess = begin_nearby(search, unknowns, tolerance) if warm else None
     if guess is not None:
         cascade = FROM_NEIGHBOUR, *cascade
+        is_factored = is_factored and guess.mu < FROM_AFAR.weight
     else:
         guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
+        is_factored = False
     for attempt in cascade:
         iterate, status = guess, "restored"
         if first:
             primal = without_multipliers(grid, unknowns, known)
             iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
+        elif is_factored:
+            attempt = attempt._replace(is_factored=True)
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
         if status == "restored":
@@ -3380,6 +3417,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        attempt = attempt._replace(is_factored=False)
         known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
@@ -5232,7 +5270,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_7a0bd1982dd0ff57"
+_IDENTITY = "codegen_bouncing_ball_a7d8a73ce3953a57"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

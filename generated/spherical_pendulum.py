@@ -1660,13 +1660,15 @@ def refine(grid, unknowns, diagonal, system, gradient, step):
 class Attempt(NamedTuple):
     """How a search begins: with what part of the guess's violation, and bent by a part of the guess's size.
 
-    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`. `is_factored` says
+    that the linear system is factored, at a point beside it.
     """
 
     nearby: float
     shortest: float
     funnel: float
     bulge: float = 0.0
+    is_factored: bool = False
 
 
 FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)
@@ -1890,6 +1892,14 @@ def regularised_step(search, iterate, before, damping, careful):
     return None
 
 
+def step_with_factors(search, iterate):
+    """The Newton step with the factors that there are, of a matrix beside the iterate that was not shifted."""
+    gradient, _ = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    primal = np.empty(gradient.size)
+    solve_kkt(search.grid, search.system, gradient, primal)
+    return step_along(search, iterate, gradient, primal, InertiaCorrection())
+
+
 def is_far(grid, point, primal):
     """Whether a step goes far beyond anything that an iterate knows of.
 
@@ -1948,7 +1958,7 @@ class Globalisation:
         self.filtered = Filter(attempt.funnel * first)
         self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
         self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
-        self.in_vain = 0
+        self.in_vain, self.is_factored = 0, attempt.is_factored
 
     def is_contradicted(self, point):
         """Whether full steps in turn have left the equations as they were, far from holding."""
@@ -1960,6 +1970,12 @@ class Globalisation:
 
         The next iterate is None where no part of the step is acceptable.
         """
+        if self.is_factored:
+            self.is_factored = False
+            step = step_with_factors(search, iterate)
+            trial = self.line_search(search, iterate, step)
+            if trial is not None:
+                return step, trial
         careful, before = self.monitor.is_due(), self.inertia
         step = regularised_step(search, iterate, before, self.damping, careful)
         if step is None:
@@ -2256,6 +2272,20 @@ def begin_nearby(search, unknowns, tolerance):
     return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
 
 
+def factor_nearby(grid, unknowns, tolerance, search):
+    """Factor the linear system of the first step from a neighbour's unknowns, or from others beside them, beforehand.
+
+    `search` is what `search_on` gave for a grid with the same bounds; it has the factors. Return whether there are any
+    that such a step can take: the reduced Hessian is positive definite as it is.
+    """
+    search = Search(grid, *search[1:])
+    iterate = begin_nearby(search, unknowns, tolerance)
+    if iterate is None:
+        return False
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, search.system) == 0
+
+
 # Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior point method.
 #
 # Bounds are replaced by a logarithmic barrier whose weight mu tends to zero; for each weight Newton's method solves the
@@ -2397,7 +2427,7 @@ GROSS = 0.03  # residuals above this part of the equations' terms are a gross vi
 NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
@@ -2407,7 +2437,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
     one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
     point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
-    bounds, if there was one: its storage serves again.
+    bounds, if there was one: its storage serves again. `is_factored`: `factor_nearby` has factored its linear system
+    for unknowns beside these, and the first step takes its factors.
     """
     first, total = None, 0
     if search is not None:
@@ -2420,15 +2451,19 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
         cascade = FROM_NEIGHBOUR, *cascade
     else:
         guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
+        is_factored = False
     if guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
             return status, iterate.point, total
+        is_factored = False
     for attempt in cascade:
         iterate, status = guess, "restored"
         if first:
             primal = without_multipliers(grid, unknowns, known)
             iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
+        elif is_factored:
+            attempt = attempt._replace(is_factored=True)
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
         if status == "restored":
@@ -2536,6 +2571,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        attempt = attempt._replace(is_factored=False)
         known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
@@ -4132,7 +4168,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_spherical_pendulum_8d1e7fb2e2934e7b"
+_IDENTITY = "codegen_spherical_pendulum_21bd9f09091b6d86"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from threading import Lock
 from time import perf_counter
 from typing import Any
@@ -27,7 +28,7 @@ from codegen.horizons.values import Moving, Values
 from codegen.interfaces import Grid, Matrix, Vector
 from codegen.solutions.result import Run
 
-BEFORE, PREPARED, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
+BEFORE, OF_START, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
 """Where searches begin."""
 UNFINISHED = ("iteration limit", "time limit")
 MOST, MOST_WARM = 3000, 200
@@ -38,6 +39,15 @@ that a solve can try would take thousands: half a second of a cart-pole, whose p
 """
 WARM_UPS, NUDGE = 20, 1e-4
 """Solves before the first sampling time, which are timed, and how far from its state, in parts of that or of one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """What was prepared for a sampling time: its run-time values, the shifted plan (n,), whether factors are there."""
+
+    given: dict[str, Any]
+    guess: Vector
+    is_factored: bool
 
 
 class Controller:
@@ -110,7 +120,9 @@ class Controller:
         self._of_inputs = self.module.unpack(grid, numbers)[3][0].astype(np.intp)
         self.last: Feedback | None = None
         self._plan: Vector | None = None
-        self._prepared: Vector | None = None
+        self._of_start: Vector | None = None
+        self._ahead: Ahead | None = None
+        self._state: Vector | None = None
         self._feasible = math.sqrt(tolerance)
         self._lock, self._scaling, self._is_plain = Lock(), scaling, False
         self._pace = self._warm_up(grid)
@@ -132,11 +144,36 @@ class Controller:
         with self._lock:
             start = measured if self._delay is None else self._delay.state_after(measured, t, parameters)
             given = self._values.given(self._start_of_plan(t), parameters)
-            grid = self._grids.at(given, measured if start is None else start)
+            self._state = measured if start is None else start
+            if self._ahead is not None and self._ahead.given != given:
+                self._ahead = None
+            grid = self._grids.at(given, self._state)
             self.last = last = self._feedback(begin, t, grid, start is not None)
+            self._ahead = None
             if self._delay is not None:
                 self._delay.append(last.inputs)
         return last.inputs.copy()
+
+    def prepare(self, t: float, parameters: Mapping[str, float] | None = None) -> None:
+        """Do beforehand what the step at the time t can do without a measurement, while the inputs before it act.
+
+        That is the shifted plan, run-time values and grid, and the factorisation of the first Newton step, which is
+        then one with the matrix of the predicted state and the residuals of the measured one: the preparation phase of
+        a real-time iteration. The step at another time, or with other `parameters`, begins as if nothing was prepared,
+        and so does the first one. Raises what `step` does for unusable run-time values.
+        """
+        t = number(t, "the time")
+        with self._lock:
+            self._ahead = None
+            if self._plan is None:
+                return
+            given, guess = self._values.given(self._start_of_plan(t), parameters), self._shift(self._plan)
+            grid, search = self._grids.at(given, self._state), self._grids.search
+            is_factored = False
+            if self._is_plain and search is not None:
+                with self.module.packed_operations():
+                    is_factored = self.module.factor_nearby(grid, guess, self.options.tolerance, search)
+            self._ahead = Ahead(given, guess, is_factored)
 
     def first_state(self) -> Vector:
         """The state (states,) that the problem itself starts from."""
@@ -155,7 +192,7 @@ class Controller:
         with self._lock:
             if self._delay is not None:
                 self._delay.reset(inputs)
-            self._plan, self.last = None, None
+            self._plan, self.last, self._ahead = None, None, None
 
     def plan(self) -> tuple[Vector, Matrix, Matrix]:
         """What the last step plans: times (N + 1,), coordinates or states at them, and the inputs of N intervals.
@@ -198,9 +235,10 @@ class Controller:
         Without a plan there is no time before a deadline for a search from the problem's guess.
         """
         if self._plan is not None:
-            return self._pinned(grid, self._shift(self._plan)), BEFORE
-        if self._prepared is not None and self.options.deadline is not None:
-            return self._pinned(grid, self._prepared.copy()), PREPARED
+            guess = self._shift(self._plan) if self._ahead is None else self._ahead.guess
+            return self._pinned(grid, guess), BEFORE
+        if self._of_start is not None and self.options.deadline is not None:
+            return self._pinned(grid, self._of_start.copy()), OF_START
         return self.module.initial_guess(grid), OWN_GUESS
 
     def _judged(
@@ -273,6 +311,8 @@ class Controller:
                 log.best = None  # which is in parts of sizes
                 return status, message, point, iterations
             known = {} if self._grids.search is None else {"search": self._grids.search}
+            if self._ahead is not None and self._ahead.is_factored:
+                known["is_factored"] = True
             status, point, iterations = module.minimise(grid, guess, *how, log, **known)
             if status == "solved":
                 return status, f"all {module.reached(point)}", point, iterations
@@ -292,13 +332,13 @@ class Controller:
             is_ordinary = not module.scaled_grid(grid, point.unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
         self._is_plain = self._scaling == "none" and not hasattr(module, "tables_beyond")
-        self._prepared = point.unknowns if status == "solved" else None
+        self._of_start = point.unknowns if status == "solved" else None
         start, measured = self._interface.start_of(grid), []
         for k in range(WARM_UPS):
             nudge = NUDGE * (-1.0) ** k * np.maximum(1.0, np.abs(start))
             grid, begin = self._grids.at(given, start + nudge), self._clock()
             log = BestIterate(math.inf, self._feasible, self._clock)
-            self._judged(grid, self._pinned(grid, point.unknowns.copy()), PREPARED, log, 2)
+            self._judged(grid, self._pinned(grid, point.unknowns.copy()), OF_START, log, 2)
             whole = self._clock() - begin
             measured.append((log.beginning or whole, log.rest(begin + whole) or whole))
         return Pace(measured)

@@ -36,6 +36,7 @@ class Attempt(NamedTuple):
 
     `nearby` is the part of the guess's violation that may be left before the search begins. Steps below the shortest
     make way for restoration; the violation may grow by the factor `funnel`. The guess is bent by a part of its size.
+    `is_factored` says that the linear system is factored, at a point beside it.
     """
 
     weight: float
@@ -44,6 +45,7 @@ class Attempt(NamedTuple):
     shortest: float
     funnel: float
     bulge: float = 0.0
+    is_factored: bool = False
 
 
 FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)

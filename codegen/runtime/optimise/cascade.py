@@ -4,6 +4,7 @@ import numpy as np
 
 from codegen.runtime.optimise.bounded import (
     CASCADE,
+    FROM_AFAR,
     FROM_GUESS,
     FROM_NEIGHBOUR,
     Iterate,
@@ -37,7 +38,7 @@ if UNBOUNDED:
     NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
@@ -47,7 +48,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
     one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
     point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
-    bounds, if there was one: its storage serves again.
+    bounds, if there was one: its storage serves again. `is_factored`: `factor_nearby` has factored its linear system
+    for unknowns beside these, and the first step takes its factors.
     """
     first, total = None, 0
     if search is not None:
@@ -62,17 +64,23 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     guess = begin_nearby(search, unknowns, tolerance) if warm else None
     if guess is not None:
         cascade = FROM_NEIGHBOUR, *cascade
+        if INEQUALITIES:
+            is_factored = is_factored and guess.mu < FROM_AFAR.weight
     else:
         guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
+        is_factored = False
     if UNBOUNDED and guess.point.error < np.inf and is_gross(grid, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
             return status, iterate.point, total
+        is_factored = False
     for attempt in cascade:
         iterate, status = guess, "restored"
         if first:
             primal = without_multipliers(grid, unknowns, known)
             iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
+        elif is_factored:
+            attempt = attempt._replace(is_factored=True)
         if attempt.nearby < 1.0 and iterate.point.error < np.inf:
             status, iterate = restored(search, iterate, attempt.nearby, Filter(np.inf), log)
         if status == "restored":
@@ -190,6 +198,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
     status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        attempt = attempt._replace(is_factored=False)
         known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)

@@ -19,6 +19,7 @@ from codegen.runtime.optimise.newton_steps import (
     barely_reduces_residual,
     is_inaccurate,
     regularised_step,
+    step_with_factors,
 )
 from codegen.runtime.optimise.stagnation import is_at_rounding_level
 from codegen.runtime.stand_ins.example import INEQUALITIES
@@ -45,7 +46,7 @@ class Globalisation:
         self.filtered = Filter(attempt.funnel * first)
         self.inertia, self.length, self.damping = InertiaCorrection(), 0.0, 0.0
         self.shortened, self.watchdog, self.monitor = 0, None, AccuracyMonitor()
-        self.in_vain = 0
+        self.in_vain, self.is_factored = 0, attempt.is_factored
 
     def is_contradicted(self, point):
         """Whether full steps in turn have left the equations as they were, far from holding."""
@@ -63,6 +64,12 @@ class Globalisation:
 
         The next iterate is None where no part of the step is acceptable.
         """
+        if self.is_factored:
+            self.is_factored = False
+            step = step_with_factors(search, iterate)
+            trial = self.line_search(search, iterate, step)
+            if trial is not None:
+                return step, trial
         careful, before = self.monitor.is_due(), self.inertia
         step = regularised_step(search, iterate, before, self.damping, careful)
         if step is None:

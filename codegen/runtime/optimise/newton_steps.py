@@ -6,8 +6,9 @@ Numbers are those of Waechter and Biegler (2006), as in `newton.py`.
 import numpy as np
 
 from codegen.runtime.kkt.refinement import ACCURATE, linear_residual, refine
-from codegen.runtime.kkt.system import factor_kkt
+from codegen.runtime.kkt.system import factor_kkt, solve_kkt
 from codegen.runtime.optimise.bounded import (
+    InertiaCorrection,
     corrected_inertia,
     first_delta_w,
     newton_system,
@@ -86,6 +87,14 @@ def regularised_step(search, iterate, before, damping, careful):
         else:
             delta_w *= 100.0 if before.last == 0.0 else 8.0
     return None
+
+
+def step_with_factors(search, iterate):
+    """The Newton step with the factors that there are, of a matrix beside the iterate that was not shifted."""
+    gradient, _ = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    primal = np.empty(gradient.size)
+    solve_kkt(search.grid, search.system, gradient, primal)
+    return step_along(search, iterate, gradient, primal, InertiaCorrection())
 
 
 if UNBOUNDED:

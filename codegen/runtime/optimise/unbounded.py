@@ -19,13 +19,15 @@ from codegen.runtime.unknowns.point import evaluate, lagrangian
 class Attempt(NamedTuple):
     """How a search begins: with what part of the guess's violation, and bent by a part of the guess's size.
 
-    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`.
+    Steps below the shortest make way for restoration; the violation may grow by the factor `funnel`. `is_factored` says
+    that the linear system is factored, at a point beside it.
     """
 
     nearby: float
     shortest: float
     funnel: float
     bulge: float = 0.0
+    is_factored: bool = False
 
 
 FROM_GUESS, NEARBY = Attempt(1.0, 1e-12, 1e4), Attempt(1e-2, 1e-12, 1e4)

@@ -12,7 +12,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.optimise.barrier import push_inside, relaxation, sum_of_logarithms
-from codegen.runtime.optimise.bounded import FROM_AFAR, Iterate, begin
+from codegen.runtime.kkt.system import factor_kkt
+from codegen.runtime.optimise.bounded import FROM_AFAR, Iterate, Search, begin, newton_system
 from codegen.runtime.stand_ins.example import INEQUALITIES, TIED
 from codegen.runtime.unknowns.point import evaluate
 from codegen.runtime.unknowns.tied import with_tied_values
@@ -53,6 +54,22 @@ def begin_nearby(search, unknowns, tolerance):
     else:
         iterate = Iterate(evaluate(grid, unknowns))
         return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
+
+
+def factor_nearby(grid, unknowns, tolerance, search):
+    """Factor the linear system of the first step from a neighbour's unknowns, or from others beside them, beforehand.
+
+    `search` is what `search_on` gave for a grid with the same bounds; it has the factors. Return whether there are any
+    that such a step can take: the reduced Hessian is positive definite as it is.
+    """
+    search = Search(grid, *search[1:])
+    iterate = begin_nearby(search, unknowns, tolerance)
+    if iterate is None:
+        return False
+    if INEQUALITIES and iterate.mu == FROM_AFAR.weight:
+        return False
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, search.system) == 0
 
 
 if INEQUALITIES:
