@@ -12,7 +12,7 @@ from functools import cache, lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 
@@ -26,9 +26,8 @@ if TYPE_CHECKING:  # a build that the cache answers writes files without ever im
 
 _NAME = "@@digest@@"
 """Where a text's own name comes, which depends on all the rest of the text."""
-_IDENTITY = re.compile(r'^_IDENTITY = "codegen_\w+?_([0-9a-f]{16})"$', re.MULTILINE)
+_IDENTITY = re.compile(r'^(?:_IDENTITY = "codegen_\w+?_|# Text: sha256 )([0-9a-f]{16})"?$', re.MULTILINE)
 """The line that tells it."""
-_BEGINNING = '\n_IDENTITY = "'
 _SPECIAL = ("polygamma", "sinc_derivative")
 
 
@@ -36,6 +35,8 @@ def render(module: Module, origin: Origin) -> str:
     """The text of a generated module; its template asks for values by name, and decides nothing."""
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    if module.template == "control.py.j2":
+        return _render_control(module, values)
     # Functions that kernels call and Python does not have: a file for each.
     special = tuple(name for name in _SPECIAL if f"{name}(" in repr(module) or f"{name})(" in repr(module))
     runtime = ("packing", *special, *module.runtime)
@@ -57,6 +58,69 @@ def render(module: Module, origin: Origin) -> str:
     return text
 
 
+def _render_control(module: Module, values: dict[str, Any]) -> str:
+    """The text of a module that imports what is common to all problems."""
+    names = [argument.name for argument in module.arguments]
+    loops = resources.files("codegen.emit").joinpath("templates/loops.txt").read_text(encoding="utf-8")
+    values |= {
+        "description": (*module.description, *renamed_arguments(names)),
+        "loops": specialise(loops, dict(module.sizes)).strip(),
+        "title": _in_docstring(module.title),
+        "title_code": repr(module.title),
+        "left_out_code": [repr(line) for line in module.left_out],
+        "public": _PUBLIC + (("variable_bounds",) if dict(module.sizes)["INEQUALITIES"] else ()),
+        "imports": (),
+    }
+    template = _environment().get_template(module.template)
+    body = template.render(values, identity=_NAME)
+    values["imports"] = _imports_of(body)
+    named = renamed(_tidy(template.render(values, identity=_NAME)))
+    text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
+    compile(text, f"{module.name}.py", "exec")
+    return text
+
+
+_PUBLIC = (
+    "constraints", "cost", "cost_gradient", "evaluate", "hessian", "initial_guess", "jacobian", "make_grid",
+    "metadata", "multiplier_unknowns", "primal_unknowns", "problem", "solve", "stationarity", "unpack", "views",
+    "with_pinned_values",
+)  # fmt: skip
+"""Names for users of a module that solves an optimal control problem."""
+
+
+@cache
+def _importable() -> dict[str, str]:
+    """Names that a module may import, with the modules of the runtime that define them."""
+    found = {}
+    for path in _IMPORTED:
+        file = resources.files("codegen.runtime").joinpath(*path.split(".")[:-1], f"{path.split('.')[-1]}.py")
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+                found[node.name] = f"codegen.runtime.{path}"
+    return found
+
+
+_IMPORTED = (
+    "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.callbacks",
+    "search.parts", "search.slacks", "search.solution", "inner_number", "special.polygamma",
+    "special.sinc_derivative", "tabulated.table_cells", "tabulated.table_curves", "tabulated.table_surfaces",
+    "tabulated.table_guesses",
+)  # fmt: skip
+"""Modules of the runtime from which generated modules import."""
+
+
+def _imports_of(text: str) -> tuple[str, ...]:
+    """The lines that import what a text uses and does not define, and what it offers."""
+    tree, wanted = ast.parse(text), dict[str, set[str]]()
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} | set(_PUBLIC)
+    own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    for name in used - own:
+        if name in _importable():
+            wanted.setdefault(_importable()[name], set()).add(name)
+    return tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
+
+
 @cache
 def _environment() -> jinja2.Environment:
     """Where templates are found; it keeps them translated, which takes longer than filling them in."""
@@ -72,9 +136,7 @@ def _environment() -> jinja2.Environment:
 
 def is_whole(text: str) -> bool:
     """Whether a text is still as it was rendered: the name in it is the digest of all the rest."""
-    if text.count(_BEGINNING) != 1:  # found forty times as fast as by the expression, in texts of 100,000 characters
-        return False
-    found = _IDENTITY.match(text, text.index(_BEGINNING) + 1)
+    found = _IDENTITY.search(text)
     return found is not None and _digest(text.replace(found[1], "", 1)) == found[1]
 
 

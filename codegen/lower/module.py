@@ -100,6 +100,7 @@ class SensitivityText:
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
+    `structure` and `features` are fields of the records `Structure` and `ControlProblem` with their code.
     `boundary_values` is code in the arguments and in `boundary_inputs`. `data_arguments` are those that take other
     numbers for tables and measurements, where there are any, each with what is said of it; `grid_code` makes a grid
     with them. Guesses, pinned values and bounds are assignments to views of the unknowns; their `..._inputs` read what
@@ -113,6 +114,8 @@ class ControlModule(Module):
     solution.
     """
 
+    structure: tuple[tuple[str, str], ...]
+    features: tuple[tuple[str, str], ...]
     boundary_values: tuple[Line, ...]
     boundary_inputs: tuple[Line, ...]
     inner_times: tuple[str, ...]

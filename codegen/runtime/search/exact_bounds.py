@@ -1,0 +1,61 @@
+"""The end of an interior-point method: bounds, which were relaxed on the way, hold exactly.
+
+What lies beyond a bound, by its relaxation, is moved onto it. Where equations are steep or multipliers large, even a
+move of 1e-12 costs digits of the optimality conditions: Newton's steps of the barrier problem whose bounds are not
+relaxed then lead back to its optimum.
+"""
+
+import numpy as np
+
+from codegen.runtime.search.iterates import measured_point, moved, newton_step, with_tied_values
+from codegen.runtime.search.point import evaluate
+
+LAST_STEPS = 3
+WORSE = 2.0  # by which errors may grow where that is beyond the tolerance
+
+
+def within_bounds(search, iterate, tolerance):
+    """The point of an iterate inside its bounds, with errors measured there, or as it is where that costs accuracy."""
+    point = iterate.point
+    if not point.error < np.inf:
+        return point
+    clipped = inside = on_bounds(search, iterate)
+    for _ in range(LAST_STEPS):
+        if inside.error <= max(tolerance, WORSE * point.error):
+            return inside
+        iterate = last_step(search, iterate)
+        if iterate is None:
+            break
+        inside = on_bounds(search, iterate)
+    best = min(inside, clipped, key=lambda found: found.error)
+    return best if best.residual <= max(tolerance, WORSE * point.residual) else point
+
+
+def on_bounds(search, iterate):
+    """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
+    grid, (lower, upper) = search.grid, search.box
+    unknowns = np.minimum(np.maximum(iterate.point.unknowns, lower), upper)
+    unknowns = with_tied_values(grid, unknowns)
+    moves = np.count_nonzero(unknowns != iterate.point.unknowns) > 0  # any() takes twice as long
+    if moves:
+        iterate = iterate._replace(point=evaluate(grid, unknowns))
+    return measured_point(search, iterate)
+
+
+def last_step(search, iterate):
+    """The iterate after a Newton step of the barrier problem whose bounds are not relaxed; None where there is none.
+
+    An unknown that is no farther from its bound than by the relaxation keeps its distance, and is moved instead, so
+    that complementarities stay as they are.
+    """
+    grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
+    relaxed = iterate.distance - distance
+    close = np.flatnonzero(distance < relaxed)
+    unknowns[bounds.indices[close]] += (bounds.side * relaxed)[close]
+    distance[close] = iterate.distance[close]
+    unknowns = with_tied_values(grid, unknowns)
+    mu = iterate.duals @ distance / max(1, distance.size)
+    iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
+    step = newton_step(search, iterate)
+    return None if step is None else moved(search, iterate, step, step.longest)

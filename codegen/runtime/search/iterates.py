@@ -1,0 +1,339 @@
+"""Iterates of a search: how they begin, and how they follow each other where Python leads the search.
+
+The Newton loop itself is compiled, see `descent`; restoration, exact bounds and starts take these steps.
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.search import descent
+from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
+from codegen.runtime.search.grid import Grid, free_unknowns, multiplier_unknowns, with_pinned_values
+from codegen.runtime.search.linear_system import System, allocate_system, factor_kkt, is_factored, refine
+from codegen.runtime.search.point import Point, evaluate, lagrangian
+from codegen.runtime.search.bounds import bounds_of
+
+LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
+SINGULAR_STEP = descent.SINGULAR_STEP
+
+
+class Attempt(NamedTuple):
+    """How a search begins.
+
+    Attributes
+    ----------
+    weight, push : float
+        First weight of the barrier, and how far inside their bounds unknowns begin.
+    nearby : float
+        Part of the violation at the guess that may remain before the search begins.
+    shortest : float
+        Steps below it make way for restoration.
+    funnel : float
+        Factor by which the violation may grow.
+    bulge : float
+        Part of its size by which the guess is bent.
+    is_factored : bool
+        True if the linear system is factored, at a point beside the guess.
+    on_path : bool
+        True if duals begin on the central path, not at one.
+    """
+
+    weight: float
+    push: float
+    nearby: float
+    shortest: float
+    funnel: float
+    bulge: float = 0.0
+    is_factored: bool = False
+    on_path: bool = False
+
+
+FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+NEARBY = FROM_GUESS._replace(nearby=1e-2)
+# Warm start without multipliers.
+FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4, on_path=True)
+# Warm start whose equations do not hold: close to their bounds, unknowns would be stopped by these step after step.
+FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4, on_path=True)
+CASCADE_WITH_BOUNDS = (
+    Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
+    Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
+    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+)
+CASCADE = (CASCADE_WITH_BOUNDS[0], CASCADE_WITH_BOUNDS[2])
+
+
+class Bounds(NamedTuple):
+    """Indices, values, sides and magnitudes, one or more, of all finite bounds."""
+
+    indices: np.ndarray
+    value: np.ndarray
+    side: np.ndarray
+    magnitude: np.ndarray
+
+
+def finite_bounds(lower, upper):
+    """Return the bounds that exist, lower ones first."""
+    (below,), (above,) = (lower > -np.inf).nonzero(), (upper < np.inf).nonzero()
+    side = np.ones(below.size + above.size)
+    side[below.size :] = -1.0
+    value = np.concatenate([lower[below], upper[above]])
+    return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
+
+
+class Workspace:
+    """The work space of the compiled search on a grid, which serves all searches with so many unknowns and bounds."""
+
+    def __init__(self, n, m):
+        self.vectors, self.barriers = np.zeros((descent.VECTORS, n)), np.zeros((descent.BARRIERS, m))
+        self.reals, self.integers = np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64)
+        self.pairs, self.room = np.empty((1000, 2)), np.empty((0, n))
+
+    @cached_property
+    def log(self):
+        """Rows of the iterates of one call."""
+        return np.empty((101, 6))
+
+
+class Search(NamedTuple):
+    """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
+
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
+    by `least` at least, relative to their magnitudes. `data` is the grid as the compiled search takes it.
+    """
+
+    grid: Grid
+    bounds: Bounds
+    system: System
+    equations: np.ndarray
+    box: tuple
+    work: Workspace
+    data: tuple
+    least: float = LEAST_RELAXED
+
+    @property
+    def is_bounded(self):
+        """True if there are bounds."""
+        return self.bounds.indices.size > 0
+
+
+class Iterate(NamedTuple):
+    """A point, the barrier's weight mu, distances to all bounds (m,) and their duals (m,)."""
+
+    point: Point
+    mu: float
+    distance: np.ndarray
+    duals: np.ndarray
+
+    @property
+    def objective(self):
+        """The barrier function, which a line search lowers (3)."""
+        return self.point.cost - self.mu * np.log(self.distance).sum()
+
+
+class Step(NamedTuple):
+    """A Newton step: primal and dual part, its right-hand side, and longest lengths."""
+
+    primal: np.ndarray
+    dual: np.ndarray
+    right: np.ndarray
+    longest: float
+    dual_length: float
+
+
+def search_on(grid):
+    """Return what stays the same during a solve on a grid."""
+    box = bounds_of(grid)
+    bounds, n = finite_bounds(*box), grid.is_multiplier.size
+    system = allocate_system(grid)
+    work = Workspace(n, bounds.side.size)
+    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, search_data(grid))
+
+
+def on_grid(search, grid):
+    """Return the search on a grid with the same bounds and so many intervals: its storage serves again."""
+    return search._replace(grid=grid, data=search_data(grid))
+
+
+def search_data(grid):
+    """Return a grid as the compiled search takes it."""
+    s = grid.problem.structure
+    return (
+        grid.steps, float(grid.h), grid.nodes, grid.parameters, grid.is_multiplier, grid.sizes, grid.forces,
+        float(grid.weight), ties(s, grid.steps), free_unknowns(grid), fillings(s, grid.steps),
+    )  # fmt: skip
+
+
+def ties(s, steps):
+    """Return pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
+    chain, size = steps * s.stride + s.node, s.size(steps)
+    pairs = []
+    if s.is_tied:
+        for body, indices in enumerate(size - s.root + s.root_indices()):
+            pairs += zip(body * chain + s.start_tied, indices[s.start_shared], strict=True)
+            pairs += zip((body + 1) * chain - s.node + s.end_tied, indices[s.end_shared], strict=True)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def fillings(s, steps):
+    """Return pairs (k, 2): the entry by which a start takes back a one of intervals on the diagonal, and its row."""
+    chain, first = steps * s.stride + s.node, s.bodies * steps * s.rows.size
+    is_one = (s.start_rows == s.start_columns) & np.isin(s.start_rows, s.only_at_ends)
+    entries = np.flatnonzero(is_one)
+    pairs = [
+        (first + body * s.start_rows.size + j, body * chain + s.start_rows[j])
+        for body in range(s.bodies)
+        for j in entries
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def begin(search, unknowns, attempt):
+    """Return the iterate at primal unknowns that are pushed inside their bounds, with duals of one or on the path."""
+    bounds, mu = search.bounds, attempt.weight
+    if not search.is_bounded:
+        return Iterate(evaluate(search.grid, unknowns), 0.0, bounds.side, bounds.side)
+    unknowns = pushed_inside(search, unknowns, attempt.push)
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
+    duals = central_duals(mu, distance) if attempt.on_path else np.ones(distance.size)
+    return Iterate(evaluate(search.grid, unknowns), mu, distance, duals)
+
+
+def pushed_inside(search, unknowns, push):
+    """Return unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
+    lower, upper = search.box
+    width = push * (upper - lower)
+    least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
+    greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
+    inside = np.minimum(np.maximum(unknowns, np.where(lower > -np.inf, least, -np.inf)),
+                        np.where(upper < np.inf, greatest, np.inf))  # fmt: skip
+    return with_tied_values(search.grid, inside)
+
+
+def with_tied_values(grid, unknowns):
+    """Return unknowns in which those that equal linking variables have their values."""
+    if not grid.problem.structure.is_tied:
+        return unknowns
+    if grid.sizes.size:
+        return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
+    return with_pinned_values(grid, unknowns)
+
+
+def central_duals(mu, distance):
+    """Return duals (m,) on the central path, or large ones where a bound is closer."""
+    return np.minimum(mu / distance, 1e3)
+
+
+def with_least_squares_multipliers(search, iterate):
+    """Return an iterate whose multipliers solve stationarity by least squares (36), zero if huge or singular.
+
+    All multipliers of `iterate` are zero.
+    """
+    grid, bounds, point = search.grid, search.bounds, iterate.point
+    if not search.is_bounded and point.stationarity == 0.0:
+        return iterate
+    step, gradient = np.empty_like(point.unknowns), np.where(grid.is_multiplier, 0.0, point.gradient)
+    np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
+    diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, gradient, step)):
+        return iterate
+    multipliers = np.where(grid.is_multiplier, step, 0.0)
+    if not np.abs(multipliers).max(initial=0.0) <= LARGEST_MULTIPLIER:
+        return iterate
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+
+
+def measured_point(search, iterate):
+    """Return the point of an iterate, in whose stationarity and error the duals of bounds take part."""
+    point = iterate.point
+    if not search.is_bounded:
+        return point
+    slope = np.where(search.grid.is_multiplier, 0.0, point.gradient)
+    np.subtract.at(slope, search.bounds.indices, search.bounds.side * iterate.duals)
+    stationarity = float(np.abs(slope).max(initial=0.0))
+    error = max(point.residual, stationarity) if point.error < np.inf else np.inf
+    return point._replace(stationarity=stationarity, error=error)
+
+
+def barrier_curvature(search, iterate):
+    """Return what the barrier adds to the Hessian's diagonal (n,)."""
+    curvature = np.zeros(iterate.point.unknowns.size)
+    np.add.at(curvature, search.bounds.indices, iterate.duals / iterate.distance)
+    return curvature
+
+
+def newton_system(search, iterate, gradient, delta_w, delta_c):
+    """Return right-hand side and diagonal (n,) of Newton's equations (13), given the gradient of the Lagrangian."""
+    bounds, is_multiplier = search.bounds, search.grid.is_multiplier
+    diagonal = np.where(is_multiplier, -delta_c, delta_w)
+    if not search.is_bounded:
+        return gradient, diagonal
+    right = np.where(is_multiplier & (np.abs(gradient) <= descent.ROUNDING), 0.0, gradient)
+    np.subtract.at(right, bounds.indices, iterate.mu * bounds.side / iterate.distance)
+    np.add.at(diagonal, bounds.indices, iterate.duals / iterate.distance)
+    return right, diagonal
+
+
+def step_along(search, iterate, right, primal):
+    """Return the step with a primal part: its dual part and its longest lengths (15)."""
+    if not search.is_bounded:
+        return Step(primal, search.bounds.side, right, 1.0, 1.0)
+    bounds, mu, tau = search.bounds, iterate.mu, max(0.99, 1.0 - iterate.mu)
+    change = bounds.side * primal[bounds.indices]
+    dual = (mu - iterate.duals * change) / iterate.distance - iterate.duals
+    longest = tau / max(tau, (-change / iterate.distance).max())
+    return Step(primal, dual, right, float(longest), float(tau / max(tau, (-dual / iterate.duals).max())))
+
+
+def moved(search, iterate, step, length):
+    """Return the iterate after a length of a step's primal part and the longest of its dual part."""
+    bounds, unknowns = search.bounds, iterate.point.unknowns + length * step.primal
+    if not search.is_bounded:
+        return Iterate(evaluate(search.grid, unknowns), 0.0, bounds.side, bounds.side)
+    change = bounds.side * (length * step.primal[bounds.indices])
+    distance = np.maximum(iterate.distance + change, 1e-16 * iterate.distance)
+    centre = iterate.mu / distance
+    duals = np.maximum(np.minimum(iterate.duals + step.dual_length * step.dual, 1e10 * centre), 1e-10 * centre)
+    moved_to = Iterate(evaluate(search.grid, unknowns), iterate.mu, distance, duals)
+    return moved_to._replace(point=measured_point(search, moved_to))
+
+
+def newton_step(search, iterate):
+    """Return the refined Newton step with the least shift of the Hessian that makes it one of descent, or None."""
+    grid, system, point, delta_w = search.grid, search.system, iterate.point, 0.0
+    primal, delta_c = np.empty(point.unknowns.size), 0.0
+    while delta_w < 1e20:
+        right, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
+        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, right, primal)
+        if excess == 0:
+            if delta_c == 0.0 and np.abs(primal).max() > SINGULAR_STEP * np.abs(right).max():
+                delta_c = descent.DUAL_SHIFT
+                continue
+            refine(grid, point.unknowns, diagonal, system, right, primal)
+            if np.isfinite(primal).all():
+                return step_along(search, iterate, right, primal)
+        elif delta_c == 0.0 and (excess is None or excess < 0):
+            delta_c = descent.DUAL_SHIFT
+            continue
+        delta_w = 100.0 * delta_w if delta_w else 1e-4
+    return None
+
+
+def predicted_cost(search, iterate):
+    """Return the cost of the optimum nearby, to first order: residuals, and distances to bounds, cost multipliers.
+
+    Bounds count as they are, not relaxed.
+    """
+    bounds = search.bounds
+    distance = bounds.side * (iterate.point.unknowns[bounds.indices] - bounds.value)
+    return lagrangian(search.grid, iterate.point) - iterate.duals @ distance
+
+
+def with_relaxed_bounds(search):
+    """Return the search with bounds that stay as relaxed as they are at first.
+
+    Where equations force unknowns onto their bounds, and all multipliers are huge, the relaxation is what gives the
+    feasible set an inside; IPOPT keeps it as well.
+    """
+    return search._replace(least=RELAXED)

@@ -1,0 +1,97 @@
+"""What is special about an optimal control problem, as its generated module states it."""
+
+import ctypes
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from numba import cfunc, config
+
+from codegen.runtime.addresses import LOOP
+from codegen.runtime.kkt.specialised import system_address
+from codegen.runtime.packing import packed_operations
+from codegen.runtime.search.structure import Structure
+
+
+class Loop:
+    """A loop over intervals, which is compiled when its address is first asked for.
+
+    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter.
+    """
+
+    def __init__(self, function, is_interpreted=False):
+        self.function, self.is_interpreted = function, is_interpreted
+        self.__doc__ = function.__doc__
+
+    @cached_property
+    def compiled(self):
+        """The compiled function, or the callback; what has the address must be kept."""
+        if self.is_interpreted or config.DISABLE_JIT:
+            reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
+            kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
+            return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
+        with packed_operations():
+            return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
+
+    @cached_property
+    def address(self):
+        """The address of the function."""
+        found = self.compiled
+        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+
+@dataclass(frozen=True, eq=False)
+class ControlProblem:
+    """An optimal control problem: its structure, its loops over intervals, and what depends on the author's formulas.
+
+    Attributes
+    ----------
+    structure : Structure
+    metadata : mapping
+        Names and meanings.
+    gradient, hessians, parts : Loop
+        Fill the gradient (n,) of the Lagrangian and return the cost; fill all second derivatives; fill the gradients
+        (bodies N, element + shared + 1) of all intervals by themselves, each followed by its cost.
+    duration_of : callable
+        Length of the time interval: (grid, unknowns) -> float.
+    initial_guess, pin_values : callable
+        (grid) -> unknowns, and (grid, unknowns, nodes) -> None, which gives what boundary conditions fix its values.
+    unpack : callable
+        (grid, unknowns) -> times, positions, momenta, controls, multipliers.
+    variable_bounds : callable or None
+        (grid) -> lower, upper.
+    phase_durations : callable or None
+        (grid, unknowns) -> lengths of all phases.
+    inputs : Loop or None
+        Fill the least and greatest inputs of tables with ranges; `ranges` and `range_names` say which these are.
+    """
+
+    structure: Structure
+    metadata: Mapping[str, Any]
+    gradient: Loop
+    hessians: Loop
+    parts: Loop
+    duration_of: Callable[..., Any]
+    initial_guess: Callable[..., Any]
+    pin_values: Callable[..., Any]
+    unpack: Callable[..., Any]
+    variable_bounds: Callable[..., Any] | None = None
+    phase_durations: Callable[..., Any] | None = None
+    inputs: Loop | None = None
+    ranges: Any = ()
+    range_names: tuple[str, ...] = ()
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    observations: tuple[Any, ...] = ()
+
+    @cached_property
+    def system(self):
+        """The address of the linear system of Newton's method."""
+        return system_address(self.structure.shape)
+
+    def compile(self):
+        """Compile what is special about the problem: the loops, and the linear system of its shape."""
+        for loop in (self.gradient, self.hessians, self.parts, self.inputs):
+            if loop is not None:
+                loop.address  # noqa: B018
+        self.system  # noqa: B018

@@ -1,0 +1,321 @@
+"""The structure of an optimal control problem: which unknowns there are, and which derivatives may be nonzero.
+
+Unknowns lie in one vector of length n: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
+N stride + node; then the linking variables, which no node owns, with the multipliers of conditions between them.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.kkt.shape import Shape, padded
+from codegen.runtime.kkt.system import root_index
+from codegen.runtime.kkt.tables import packed
+
+NO_INDICES = np.zeros(0, np.int64)
+NO_MASK = np.zeros(0, bool)
+
+
+def _indices():
+    return field(default_factory=lambda: NO_INDICES)
+
+
+def _mask():
+    return field(default_factory=lambda: NO_MASK)
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Numbers and indices of the unknowns of an optimal control problem.
+
+    Attributes
+    ----------
+    node, stride : int
+        Unknowns of a node, and of a node with the interval after it.
+    condensed : int
+        Unknowns of an interval that are eliminated before all others: its last ones.
+    bodies, own, shared, couplings : int
+        Bodies; linking variables of one body alone, and with those of the whole problem; conditions between them.
+    phases : int
+        Phases, 0 if there is only one.
+    rows, columns : array of int
+        Rows and columns of the entries of an interval's Hessian, lower triangle; `start_rows` and so on of the ends.
+    is_multiplier, shared_is_multiplier : array of bool
+        Multipliers among the unknowns of a node and an interval, and among the linking variables.
+    start_pinned, end_pinned : array of int
+        Unknowns of the first and the last node that boundary conditions give; those that equal linking variables are
+        among them, and in `start_tied`, `end_tied`, with these variables in `start_shared`, `end_shared`.
+    only_at_ends : array of int
+        Unknowns that only the first and the last node have.
+    backward, bordered, carried, constant : bool
+        See `kkt.shape.Shape`.
+    equations : array of int
+        Multipliers of the equations of motion in a node, if these give the momenta.
+    slacks, slack_multipliers : array of int
+        Slacks of an interval, and the multipliers of the equations that define them.
+    motion_equations, motion_unknowns : array of int
+        Multipliers of the equations of a step, and what these determine, if a motion follows from the start.
+    inner_times, inner_first : int
+        Number of inner times, and their place among the parameters; `inner_unknowns` of nodes belong to them, those
+        `inner_present` (times, unknowns) to each; intervals after them lack `inner_lacks`.
+    phase_lacks, switch_lacks : array of bool
+        Unknowns that intervals of each phase, and the first after each switch, lack.
+    tabled, sample, first_sample : int
+        Numbers of tables behind the parameters; numbers of a sample, and the place of the first one.
+    coupling_rows, coupling_indices : array of int
+        Row and linking variables of each term of the conditions.
+    inequalities, linear_quadratic, costless, forward : bool
+        Features of the problem: bounds; one Newton step suffices; any feasible motion will do; a motion follows from
+        the start.
+    """
+
+    node: int
+    stride: int
+    condensed: int
+    rows: np.ndarray
+    columns: np.ndarray
+    is_multiplier: np.ndarray
+    start_pinned: np.ndarray
+    end_pinned: np.ndarray
+    only_at_ends: np.ndarray = _indices()
+    bodies: int = 1
+    own: int = 0
+    shared: int = 0
+    couplings: int = 0
+    phases: int = 0
+    backward: bool = False
+    bordered: bool = True
+    carried: bool = False
+    constant: bool = False
+    inequalities: bool = False
+    linear_quadratic: bool = False
+    costless: bool = False
+    forward: bool = False
+    equations: np.ndarray = _indices()
+    start_tied: np.ndarray = _indices()
+    start_shared: np.ndarray = _indices()
+    end_tied: np.ndarray = _indices()
+    end_shared: np.ndarray = _indices()
+    start_rows: np.ndarray = _indices()
+    start_columns: np.ndarray = _indices()
+    end_rows: np.ndarray = _indices()
+    end_columns: np.ndarray = _indices()
+    slacks: np.ndarray = _indices()
+    slack_multipliers: np.ndarray = _indices()
+    motion_equations: np.ndarray = _indices()
+    motion_unknowns: np.ndarray = _indices()
+    shared_is_multiplier: np.ndarray = _mask()
+    inner_times: int = 0
+    inner_first: int = 0
+    inner_unknowns: np.ndarray = _indices()
+    inner_present: np.ndarray = _mask()
+    inner_lacks: np.ndarray = _indices()
+    phase_lacks: np.ndarray = _mask()
+    switch_lacks: np.ndarray = _mask()
+    tabled: int = 0
+    sample: int = 0
+    first_sample: int = 0
+    coupling_rows: np.ndarray = _indices()
+    coupling_indices: np.ndarray = _indices()
+
+    @cached_property
+    def element(self):
+        """Unknowns of an interval with both its nodes."""
+        return self.stride + self.node
+
+    @cached_property
+    def root(self):
+        """Linking variables of all bodies, with the multipliers of conditions between them."""
+        return self.bodies * self.own + self.shared - self.own + self.couplings
+
+    @cached_property
+    def is_tied(self):
+        """True if unknowns of the end nodes equal linking variables."""
+        return bool(self.start_tied.size + self.end_tied.size)
+
+    @cached_property
+    def local_is_multiplier(self):
+        """Mask of multipliers among the unknowns of an interval, both its nodes, and the linking variables."""
+        shared = self.shared_is_multiplier if self.shared_is_multiplier.size else np.zeros(self.shared, bool)
+        return np.concatenate([self.is_multiplier, self.is_multiplier[: self.node], shared])
+
+    @cached_property
+    def first_pinned(self):
+        """Unknowns that are given in the node that is eliminated first."""
+        return self.end_pinned if self.backward else self.start_pinned
+
+    @cached_property
+    def border(self):
+        """Unknowns of block 0 that stay to the end of the elimination."""
+        block = self.stride - self.condensed
+        return np.setdiff1d(np.arange(block), self.first_pinned) if self.bordered else NO_INDICES
+
+    @cached_property
+    def shape(self):
+        """What the factorisation of the KKT matrix is specialised to."""
+        block = self.stride - self.condensed
+        # What only ends have is zero in inner nodes, and is left out where it comes last.
+        inner = block - self.only_at_ends.size
+        if self.only_at_ends.min(initial=block) < inner:
+            inner = block
+        flags = self.backward, self.bordered, self.carried, self.constant
+        return Shape(
+            self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
+            *map(int, flags),
+        )  # fmt: skip
+
+    @cached_property
+    def tables(self):
+        """The index tables of the linear system, packed."""
+        node, block = self.node, self.stride - self.condensed
+        tail = block + node + self.border.size
+        left, right = (block, 0) if self.backward else (0, block)
+        local = np.arange(self.element + self.shared)
+        is_condensed = (local >= block) & (local < self.stride)
+        index = np.concatenate(
+            [
+                left + np.arange(node), np.arange(node, block), np.arange(self.condensed), right + np.arange(node),
+                tail + np.arange(self.shared),
+            ]
+        )  # fmt: skip
+        kinds = is_condensed[self.rows].astype(int) + is_condensed[self.columns]
+        swapped = is_condensed[self.columns] & ~is_condensed[self.rows]
+        rows = index[np.where(swapped, self.columns, self.rows)]
+        columns = index[np.where(swapped, self.rows, self.columns)]
+        tables, entries = {}, np.arange(kinds.size)
+        for kind, name in enumerate(("KEPT", "COUPLED", "INSIDE")):
+            here = kinds == kind
+            tables |= {name: entries[here], f"{name}_ROWS": rows[here], f"{name}_COLUMNS": columns[here]}
+        tables["TOUCHED"] = np.unique(tables["COUPLED_COLUMNS"])
+        for name, first, ends in (
+            ("START", left, (self.start_rows, self.start_columns)),
+            ("END", right, (self.end_rows, self.end_columns)),
+        ):
+            for kind, values in zip(("ROWS", "COLUMNS"), ends, strict=True):
+                tables[f"{name}_{kind}"] = np.where(values < node, first + values, tail + values - node)
+        multipliers = np.count_nonzero(self.is_multiplier)
+        ending = np.count_nonzero(self.is_multiplier[:node]) + multipliers
+        common = np.count_nonzero(self.local_is_multiplier[self.element :])
+        return packed(
+            tables
+            | {
+                "FIRST": self.border,
+                "FIRST_PINNED": self.first_pinned,
+                "LAST_PINNED": self.start_pinned if self.backward else self.end_pinned,
+                "START_PINNED": self.start_pinned,
+                "END_PINNED": self.end_pinned,
+                "START_TIED": self.start_tied,
+                "START_SHARED": self.start_shared,
+                "END_TIED": self.end_tied,
+                "END_SHARED": self.end_shared,
+                "COUNTS": [self.own, multipliers, ending, common, self.rows.size],
+            }
+        )
+
+    @cached_property
+    def carries(self):
+        """True if the rows of an element matrix have room for one more column."""
+        block = self.stride - self.condensed
+        beside = self.node + self.border.size + self.shared
+        return (block + beside) % 4 > 0 and beside % 4 > 0 and padded(block) >= block
+
+    def size(self, steps):
+        """Return the number n of unknowns on so many intervals."""
+        return self.bodies * (steps * self.stride + self.node) + self.root
+
+    def entry_count(self, steps):
+        """Return the number of second derivatives: of intervals, both ends of each body, and coupling conditions."""
+        of_ends = self.start_rows.size + self.end_rows.size
+        return self.bodies * (steps * self.rows.size + of_ends) + self.root**2
+
+    def root_indices(self):
+        """Return the indices (bodies, shared), among the linking variables, of those of each body."""
+        return np.array(
+            [[root_index(self.own, self.bodies, body, j) for j in range(self.shared)] for body in range(self.bodies)],
+            dtype=np.int64,
+        ).reshape(self.bodies, self.shared)
+
+    @cached_property
+    def layouts(self):
+        """The layouts of the last numbers of intervals."""
+        return lru_cache(maxsize=4)(lambda steps: _layout(self, steps))
+
+    @cached_property
+    def inner_layouts(self):
+        """The layouts of the last numbers of intervals with inner times at given nodes."""
+        return lru_cache(maxsize=4)(lambda steps, numbers: _inner_layout(self, steps, numbers))
+
+    @cached_property
+    def kinds(self):
+        """The kind of each unknown: its index in a node with the interval after it, then linking variables."""
+        return lru_cache(maxsize=4)(lambda steps: _kinds(self, steps))
+
+
+class Layout(NamedTuple):
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+
+    is_multiplier: np.ndarray
+    is_free: np.ndarray
+    primal: np.ndarray
+    multipliers: np.ndarray
+
+
+def _layout(s, steps):
+    """Return the layout of `steps` intervals; its arrays are read-only."""
+    chain, size = steps * s.stride + s.node, s.size(steps)
+    is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
+    chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
+    chains[:, : -s.node].reshape(s.bodies, steps, s.stride)[:] = s.is_multiplier
+    chains[:, -s.node :] = s.is_multiplier[: s.node]
+    if s.couplings:
+        is_multiplier[size - s.couplings :] = True
+    if s.shared_is_multiplier.any():
+        first = s.bodies * (chain + s.own)
+        is_multiplier[s.bodies * chain : first].reshape(s.bodies, s.own)[:] = s.shared_is_multiplier[: s.own]
+        is_multiplier[first : size - s.couplings] = s.shared_is_multiplier[s.own :]
+    chains = is_free[: s.bodies * chain].reshape(s.bodies, chain)
+    for i in s.only_at_ends:
+        chains[:, i + s.stride : -s.node : s.stride] = False
+    chains[:, s.start_pinned] = False
+    chains[:, chain - s.node + s.end_pinned] = False
+    if s.phases:
+        intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
+        intervals[:, :, s.node :] &= ~lacking_unknowns(s, steps)
+    return _frozen(is_multiplier, is_free)
+
+
+def lacking_unknowns(s, intervals):
+    """Return which unknowns each of the `intervals` of all phases lacks: (intervals, stride - node)."""
+    steps = intervals // s.phases
+    lacking = np.repeat(s.phase_lacks, steps, axis=0)
+    lacking[steps::steps] = s.switch_lacks
+    return lacking
+
+
+def _inner_layout(s, steps, numbers):
+    """Return the layout of `steps` intervals whose nodes of these `numbers` are at inner times."""
+    plain, chain = s.layouts(steps), steps * s.stride + s.node
+    is_free = plain.is_free.copy()
+    for first in range(0, s.bodies * chain, chain):
+        nodes = first + s.stride * np.arange(steps + 1)
+        for j, present in zip(s.inner_unknowns, s.inner_present.T, strict=True):
+            is_free[nodes + j] = False
+            is_free[nodes[np.array(numbers)[present]] + j] = True
+        for j in s.inner_lacks:
+            is_free[nodes[np.array(numbers)] + j] = False
+    return _frozen(plain.is_multiplier, is_free)
+
+
+def _frozen(is_multiplier, is_free):
+    primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
+    for array in (is_multiplier, is_free, primal, multipliers):
+        array.flags.writeable = False
+    return Layout(is_multiplier, is_free, primal, multipliers)
+
+
+def _kinds(s, steps):
+    chain = np.tile(np.arange(steps * s.stride + s.node) % s.stride, s.bodies)
+    own, common = np.tile(np.arange(s.own), s.bodies), np.arange(s.own, s.shared + s.couplings)
+    return np.concatenate([chain, s.stride + own, s.stride + common])
