@@ -6,6 +6,7 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Collection, Iterable, Sequence
+from importlib import resources
 from types import CodeType, SimpleNamespace
 from typing import Any
 
@@ -29,7 +30,7 @@ class Text:
         self._parts: dict[str, ast.stmt] = {}
         self._codes: dict[tuple[str, ...], CodeType] = {}
         self._reads: dict[str, set[str]] = {}
-        for node in ast.parse(text).body:
+        for node in [*ast.parse(text).body, *_common(text)]:
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 self._imports += [node] if not (isinstance(node, ast.ImportFrom) and node.module == "numba") else []
             elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
@@ -46,7 +47,8 @@ class Text:
     def interpreted(self, *names: str) -> dict[str, Any]:
         """Those of the names that the module defines, and what they need, with numba's decorators doing nothing."""
         namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
-        body = [*self._imports, *self._needed(names)]
+        body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
+        namespace |= {"_interpreted": _interpreted, "carray": _carray}
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
         namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
@@ -108,6 +110,26 @@ def _quiet(function: Callable[..., float]) -> Callable[..., Any]:
             return np.float64(np.nan)
 
     return called
+
+
+def _common(text: str) -> list[ast.stmt]:
+    """Return the definitions of functions that kernels import, which other arithmetics have to execute as well."""
+    if "inner_number(" not in text:
+        return []
+    source = resources.files("codegen.runtime").joinpath("inner_number.py").read_text(encoding="utf-8")
+    return [node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)]
+
+
+def _interpreted(loop: Any) -> Callable[[Any], Any]:
+    """Return what marks a loop over intervals, which then runs by the interpreter."""
+    return lambda function: loop(function, is_interpreted=True)
+
+
+def _carray(pointer: Any, shape: Any) -> Any:
+    """Return an array over the memory at a pointer, as numba does."""
+    from numba import carray
+
+    return carray(pointer, shape)
 
 
 def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:

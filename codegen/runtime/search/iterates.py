@@ -203,11 +203,12 @@ def begin(search, unknowns, attempt):
 def pushed_inside(search, unknowns, push):
     """Return unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
     lower, upper = search.box
-    width = push * (upper - lower)
-    least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
-    greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
-    inside = np.minimum(np.maximum(unknowns, np.where(lower > -np.inf, least, -np.inf)),
-                        np.where(upper < np.inf, greatest, np.inf))  # fmt: skip
+    with np.errstate(invalid="ignore"):  # differences of infinite bounds
+        width = push * (upper - lower)
+        least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
+        greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
+    inside = np.where(lower > -np.inf, np.maximum(unknowns, least), unknowns)
+    inside = np.where(upper < np.inf, np.minimum(inside, greatest), inside)
     return with_tied_values(search.grid, inside)
 
 

@@ -89,7 +89,8 @@ def entry_factors(grid, weight):
     rows, columns = local_entries(s)
     of_elements = np.where(is_multiplier[rows] & (rows == columns), 1.0, parts[rows] * parts[columns])
     of_elements *= np.where(is_multiplier[rows] | is_multiplier[columns], 1.0, weight)
-    root_is_multiplier = s.layouts(1).is_multiplier[s.size(1) - s.root :]
+    few = s.phases or 1
+    root_is_multiplier = s.layouts(few).is_multiplier[s.size(few) - s.root :]
     either = root_is_multiplier[:, None] | root_is_multiplier
     of_root = roots[:, None] * roots * np.where(either, 1.0, weight)
     return np.concatenate([of_elements, of_root.ravel()])
