@@ -10,19 +10,19 @@ from numba import njit
 NAMES = (
     "KEPT KEPT_ROWS KEPT_COLUMNS COUPLED COUPLED_ROWS COUPLED_COLUMNS INSIDE INSIDE_ROWS INSIDE_COLUMNS TOUCHED FIRST"
     " FIRST_PINNED LAST_PINNED START_PINNED END_PINNED START_TIED START_SHARED END_TIED END_SHARED START_ROWS"
-    " START_COLUMNS END_ROWS END_COLUMNS COUNTS"
+    " START_COLUMNS END_ROWS END_COLUMNS COUNTS SHAPE"
 ).split()
 (
     KEPT, KEPT_ROWS, KEPT_COLUMNS, COUPLED, COUPLED_ROWS, COUPLED_COLUMNS, INSIDE, INSIDE_ROWS, INSIDE_COLUMNS, TOUCHED,
     FIRST, FIRST_PINNED, LAST_PINNED, START_PINNED, END_PINNED, START_TIED, START_SHARED, END_TIED, END_SHARED,
-    START_ROWS, START_COLUMNS, END_ROWS, END_COLUMNS, COUNTS,
-) = range(24)  # fmt: skip
+    START_ROWS, START_COLUMNS, END_ROWS, END_COLUMNS, COUNTS, SHAPE,
+) = range(25)  # fmt: skip
 """Numbers of the tables.
 
 The entries of an interval's Hessian whose unknowns both stay, one of which is condensed, and both; columns that
 condensation changes; unknowns of block 0 that stay to the end; unknowns that are given in the nodes that come first and
 last, at the start and at the end; those that equal linking variables, and these; rows and columns of an element matrix
-for the entries of the ends' own Hessians; and COUNTS.
+for the entries of the ends' own Hessians; COUNTS; and the numbers of the shape.
 """
 OWN, MULTIPLIERS, ENDING, COMMON, ENTRIES = range(5)
 """Entries of COUNTS: linking variables of one body alone; multipliers of a block, of the last node with another block,

@@ -9,6 +9,7 @@ from typing import Any
 from numba import cfunc, config
 
 from codegen.runtime.addresses import LOOP
+from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
 from codegen.runtime.packing import packed_operations
 from codegen.runtime.search.structure import Structure
@@ -86,7 +87,9 @@ class ControlProblem:
 
     @cached_property
     def system(self):
-        """The address of the linear system of Newton's method."""
+        """The address of the linear system of Newton's method; interpreted problems share one for all shapes."""
+        if self.gradient.is_interpreted:
+            return any_shape_address()
         return system_address(self.structure.shape)
 
     def compile(self):

@@ -211,6 +211,7 @@ class Structure:
                 "END_TIED": self.end_tied,
                 "END_SHARED": self.end_shared,
                 "COUNTS": [self.own, multipliers, ending, common, self.rows.size],
+                "SHAPE": self.shape,
             }
         )
 
