@@ -10,7 +10,7 @@ from codegen.errors import NumericsError
 from codegen.horizons.interface import Interface
 from codegen.interfaces import Grid, Vector
 from codegen.runtime.search.bounds import contradictory_bounds
-from codegen.runtime.search.iterates import search_on
+from codegen.runtime.search.iterates import on_grid, search_on
 
 
 class Grids:
@@ -54,5 +54,6 @@ class Grids:
             same = same and all(map(np.array_equal, bounds, self._last.bounds))
             grid = grid._replace(bounds=self._last.bounds if same else bounds)
         self._last = grid
-        if self._is_searched and not same:
-            self.search = None if self._is_bounded and contradictory_bounds(grid) >= 0 else search_on(grid)
+        if self._is_searched:
+            is_contradictory = not same and self._is_bounded and contradictory_bounds(grid) >= 0
+            self.search = on_grid(self.search, grid) if same else None if is_contradictory else search_on(grid)
