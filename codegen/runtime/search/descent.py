@@ -255,9 +255,9 @@ def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_co
 
 @njit(error_model="numpy")
 def have_large_terms(problem, grid, system, x, vectors):
-    """Return True if terms of an equation and of a stationarity condition, both of one interval, are one or more.
+    """Return True if there are terms of an equation and of a stationarity condition that are one or more.
 
-    As in `terms`, of which these are a part: most often the first intervals tell that the tolerance is absolute.
+    As in `terms`, of which these are a part: most often an end and a few intervals tell that the tolerance is absolute.
     """
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
@@ -267,27 +267,31 @@ def have_large_terms(problem, grid, system, x, vectors):
         for i in range(x.size):
             unknowns[i] = x[i] * sizes[i]
     call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
-    bodies, count, own, element, stride = counts[0], counts[1], counts[4], counts[6], counts[7]
-    chain, linking = steps * stride + element - stride, x.size - counts[5]
-    has_equation, has_slope = False, False
-    for body in range(bodies):
-        # Entries of a start may take back what the first interval has.
-        for k in range(1 if fillings.shape[0] else 0, steps):
-            place, first = (body * steps + k) * count, body * chain + k * stride
-            for j in range(count):
-                row = global_index(rows[j], first, element, own, bodies, body, linking)
-                column = global_index(columns[j], first, element, own, bodies, body, linking)
-                for i, other in ((row, column), (column, row)):
-                    term = abs(entries[place + j] * unknowns[other])
-                    if sizes.size:
-                        term *= weight * sizes[i]
-                    if term >= 1.0:
-                        if is_multiplier[i]:
-                            has_equation = True
-                        else:
-                            has_slope = True
-            if has_equation and has_slope:
-                return True
+    bodies, own, element, stride, linking = counts[0], counts[4], counts[6], counts[7], x.size - counts[5]
+    chain, has_equation, has_slope = steps * stride + element - stride, False, False
+    for kind in (2, 1, 0):  # ends, starts, intervals
+        count, place, first_local = counts[1 + kind], 0, 0
+        for before in range(kind):
+            place += bodies * counts[1 + before] * (steps if before == 0 else 1)
+            first_local += counts[1 + before]
+        for body in range(bodies):
+            for k in range(steps if kind == 0 else 1):
+                first = body * chain + (steps - 1 if kind == 2 else k) * stride
+                for j in range(count):
+                    if fillings.shape[0] and kind < 2 and k == 0:
+                        break  # entries of a start may take back what the first interval has
+                    row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
+                    column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
+                    for i, other in ((row, column), (column, row)):
+                        term = abs(entries[place + j] * unknowns[other])
+                        if sizes.size:
+                            term *= weight * sizes[i]
+                        if term >= 1.0:
+                            has_equation = has_equation or is_multiplier[i]
+                            has_slope = has_slope or not is_multiplier[i]
+                if has_equation and has_slope:
+                    return True
+                place += count
     return False
 
 
