@@ -264,7 +264,7 @@ class Controller:
             status, message, point, iterations = self._solve(grid, guess, what is not OWN_GUESS, log, most)
             if log.is_exhausted and status != "solved":
                 status = "iteration limit"
-                message = f"{status} after {iterations} iterations and {log.restorations} of restorations"
+                message = f"{status} after {iterations} iterations and {log.count - iterations} of restorations"
         if status == "solved":
             best = candidate(grid, point.unknowns)
             if self._is_solved(grid, guess, best, iterations):
@@ -316,7 +316,7 @@ class Controller:
             status, point, iterations = linear.minimise(grid, guess, self.options.tolerance, log, search.system)
         else:
             is_factored = self._ahead is not None and self._ahead.is_factored
-            status, point, iterations = minimise(grid, guess, *how, log, None, search, is_factored)
+            status, point, iterations = minimise(grid, guess, *how, log, search=search, is_factored=is_factored)
         if status == "solved":
             return status, f"all {reached(point)}", point, iterations
         if status in UNFINISHED or log.is_exhausted:  # what is worst is not looked for: there is no time

@@ -44,7 +44,7 @@ class BestIterate:
     It takes the place of the log that `solve` keeps. With a `limit`, the seconds by the clock after which no iteration
     begins, the compiled search returns after a part of the time that is left, by what an iteration has taken, at first
     `expected` seconds; the best is the cheapest of the iterates there whose equations hold to `feasible`, in the
-    problem's own units. Nor does an iteration begin after `most` of them and of the steps of `restorations`.
+    problem's own units. Nor does an iteration begin after `most` of them and of steps of restorations.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class BestIterate:
         expected: float = 0.0,
     ) -> None:
         self.limit, self._feasible, self._clock, self._most, self._iteration = limit, feasible, clock, most, expected
-        self.restorations = self._iterations = self._before = 0
+        self._restorations = self._iterations = self._before = 0
         self._begin = clock()
         self._end = self._begin + limit
         self._called = self._returned = self._begin
@@ -66,13 +66,17 @@ class BestIterate:
         self.best: Any = None
 
     def iterations_per_call(self, most: int, affordable: int) -> int:
-        """Return after how many iterations the compiled search, which is about to be called, is to return."""
+        """Return after how many iterations the compiled search, which is about to be called, is to return.
+
+        Where the time is up, it only looks whether it has come to an end.
+        """
         self._called = now = self._clock()
         if self.beginning is None:
             self.beginning = now - self._begin
-        count = min(most, affordable, max(1.0, self._most - self._count))
+        count = min(most, affordable, max(1.0, self._most - self.count))
         if self.limit < math.inf:
-            count = min(count, 1.0 + max(0.0, PART * (self._end - now)) // max(self._iteration, SHORTEST))
+            left = self._end - now
+            count = min(count, 1.0 + PART * left // max(self._iteration, SHORTEST)) if left >= 0.0 else 0
         return int(count)
 
     def extend(self, search: Any, rows: Matrix) -> None:
@@ -107,9 +111,9 @@ class BestIterate:
 
     def is_late(self) -> bool:
         """Return True if the time is up, or the number of iterations; restorations ask at each of their steps."""
-        self.restorations += self._is_asked_by_restoration
+        self._restorations += self._is_asked_by_restoration and not self.is_exhausted
         self._is_asked_by_restoration = True
-        if self._count >= self._most and not self._is_over:
+        if self.count >= self._most and not self._is_over:
             self.is_exhausted = True
         self._is_over = False
         if self.is_exhausted:
@@ -120,9 +124,9 @@ class BestIterate:
         return False
 
     @property
-    def _count(self) -> int:
-        """Iterations, and steps of restorations, up to now."""
-        return self._iterations + self.restorations
+    def count(self) -> int:
+        """Iterations and steps of restorations up to now."""
+        return self._iterations + self._restorations
 
     def rest(self, now: float) -> float | None:
         """Return the seconds of the last iteration and of all after it; None where there was none."""
