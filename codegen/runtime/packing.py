@@ -32,10 +32,10 @@ def end_packing():
 
 
 @contextmanager
-def unoptimised():
-    """Have numba leave code that is included in other code as it is, while the block runs."""
+def little_optimised():
+    """Have numba optimise little while the block runs: code that becomes part of other code is optimised there."""
     before = config.OPT
-    config.OPT = type(before)("0")
+    config.OPT = type(before)("1")
     try:
         yield
     finally:

@@ -16,7 +16,7 @@ from numba import types
 from codegen.runtime.addresses import SYSTEM
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.system import solve_system
-from codegen.runtime.packing import packed_operations, unoptimised
+from codegen.runtime.packing import packed_operations, little_optimised
 
 TEXT = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
 
@@ -84,7 +84,7 @@ def compile_common():
     It is left to the optimisation of each shape, where all numbers are constants: that is quicker, and makes quicker
     code.
     """
-    with unoptimised():
+    with little_optimised():
         solve_system.compile((types.NamedUniTuple(types.int64, len(Shape._fields), Shape), *SYSTEM.args))
 
 
