@@ -31,10 +31,12 @@ from codegen.tasks import task_of
 
 
 def compile_all(module: Any) -> None:
-    """Call all that a solution calls."""
+    """Call all that a solution calls, so that it is compiled, or read where it has been."""
+    task = task_of(module)
     with np.errstate(all="ignore"), module.packed_operations():
-        for call in task_of(module).parts(module):
+        for call in task.parts(module):
             call()
+        task.small(module)
 
 
 LONG = 1000

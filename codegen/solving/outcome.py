@@ -33,6 +33,7 @@ from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
 from codegen.solving.run import run_and_verify
 from codegen.solving.warm_start import start_of
+from codegen.tasks import task_of
 
 LEAST_TIME = 1e-9
 """Seconds in which a search does not begin."""
@@ -77,7 +78,8 @@ def outcome_of(
 
     Only names that a module has to know, of parameters, tables and measurements, are looked up once there is one.
 
-    `working` and `following` show signs of life, of building and of solving, where there is a terminal.
+    `working` and `following` show signs of life where there is a terminal: of what takes long, and of the iterates of a
+    driver that can be watched, as the table of drivers says.
     """
     start = start_of(request.warm)
     path, is_new, build_seconds = _built(request, working)
@@ -94,14 +96,15 @@ def outcome_of(
         seconds, said = ahead_of_time.require(path, module, is_new, working)
         build_seconds += seconds
     said = [*said, *_rounded(request, module)]
-    with following() as watch:
-        result = _solved(request, module, driver, warm, points, request.watch or watch)
+    is_watched = driver.takes(task_of(module).name, "watch")
+    with following() if is_watched else working("Solving") as watch:
+        result = _solved(request, module, driver, warm, points, request.watch or (watch if is_watched else None))
     result = replace(result, notes=_notes(module, result))
     found = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
     result = replace(found, parameters=values, background=_background(request, module))
     if result.compiled:
-        return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
-    return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)
+        return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, said)
+    return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, said)
 
 
 def _notes(module: GeneratedModule, result: Result) -> tuple[str, ...]:
