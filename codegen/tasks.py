@@ -59,7 +59,7 @@ class Task:
     touch: Home
     """(module, steps): have machine code ready of what drivers of scipy call."""
     small: Home
-    """(module): solve on a few intervals, or for a few particles, so that nothing is called for the first time after."""
+    """(module): solve on a few intervals, or for a few particles, so that functions have been called once."""
     outline: Home
     """(module, name of the driver, run, attempt) -> Outline: as `result`, without what is told of it beside."""
 
