@@ -79,6 +79,8 @@ def main(share: str) -> int:
     with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
         module = load(Path(path))
     os.write(sys.stdout.fileno(), said.getvalue().encode())
+    if not _compiled_functions(module):  # numba is switched off, by NUMBA_DISABLE_JIT
+        return 0
     if not is_of_particles(module):
         compile_for_callers(module)
     if share == "both":
