@@ -24,14 +24,17 @@ class Done:
 
 
 class Terminal:
-    """A command that runs in a folder, with a cache of its own there; the block's end waits for it.
+    """A command that runs in a folder, with a cache of its own there unless it is given one; the block's end waits.
 
     Its stdout is a pipe, or the terminal as well where `everything` goes there. Unless it is `compiled`, numba leaves
     functions as they are, which takes seconds in place of half a minute, and what is shown does not depend on it.
     """
 
-    def __init__(self, *words: object, folder: Path, compiled: bool = False, everything: bool = False) -> None:
-        environment = {**os.environ, "CODEGEN_CACHE_DIR": str(folder / "cache"), "TERM": "xterm", "COLUMNS": "120"}
+    def __init__(
+        self, *words: object, folder: Path, cache: Path | None = None, compiled: bool = False, everything: bool = False
+    ) -> None:
+        where = str(cache or folder / "cache")
+        environment = {**os.environ, "CODEGEN_CACHE_DIR": where, "TERM": "xterm", "COLUMNS": "120"}
         environment |= {"CODEGEN_STATE_DIR": str(folder / "state"), "NUMBA_DISABLE_JIT": "0" if compiled else "1"}
         self.terminal, inside = pty.openpty()
         self.process = subprocess.Popen(

@@ -108,7 +108,9 @@ def assert_sound(done, words, status=0):
 
 
 def test_every_command_is_tried():
+    """Each stands in a table, and each of `OTHERS` is started by a test of its own kind below."""
     assert {*OF_PROBLEMS, *OTHERS} == set(COMMANDS)
+    assert set(OTHERS) == {"report", "stress", "warp", "distances", "app"}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -122,12 +124,20 @@ def test_commands_about_problems(folder, command, kind):
         assert shown in done.screen
 
 
-@pytest.mark.parametrize("command", [name for name in OTHERS if name != "app"])
-def test_other_commands(folder, command):
+@pytest.mark.parametrize("command", ["report", "stress"])
+def test_commands_that_measure(folder, command):
     for _ in ("cold", "warm")[: 1 if command in UNCACHED else 2]:
         done = on_terminal(command, *OTHERS[command], folder=folder)
         assert_sound(done, OTHERS[command])
         assert "\x1b[2K" in done.screen  # a line of progress, which is taken away
+
+
+@pytest.mark.parametrize(("command", "shown"), [("warp", "Registering"), ("distances", "0 failed")])
+def test_commands_that_register(folder, command, shown, solver, cache_folder):
+    """With the machine code that this test run has made already, without which they take minutes."""
+    done = on_terminal(command, *OTHERS[command], folder=folder, cache=cache_folder, compiled=True)
+    assert_sound(done, OTHERS[command])
+    assert shown in done.screen
 
 
 def test_the_page_is_served_until_it_is_interrupted(folder):
