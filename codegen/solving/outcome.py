@@ -153,7 +153,8 @@ def _has_path_inequalities(path: Path) -> bool:
     """
     meanings: Any = loading.load(path).metadata.get("meanings", {})
     return any(
-        text.startswith("slack of ") and not text.startswith("slack of the integral") for text in meanings.values()
+        text.startswith("slack of ") and not text.startswith(("slack of the integral", "slack of the bound"))
+        for text in meanings.values()
     )
 
 
