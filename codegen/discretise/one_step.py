@@ -9,7 +9,17 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.discretise.dense_output import continued, observed_at
-from codegen.discretise.nodes import STEP, PathValue, Sites, StateValue, at_nodes, distinct, sites, strictly_inside, substitute
+from codegen.discretise.nodes import (
+    STEP,
+    PathValue,
+    Sites,
+    StateValue,
+    at_nodes,
+    distinct,
+    sites,
+    strictly_inside,
+    substitute,
+)
 from codegen.expressions.tangents import gradient
 from codegen.model import Model
 from codegen.schemes import Scheme

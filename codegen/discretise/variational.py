@@ -9,7 +9,17 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.discretise.dense_output import FRACTION, observed_at
-from codegen.discretise.nodes import STEP, PathValue, Sites, StateValue, at_nodes, distinct, sites, strictly_inside, substitute
+from codegen.discretise.nodes import (
+    STEP,
+    PathValue,
+    Sites,
+    StateValue,
+    at_nodes,
+    distinct,
+    sites,
+    strictly_inside,
+    substitute,
+)
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model

@@ -5,12 +5,13 @@ product of p and v at the end. Source: Chen and Hwang (1990), Chemical Engineeri
 Balsa-Canto, Moles and Alonso (2005), Journal of Biotechnology 117, case study IV.
 """
 
-from codegen import Control, control, states
+from codegen import Control, control, parameter, states
 
 
-def problem(hours: float = 54) -> Control:
+def problem() -> Control:
     x, s, p, v = states("x s p v")
     u = control("u")
+    hours = parameter("hours", 63)
     growth = 0.408 / (1 + p / 16) * s / (0.22 + s)
     production = 1 / (1 + p / 71.5) * s / (0.44 + s)
     return Control(

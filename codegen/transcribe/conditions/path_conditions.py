@@ -111,8 +111,8 @@ def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[Path
         for condition in bound.conditions:
             if model.body is not None and condition.expression.has(model.body):
                 raise ExpressionError(
-                    f"a bound on {bound.symbol} depends on the body's number, and no unknown of the scheme has it where "
-                    "the dynamics are evaluated",
+                    f"a bound on {bound.symbol} depends on the body's number, and the scheme has no unknown with it "
+                    "where the dynamics are evaluated",
                     "give every body the same bound, or use scheme midpoint",
                 )
             named = replace(condition, name=f"{STAGE_BOUND}{condition.name}")
