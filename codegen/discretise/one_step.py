@@ -90,8 +90,8 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     observed = ()
     if model.observed:
         abscissae = [point.abscissa for point in step.points]
-        inside = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
-        observed = observed_at(model, inside[:dimension], inside[dimension:])
+        states_there = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
+        observed = observed_at(model, states_there[:dimension], states_there[dimension:])
     inside = () if step.is_explicit else strictly_inside(evaluated)
     return OneStepInterval(
         q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others), observed, inside

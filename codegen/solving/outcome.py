@@ -24,6 +24,7 @@ from codegen.solutions.poles import poles
 from codegen.solutions.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
 from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
+from codegen.solutions.stages import stages_beyond
 from codegen.solving.accuracy.double_steps import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
@@ -114,8 +115,11 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
         return result
 
     def search(steps: int, start: Vector, grid: Vector | None) -> Vector | None:
-        limits = {"max_iterations": max(LEAST_ITERATIONS, result.iterations), "scaling": request.scaling, "grid": grid}
-        attempt = driver.function("control")(module, Run(steps, guess=start, time_limit=_time(request), **limits))
+        run = Run(
+            steps, guess=start, max_iterations=max(LEAST_ITERATIONS, result.iterations), scaling=request.scaling,
+            time_limit=math.inf if request.time_limit is None else request.time_limit, grid=grid,
+        )  # fmt: skip
+        attempt = driver.function("control")(module, run)
         return attempt.unknowns if attempt.status == "solved" else None
 
     error = discretisation_error(module, result, search, linear=driver.generated)
@@ -131,17 +135,14 @@ LEAST_ITERATIONS = 50
 _ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
 
 
-def _time(request: Request) -> float:
-    return math.inf if request.time_limit is None else request.time_limit
-
-
 def _with_notes(module: GeneratedModule, result: Result) -> Result:
     """The result with what is to be said of its motion between nodes."""
     if not (is_control(module) and result.solved and result.unknowns is not None):
         return result
     where = module, result.unknowns, result.steps, result.grid
     gross = [one.note for one in excursions(*where) if one.is_gross]
-    return replace(result, notes=(*result.notes, *gross, *(pole.note for pole in poles(*where))))
+    beyond = [stage.note for stage in stages_beyond(*where)]
+    return replace(result, notes=(*result.notes, *gross, *beyond, *(pole.note for pole in poles(*where))))
 
 
 def _background(request: Request, module: Any) -> Background:
