@@ -61,7 +61,7 @@ def stages_beyond(
         met = _STAGE.fullmatch(name)
         if met and met["name"] in names and not generated.IS_MULTIPLIER[len(names) + column]:
             stages.setdefault(met["name"], []).append(column)
-    times = module.unpack(grid, unknowns).t if stages else np.empty(0)
+    times = module.unpack(grid, unknowns)[0] if stages else np.empty(0)
     for state, columns in stages.items():
         if any(np.isfinite(inside[:, :, columns]).any() for _, inside in limits):
             continue
