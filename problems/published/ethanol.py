@@ -11,7 +11,7 @@ from codegen import Control, control, parameter, states
 def problem() -> Control:
     x, s, p, v = states("x s p v")
     u = control("u")
-    hours = parameter("hours", 63)
+    hours = parameter("hours", 61.17)
     growth = 0.408 / (1 + p / 16) * s / (0.22 + s)
     production = 1 / (1 + p / 71.5) * s / (0.44 + s)
     return Control(

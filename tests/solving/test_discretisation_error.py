@@ -18,7 +18,7 @@ from codegen.solving.accuracy.double_steps import discretisation_error
 
 FACTOR = 3.0
 EFFORT, PENDULUM = 12.0, 4.530760981081599
-"""The integral of u^2 from rest to rest along x = 3 t^2 - 2 t^3; the least cost of the linear pendulum, in closed form."""
+"""The integral of u^2 from rest to rest along x = 3 t^2 - 2 t^3, and the least cost of the linear pendulum."""
 SCHEMES = [
     ("variational", "midpoint", "interval"),
     ("variational", "trapezoidal", "interval"),
