@@ -114,10 +114,12 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
     if not (is_control(module) and result.solved and result.unknowns is not None) or result.accuracy:
         return result
 
+    left = math.inf if request.time_limit is None else request.time_limit - result.seconds_solve
+
     def search(steps: int, start: Vector, grid: Vector | None) -> Vector | None:
         run = Run(
             steps, guess=start, max_iterations=max(LEAST_ITERATIONS, result.iterations), scaling=request.scaling,
-            time_limit=math.inf if request.time_limit is None else request.time_limit, grid=grid,
+            time_limit=max(LEAST_TIME, left), grid=grid,
         )  # fmt: skip
         attempt = driver.function("control")(module, run)
         return attempt.unknowns if attempt.status == "solved" else None
