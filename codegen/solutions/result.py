@@ -223,14 +223,14 @@ class Result(Display):
     one; `seconds_code` is the time of machine code, which was compiled if `compiled`, else read from the disk.
     `unknowns` is the vector from which a warm start can be made. `levels` tells how the grids of a refinement ended.
     `grid` holds the fractions of the duration, or of every phase, that intervals last where they are not equal,
-    `accuracy` what came of a request for it, `error` the estimated error of the
-    discretisation of an optimal-control problem, and `estimates` what measurements say of free parameters; `sensitivity` is
-    what `sensitivities()` gives. `notes` are sentences on a solution whose equations hold, and whose motion violates
-    conditions between its nodes. `by_segments` is the result of a problem with delays as its module has it, with
-    columns for every segment; `background` is what pictures need. `labels` are entries of the summary as tables write
-    them where an author's names are in them, which `label` looks up. `units` are those of columns by name, of the time
-    `t`, and of `cost` and `energy`, as far as the author gave them. `parameters` are those that the solve was given in
-    place of the problem's own.
+    `accuracy` what came of a request for it, `error` the estimated error of the discretisation of an optimal-control
+    problem, and `estimates` what measurements say of free parameters; `sensitivity` is what `sensitivities()` gives.
+    `notes` are sentences on a solution whose equations hold, and whose motion violates conditions between its nodes.
+    `by_segments` is the result of a problem with delays as its module has it, with columns for every segment;
+    `background` is what pictures need. `labels` are entries of the summary as tables write them where an author's names
+    are in them, which `label` looks up. `units` are those of columns by name, of the time `t`, and of `cost` and
+    `energy`, as far as the author gave them. `parameters` are those that the solve was given in place of the problem's
+    own.
     """
 
     problem: str
