@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import sympy
-from sympy import Symbol, cos, sin
+from sympy import cos, sin
 
 from codegen import schemes
 from codegen.derive import ControlDerivatives

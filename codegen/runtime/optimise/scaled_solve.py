@@ -50,7 +50,7 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
-        grid = with_sizes(grid, known)
+        grid = with_scaling_factors(grid, known)
     if grid.sizes.size:
         known = None
     if FORWARD and not warm:
@@ -71,8 +71,8 @@ if FORWARD:
     def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known):
         """(status, grid, point, iterations) of a search that begins anew at a motion if it takes long or fails.
 
-        The motion is the one under the controls of the guess `unknowns` (n,), and it is a guess of its own, with its own
-        scaling factors. If no optimum is found from there either, the first search goes on, from its beginning.
+        The motion is the one under the controls of the guess `unknowns` (n,). It is another guess, with scaling factors
+        of its own. If no optimum is found from there either, the first search goes on, from its beginning.
         """
         start = scaled_unknowns(grid, unknowns)
         status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log, known)
@@ -81,7 +81,7 @@ if FORWARD:
         plain = plain_grid(grid)
         motion = forward_motion(plain, unknowns)
         if motion is not None:
-            there = with_sizes(plain, evaluate(plain, motion)) if scaling == "auto" else plain
+            there = with_scaling_factors(plain, evaluate(plain, motion)) if scaling == "auto" else plain
             begin, left = scaled_unknowns(there, motion), max_iterations - total
             if status == "iteration limit":
                 left = min(left, FROM_MOTION)  # the first search may still get there
@@ -104,9 +104,9 @@ def verdict(grid, guess, point, status):
     if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
         status = "stalled"
     status = final_status(grid, scaled_unknowns(grid, guess), point, status)
-    if status == "solved" and point.residual > ROUNDED:
-        if has_run_away(grid, guess, unscaled_unknowns(grid, point.unknowns)):
-            return "unbounded"
+    is_doubtful = status == "solved" and point.residual > ROUNDED
+    if is_doubtful and has_run_away(grid, guess, unscaled_unknowns(grid, point.unknowns)):
+        return "unbounded"
     return status
 
 
@@ -117,16 +117,15 @@ def steepest_cost(grid, point):
 
 
 def has_run_away(scaled, guess, unknowns):
-    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+    """Whether unknowns are beyond anything the guess spoke of, where any residual is rounding.
 
-    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in the
-    problem's own units, and have to be far apart in these and in parts of the sizes that the grid has from the guess,
-    which may mean little: by those that they have out there nothing would be seen.
+    Guess and unknowns are in the problem's own units, and have to be far apart in these and with the scaling factors of
+    the guess, which may mean little.
     """
     if not is_beyond(scaled, guess, unknowns, 0.0):
         return False
     guess, unknowns = scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns)
-    return is_beyond(scaled, guess, unknowns, 1.0) and evaluate(scaled, unknowns).residual > ROUNDED
+    return is_beyond(scaled, guess, unknowns, 1.0)
 
 
 def is_beyond(grid, guess, unknowns, least):
@@ -141,12 +140,12 @@ def scaled_unknowns(grid, unknowns):
 
 
 def scaled_grid(grid, unknowns):
-    """The same grid with the sizes of all unknowns, as `with_sizes` has it; unknowns (n,) are a guess."""
-    return with_sizes(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
+    """The same grid with scaling factors; unknowns (n,) are a guess."""
+    return with_scaling_factors(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
 
 
-def with_sizes(grid, point):
-    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
+def with_scaling_factors(grid, point):
+    """The same grid with scaling factors of unknowns and cost, or without if all are one.
 
     The point is that of a guess without its multipliers. Of derivatives at a guess outside its bounds and on them, the
     smaller ones count: outside a model may mean nothing, and the bounds may be far from where a solution is.

@@ -94,18 +94,9 @@ if INNER_TIMES:
 def fill_scaling_factors(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, factors):
     """Fill the `factors` (n,) of all unknowns; return the weight of the cost, and True unless all are one.
 
-    Parameters
-    ----------
-    primal, inside : (n,)
-        The guess without multipliers, and the same moved inside the bounds.
-    slopes : (n,)
-        Moduli of the gradient of the Lagrangian there, the smaller of both.
-    lower, upper : (n,) or empty
-        Bounds.
-    kinds : (n,)
-        Quantities of the unknowns.
-    nodes, parameters : (N + 1,), (BODIES, P + SHARED)
-        The grid's.
+    `primal` (n,) is the guess without multipliers, `inside` (n,) the same inside the bounds `lower` and `upper`, which
+    are (n,) or empty. `slopes` (n,) are the moduli of the gradient of the Lagrangian there, the smaller of both.
+    `kinds` (n,) are the numbers of quantities, `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
     """
     size, rest, largest = zero_vector(KINDS), zero_vector(KINDS), 0.0
     for i in range(kinds.size):
@@ -213,14 +204,15 @@ def measure_derivatives(unknowns, steps, h, nodes, parameters, terms, effect, cu
 
     `terms` are the largest sums of moduli in one equation, by one quantity. `effect` is the largest change of an
     equation by the motion exp(t / T) of one quantity, which is neither constant nor linear. `curvature` are the sums of
-    the cost's second derivatives. An equation of a node is a sum of shares of two intervals. The same interval gives
-    both.
+    the cost's second derivatives. An equation of a node is a sum of shares of two intervals, which the same interval
+    gives. Each share, such as a momentum, is a term: its change by the motion does not depend on the interval's length.
     """
     intervals = steps
     if PHASES:
         intervals = steps // PHASES
     stride = max(1, intervals // SAMPLES)
-    hessian, moduli, sums = zero_vector(HESSIAN_ROWS.size), zero_matrix(LOCAL.size, KINDS), zero_matrix(LOCAL.size, KINDS)
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    moduli, sums = zero_matrix(LOCAL.size, KINDS), zero_matrix(LOCAL.size, KINDS)
     for body in range(BODIES):
         if SHARED:
             read_shared(unknowns, body, parameters)
@@ -253,8 +245,12 @@ def measure_derivatives(unknowns, steps, h, nodes, parameters, terms, effect, cu
                     continue
                 kind = LOCAL_KIND[row]
                 for of in range(KINDS):
-                    terms[kind, of] = max(terms[kind, of], moduli[row, of])
                     change, modulus = sums[row, of], moduli[row, of]
+                    is_of_node = row < NODE or STRIDE <= row < ELEMENT
+                    if not is_of_node:
+                        terms[kind, of] = max(terms[kind, of], modulus)
+                    elif abs(change) > CANCELLED * modulus:
+                        terms[kind, of] = max(terms[kind, of], abs(change))
                     if row < NODE:
                         change += sums[STRIDE + row, of]
                         modulus += moduli[STRIDE + row, of]
@@ -264,7 +260,7 @@ def measure_derivatives(unknowns, steps, h, nodes, parameters, terms, effect, cu
 
 @njit(error_model="numpy")
 def add_entry(row, column, value, terms, effect, curvature):
-    """Add the modulus of one derivative between unknowns, by their numbers in a node, an interval and the shared ones."""
+    """Add the modulus of a derivative by two unknowns, numbered as those of a node, an interval and the shared ones."""
     if MULTIPLIES[column]:
         row, column = column, row
     if MULTIPLIES[column]:
