@@ -58,6 +58,8 @@ class Task:
     """Whether those parts are all that a solution calls."""
     touch: Home
     """(module, steps): have machine code ready of what drivers of scipy call."""
+    small: Home
+    """(module): solve on a few intervals, or for a few particles, so that functions have been called once."""
     outline: Home
     """(module, name of the driver, run, attempt) -> Outline: as `result`, without what is told of it beside."""
 
@@ -74,6 +76,7 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
         parts=Home("machine_code.parts", f"{name}_parts"),
         is_whole=is_whole,
         touch=Home("machine_code.parts", f"{name}_touched"),
+        small=Home("machine_code.parts", f"{name}_small"),
         outline=Home(f"solutions.{name}", f"{name}_outline"),
     )
 

@@ -23,6 +23,11 @@ class ParticleQuantity(Quantity):
 
     __slots__ = ()
 
+    @property
+    def rate_remedy(self) -> str:
+        """What follows from the Hamiltonian is no part of it."""
+        return "write the terms of a Hamiltonian without rates"
+
 
 @dataclass(frozen=True)
 class Particle:

@@ -35,6 +35,11 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
     unit: str
     own: ClassVar[bool] = True
 
+    @property
+    def rate_remedy(self) -> str:
+        """What an author writes in place of the derivative by time; nothing for what does not move."""
+        return ""
+
     def __new__(cls, name: str) -> Quantity:
         """Make a new symbol, different from all others; SymbolError when its name cannot be used."""
         if not isinstance(name, str) or not name.isidentifier() or MARK in name:
@@ -117,6 +122,11 @@ class Delayed(Quantity):
     own = False
     partner: Moving
     lag: sympy.Expr
+
+    @property
+    def rate_remedy(self) -> str:
+        """That of what it is the past of."""
+        return f"{self.partner.rate_remedy}, and delay that"
 
     def __new__(cls, partner: Moving, lag: sympy.Expr) -> Delayed:
         """Make a new symbol, which no author declares."""

@@ -7,13 +7,14 @@ how a name that is used twice is found out.
 
 from __future__ import annotations
 
+import sys
 from typing import Any, TypeVar
 
 import numpy as np
 import sympy
 
 from codegen.author.quantities import Delayed, Moving, Parameter, Quantity, recorded_declarations
-from codegen.errors import SymbolError
+from codegen.errors import ExpressionError, SymbolError, clause
 from codegen.expressions.body_values import EachBodyBase
 
 __all__ = [
@@ -86,6 +87,11 @@ class EndValue(Quantity):
     body: int
     own = False
 
+    @property
+    def rate_remedy(self) -> str:
+        """That of the quantity of all bodies."""
+        return self.partner.rate_remedy
+
 
 class Coordinate(_Variable):
     """A generalised coordinate; `partner` is the velocity or the momentum that was declared with it."""
@@ -93,11 +99,23 @@ class Coordinate(_Variable):
     __slots__ = ("partner",)
     partner: Velocity | Momentum
 
+    @property
+    def rate_remedy(self) -> str:
+        """Its velocity, which is declared, or follows from the Hamiltonian."""
+        if isinstance(self.partner, Velocity):
+            return f"use its velocity {self.partner}"
+        return f"use the derivative of the Hamiltonian by {self.partner}"
+
 
 class State(_Variable):
     """A state x of a first-order system x' = f(x, u, t)."""
 
     __slots__ = ()
+
+    @property
+    def rate_remedy(self) -> str:
+        """Its rate is an expression that the author has."""
+        return f"write the expression that dynamics={{{self}: ...}} gives"
 
 
 class Velocity(Moving):
@@ -106,6 +124,12 @@ class Velocity(Moving):
     __slots__ = ("partner",)
     partner: Coordinate
 
+    @property
+    def rate_remedy(self) -> str:
+        """Accelerations follow from the equations of motion, unless they are a control."""
+        x = self.partner
+        return f"make the acceleration the control a of states {x} and {self}: dynamics={{{x}: {self}, {self}: a}}"
+
 
 class Momentum(Moving):
     """The momentum conjugate to its `partner`, a coordinate."""
@@ -113,11 +137,21 @@ class Momentum(Moving):
     __slots__ = ("partner",)
     partner: Coordinate
 
+    @property
+    def rate_remedy(self) -> str:
+        """Its rate follows from the Hamiltonian and the force."""
+        return f"use the force less the derivative of the Hamiltonian by {self.partner}"
+
 
 class ControlInput(Moving):
     """A control, free to be chosen by the optimiser at every time."""
 
     __slots__ = ()
+
+    @property
+    def rate_remedy(self) -> str:
+        """The rate of a control is one, of which the old control is a state."""
+        return f"declare the rate as the control and {self} as a state: dynamics={{{self}: d{self}, ...}}"
 
 
 class FreeParameter(Quantity):
@@ -149,8 +183,29 @@ class Time(_Common):
 
     __slots__ = ()
 
+    @property
+    def _diff_wrt(self) -> bool:
+        """Refuse derivatives by time of what moves, which sympy evaluates to zero: symbols depend on no other symbol.
+
+        sympy looks here before it evaluates a derivative, but does not tell of which expression. Functions of time are
+        differentiated as ever.
+        """
+        caller = sys._getframe(1)
+        if caller.f_code is sympy.Derivative.__new__.__code__:
+            _require_at_rest(caller.f_locals["expr"], self)
+        return True
+
     def _hashable_content(self) -> tuple[Any, ...]:
         return (*super()._hashable_content(), getattr(self, "unit", ""))
+
+
+def _require_at_rest(expression: sympy.Basic, time: Time) -> None:
+    """ExpressionError for an expression, to be differentiated by time, with a quantity that moves."""
+    declared = [symbol for symbol in expression.free_symbols if isinstance(symbol, Quantity) and symbol.rate_remedy]
+    if declared:
+        first = min(declared, key=lambda symbol: symbol.declared)
+        finding = f"the derivative of {clause(str(expression))} by {time}: sympy takes {first} for a constant"
+        raise ExpressionError(finding, first.rate_remedy)
 
 
 def coordinate(name: str, velocity: str | None = None, *, unit: str | None = None) -> tuple[Coordinate, Velocity]:

@@ -7,7 +7,7 @@ suffixes `_k` and `_k1`; h is the length of the interval and t the time at its l
 """
 
 from codegen.discretise.dense_output import FRACTION
-from codegen.discretise.nodes import LENGTHS, STEP, PathValue, Sites, at_nodes, at_stage, repeated
+from codegen.discretise.nodes import LENGTHS, STEP, PathValue, Sites, StateValue, at_nodes, at_stage, repeated
 from codegen.discretise.one_step import OneStepInterval, one_step_interval
 from codegen.discretise.variational import VariationalInterval, variational_interval
 
@@ -18,6 +18,7 @@ __all__ = [
     "OneStepInterval",
     "PathValue",
     "Sites",
+    "StateValue",
     "VariationalInterval",
     "at_nodes",
     "at_stage",

@@ -1,4 +1,4 @@
-"""The two nodes of an interval: symbols and values there, controls between them, path conditions at points inside."""
+"""The two nodes of an interval: symbols and values there, controls between them, values at points inside."""
 
 from __future__ import annotations
 
@@ -66,6 +66,18 @@ class PathValue:
     value: Expr
 
 
+@dataclass(frozen=True)
+class StateValue:
+    """The value of a coordinate or rate inside an interval: an unknown of the interval, or where a field is evaluated.
+
+    The abscissa lies strictly between 0 and 1. At the ends of an interval the nodes have the values.
+    """
+
+    quantity: Symbol
+    abscissa: Expr
+    value: Expr
+
+
 def repeated(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
     """What a step repeats, and the symbols for lengths in it: a composition's base, or the scheme with h alone."""
     count = len(scheme.parts[0]) if scheme.parts else 1
@@ -97,6 +109,11 @@ def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
     for value in values:
         first.setdefault((value.condition.name, value.value), value)
     return tuple(first.values())
+
+
+def strictly_inside(values: Iterable[StateValue]) -> tuple[StateValue, ...]:
+    """Each value once, without those at the ends of an interval or outside it, where some compositions lead."""
+    return tuple(dict.fromkeys(v for v in values if v.abscissa.is_positive and (1 - v.abscissa).is_positive))
 
 
 def substitute(

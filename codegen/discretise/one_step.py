@@ -9,7 +9,17 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.discretise.dense_output import continued, observed_at
-from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
+from codegen.discretise.nodes import (
+    STEP,
+    PathValue,
+    Sites,
+    StateValue,
+    at_nodes,
+    distinct,
+    sites,
+    strictly_inside,
+    substitute,
+)
 from codegen.expressions.tangents import gradient
 from codegen.model import Model
 from codegen.schemes import Scheme
@@ -21,7 +31,8 @@ class OneStepInterval:
 
     The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
     system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
-    cost. `observed` is what the model's measurements are of, at FRACTION of the interval.
+    cost. `observed` is what the model's measurements are of, at FRACTION of the interval. `inside` are the values of
+    states where an implicit scheme evaluates the dynamics inside the interval, and of the inner stages behind them.
     """
 
     q: Sites
@@ -32,6 +43,7 @@ class OneStepInterval:
     path: tuple[PathValue, ...] = ()
     integrals: tuple[Expr, ...] = ()
     observed: tuple[Expr, ...] = ()
+    inside: tuple[StateValue, ...] = ()
 
 
 def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") -> OneStepInterval:
@@ -49,9 +61,13 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     integrands, motion = _integrands(model), _vector_field(model)
     field = (*motion, *integrands)
     rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
+    evaluated, elapsed = list[StateValue](), (sympy.S.Zero, *step.abscissae)
     for i, point in enumerate(step.points):
         shares = [point.position] * dimension + [point.momentum] * len(model.rates)
         state = [_sum((share, values[n][x]) for n, share in own) for x, own in enumerate(shares)]
+        for x, own in enumerate(shares):
+            evaluated += [StateValue(states[x], elapsed[n], values[n][x]) for n, _ in own]
+            evaluated.append(StateValue(states[x], _sum((share, elapsed[n]) for n, share in own), state[x]))
         at = (state[:dimension], state[dimension:], q_sites.controls_at(i, point.abscissa), point.abscissa)
         there = [substitute(model, f, *at) for f in field]
         rates.append(there[: len(states)])
@@ -74,10 +90,11 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     observed = ()
     if model.observed:
         abscissae = [point.abscissa for point in step.points]
-        inside = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
-        observed = observed_at(model, inside[:dimension], inside[dimension:])
+        states_there = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
+        observed = observed_at(model, states_there[:dimension], states_there[dimension:])
+    inside = () if step.is_explicit else strictly_inside(evaluated)
     return OneStepInterval(
-        q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others), observed
+        q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others), observed, inside
     )
 
 

@@ -9,7 +9,17 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.discretise.dense_output import FRACTION, observed_at
-from codegen.discretise.nodes import STEP, PathValue, Sites, at_nodes, distinct, sites, substitute
+from codegen.discretise.nodes import (
+    STEP,
+    PathValue,
+    Sites,
+    StateValue,
+    at_nodes,
+    distinct,
+    sites,
+    strictly_inside,
+    substitute,
+)
 from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
@@ -31,6 +41,7 @@ class VariationalInterval:
     Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
     made from those of L: to differentiate Ld itself would take long. And `impulse` is what an interval adds to the
     momenta, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
+    `inside` are the values of coordinates at inner points, and at quadrature points inside the interval.
     """
 
     q: Sites
@@ -46,6 +57,7 @@ class VariationalInterval:
     slopes: tuple[Expr, ...] = ()
     impulse: tuple[Expr, ...] = ()
     observed: tuple[Expr, ...] = ()
+    inside: tuple[StateValue, ...] = ()
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
@@ -111,6 +123,11 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
     integrands = (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
     integrals = [sympy.S.Zero] * len(integrands)
     path: list[PathValue] = []
+    evaluated = [
+        StateValue(x, c, value)
+        for c, point in zip(rule.nodes[1:-1], inner, strict=True)
+        for x, value in zip(model.coordinates, point, strict=True)
+    ]
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
     for number, point in enumerate(rule.points):
         weight, c = STEP * point.weight, point.abscissa
@@ -118,6 +135,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         lagrangian += weight * at(model.function, c, here)
         integrals = [total + weight * at(f, c, here) for total, f in zip(integrals, integrands, strict=True)]
         path += [PathValue(g, c, at(g.expression, c, here)) for g in model.path]
+        evaluated += [StateValue(x, c, v) for x, v in zip(model.coordinates, motion.position(c), strict=True)]
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
                 node[i] += weight * share * force_at(f, number, c)
@@ -139,6 +157,7 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         slopes=slopes,
         impulse=impulse,
         observed=observed_at(model, motion.position(FRACTION), motion.velocity(FRACTION)) if model.observed else (),
+        inside=strictly_inside(evaluated),
     )
 
 

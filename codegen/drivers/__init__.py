@@ -46,7 +46,7 @@ _ROWS = (
     Driver(
         "newton", "newton", "the generated solver",
         {
-            "control": ("tolerance", "max_iterations", "time_limit", "scaling", "log"),
+            "control": ("tolerance", "max_iterations", "time_limit", "scaling", "log", "watch"),
             "simulate": ("max_iterations",),
             "connect": ("tolerance",),
         },

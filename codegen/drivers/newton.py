@@ -10,7 +10,8 @@ import numpy as np
 
 from codegen.drivers.adaptive import adaptive
 from codegen.drivers.scaled import quiet_single_thread
-from codegen.interfaces import ConnectModule, ControlModule, SimulateModule
+from codegen.errors import ArgumentError
+from codegen.interfaces import ConnectModule, ControlModule, SimulateModule, is_of_particles
 from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt
 
@@ -28,7 +29,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Call the module's `solve`."""
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
-    solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_stops(run))
+    solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_options(run))
     trajectories = (solution.t, solution.q, solution.p, solution.u, solution.multipliers)
     scaled = getattr(solution, "scaled", None)
     return ControlAttempt(
@@ -38,8 +39,11 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Call the module's `solve`."""
-    solution = module.solve(steps=run.steps, every=run.every, **_stops(run))
+    """Call the module's `solve`. Raises ArgumentError for a limit of iterations where the module has its own."""
+    limit = {} if run.max_iterations is None else {"max_iterations": run.max_iterations}
+    if limit and is_of_particles(module):
+        raise ArgumentError("--max-iterations of particles, whose module limits Newton's method itself", "leave it out")
+    solution = module.solve(steps=run.steps, every=run.every, **limit)
     return SimulateAttempt(**_claimed(SimulateAttempt, solution), tolerance=TOLERANCE, generated=True)
 
 
@@ -63,8 +67,8 @@ def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> 
     return {name: getattr(solution, name) for name in _CLAIMED[attempt]}
 
 
-def _stops(run: Run) -> dict[str, Any]:
-    """The arguments of a module's `solve` whose own defaults are not to hold."""
+def _options(run: Run) -> dict[str, Any]:
+    """The arguments of an optimisation's `solve` whose own defaults are not to hold."""
     given: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
     given |= {"watch": run.watch, "scaling": run.scaling}
     given = {name: value for name, value in given.items() if value not in (None, math.inf, "auto")}

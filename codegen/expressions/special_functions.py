@@ -134,6 +134,9 @@ def _coefficient(k: int, order: int) -> Any:
 def rewritten(expression: Expr, what: str) -> Expr:
     """The expression in functions that can be printed; ExpressionError where a sum or integral has no closed form."""
     for part in sorted(expression.atoms(sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative), key=str):
+        if isinstance(part, sympy.Derivative) and not set(part.variables) <= part.expr.free_symbols:
+            finding = f"{what} has {_short(part)}, which is zero: symbols depend on no other symbol"
+            raise ExpressionError(finding, "write the rate itself, by the symbol that is declared for it")
         done = part.doit()
         if done.has(type(part)):
             raise ExpressionError(f"{what} has {_short(part)}, which has no closed form", _OPEN[type(part).__name__])

@@ -43,15 +43,11 @@ def prepare(path: Path, processes: Compilers) -> float:
 def _compile_here(path: Path) -> None:
     """Have all that `newton` needs of a module compiled in this process."""
     from codegen.loading import load  # only now: importing arrays takes a fifteenth of a build
-    from codegen.machine_code.parts import solve_small
-    from codegen.tasks import task_of
+    from codegen.machine_code.compilation import compile_all
 
     module = load(path)
     try:
-        if task_of(module).is_whole:
-            module.solve()  # which tells what is wrong, or compiles what is missing
-        else:
-            solve_small(module)
+        compile_all(module)  # which tells what is wrong, or compiles what is missing
     except OSError as error:
         raise unwritable_cache_error(module, error) from error
 

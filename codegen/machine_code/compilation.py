@@ -31,10 +31,12 @@ from codegen.tasks import task_of
 
 
 def compile_all(module: Any) -> None:
-    """Call all that a solution calls."""
+    """Call all that a solution calls, so that it is compiled, or read where it has been."""
+    task = task_of(module)
     with np.errstate(all="ignore"), module.packed_operations():
-        for call in task_of(module).parts(module):
+        for call in task.parts(module):
             call()
+        task.small(module)
 
 
 LONG = 1000
@@ -77,6 +79,8 @@ def main(share: str) -> int:
     with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
         module = load(Path(path))
     os.write(sys.stdout.fileno(), said.getvalue().encode())
+    if not _compiled_functions(module):  # numba is switched off, by NUMBA_DISABLE_JIT
+        return 0
     if not is_of_particles(module):
         compile_for_callers(module)
     if share == "both":

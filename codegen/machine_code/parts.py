@@ -130,8 +130,18 @@ def small_case(module: Any, steps: int = 2) -> Any:
     return module.make_case(start, start + 0.001, steps)
 
 
-def solve_small(module: Any) -> None:
-    """Solve for few particles, so that everything is compiled that a solution calls."""
+def control_small(module: Any) -> None:
+    """Make one iteration on a few intervals."""
+    module.solve(few_steps(module, 2), max_iterations=1)
+
+
+def simulate_small(module: Any) -> None:
+    """Make two steps."""
+    module.solve(2)
+
+
+def connect_small(module: Any) -> None:
+    """Connect a few particles."""
     module.solve_case(small_case(module))
 
 
@@ -139,7 +149,8 @@ def control_touched(module: Any, steps: int) -> None:
     """Call the functions of optimisers at the first guess."""
     grid = module.make_grid(steps)
     unknowns = module.initial_guess(grid)
-    for evaluate in (module.cost, module.cost_gradient, module.constraints, module.jacobian, module.hessian):
+    functions = module.cost, module.cost_gradient, module.constraints, module.jacobian, module.hessian
+    for evaluate in (*functions, module.stationarity):
         evaluate(grid, unknowns)
 
 

@@ -70,6 +70,14 @@ class Step:
         return True
 
     @property
+    def is_explicit(self) -> bool:
+        """Whether every field depends on earlier fields of the step alone, so that stages are no equations to solve."""
+        tableau = self.tableau
+        return not any(
+            entry for table in (tableau.positions, tableau.momenta) for i, row in enumerate(table) for entry in row[i:]
+        )
+
+    @property
     def substeps(self) -> tuple[tuple[Expr, Expr, Expr], ...]:
         """Of a chain with one point between each state and the next, fractions and shares of the next: (g, a, b)."""
         links = enumerate(self.points, start=1)

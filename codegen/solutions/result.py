@@ -169,21 +169,68 @@ class Accuracy:
     levels: tuple[GridLevel, ...]
 
 
+LARGE_ERROR = 0.01
+"""Relative error of states or cost from which on a solution has a note.
+
+It is what a figure of the motion shows, and a tenth of what a first grid of a mesh refinement is commonly allowed.
+"""
+
+
+@dataclass(frozen=True)
+class DiscretisationError:
+    """The estimated distance of a solution from that of the continuous problem.
+
+    `states` is the largest of any state or free parameter, in parts of its largest value, and that of `quantity`, at
+    `time`. `cost` is in parts of the cost.
+    """
+
+    states: float
+    cost: float
+    quantity: str
+    time: float
+
+    @property
+    def is_large(self) -> bool:
+        """Whether more steps are called for."""
+        return max(self.states, self.cost) > LARGE_ERROR
+
+    @property
+    def note(self) -> str:
+        """What is to be said of it, and what helps."""
+        return (
+            f"the estimated error of the discretisation is {_percent(self.states)} of {self.quantity} at t = "
+            f"{self.time:.4g}, and {_percent(self.cost)} of the cost: take more --steps, or --accuracy"
+        )
+
+
+UNKNOWN_ERROR = (
+    "the error of the discretisation could not be estimated: no optimum was found on half as many intervals; compare "
+    "with more --steps, or take --accuracy"
+)
+"""The note of a solution without an estimate."""
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.2g} %"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result(Display):
     """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
 
     `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated outside the driver. `iterations` and `seconds_solve` belong to the fastest run; `seconds_first` is the
-    first run, which compiled if `compiled`; `unknowns` is the vector from which a warm start can be made. `levels`
-    tells how the grids of a refinement ended. `grid` holds the fractions of the duration, or of every phase, that
-    intervals last where they are not equal, `accuracy` what came of a request for it, and `estimates` what measurements
-    say of free parameters; `sensitivity` is what `sensitivities()` gives. `notes` are sentences on a solution whose
-    equations hold, and whose motion violates conditions between its nodes. `by_segments` is the result of a problem
-    with delays as its module has it, with columns for every segment; `background` is what pictures need. `labels` are
-    entries of the summary as tables write them where an author's names are in them, which `label` looks up. `units` are
-    those of columns by name, of the time `t`, and of `cost` and `energy`, as far as the author gave them. `parameters`
-    are those that the solve was given in place of the problem's own.
+    evaluated outside the driver. `iterations` are those of the last run. `seconds_solve` is the time of the fastest
+    one; `seconds_code` is the time of machine code, which was compiled if `compiled`, else read from the disk.
+    `unknowns` is the vector from which a warm start can be made. `levels` tells how the grids of a refinement ended.
+    `grid` holds the fractions of the duration, or of every phase, that intervals last where they are not equal,
+    `accuracy` what came of a request for it, `error` the estimated error of the discretisation of an optimal-control
+    problem, and `estimates` what measurements say of free parameters; `sensitivity` is what `sensitivities()` gives.
+    `notes` are sentences on a solution whose equations hold, and whose motion violates conditions between its nodes.
+    `by_segments` is the result of a problem with delays as its module has it, with columns for every segment;
+    `background` is what pictures need. `labels` are entries of the summary as tables write them where an author's names
+    are in them, which `label` looks up. `units` are those of columns by name, of the time `t`, and of `cost` and
+    `energy`, as far as the author gave them. `parameters` are those that the solve was given in place of the problem's
+    own.
     """
 
     problem: str
@@ -213,7 +260,7 @@ class Result(Display):
     units: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
     parameters: Mapping[str, float] = field(default_factory=dict)
     seconds_solve: float = field(default=float("nan"), compare=False)
-    seconds_first: float = field(default=float("nan"), compare=False)
+    seconds_code: float = field(default=float("nan"), compare=False)
     compiled: bool = field(default=False, compare=False)
     attempts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -221,6 +268,7 @@ class Result(Display):
     stage_abscissae: tuple[float, ...] = ()
     grid: Vector | None = field(default=None, repr=False)
     accuracy: Accuracy | None = None
+    error: DiscretisationError | None = None
     estimates: Estimates | None = None
     by_segments: Result | None = field(default=None, repr=False)
     sensitivity: Sensitivities | None = field(default=None, repr=False)

@@ -40,7 +40,7 @@ def solve(*positional: Any, **options: Any) -> Result:
     For all problems:
 
     - `steps`: the number of intervals N; by default the problem's own;
-    - `repeat`: the time is the least of so many solves, of which those that compile are not counted;
+    - `repeat`: the time is the least of so many solves, without the time in which numba compiles or reads machine code;
     - `parameters`: a dict of values, by name, in place of those that the problem gives its parameters, a `duration`
       that is given, prescribed ends of an optimisation and the start of a simulation, as in
       `{"m": 2.0, "duration": 3.0, "start.x": 1.0}`; nothing is built anew. Particles start from an array, which has no

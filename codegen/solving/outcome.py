@@ -21,9 +21,11 @@ from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
 from codegen.solutions.poles import poles
-from codegen.solutions.result import Result, Run, Watch
+from codegen.solutions.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
 from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
+from codegen.solutions.stages import stages_beyond
+from codegen.solving.accuracy.double_steps import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
 from codegen.solving.other_observations import with_observations
@@ -33,6 +35,7 @@ from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
 from codegen.solving.run import run_and_verify
 from codegen.solving.warm_start import start_of
+from codegen.tasks import task_of
 
 LEAST_TIME = 1e-9
 """Seconds in which a search does not begin."""
@@ -77,7 +80,8 @@ def outcome_of(
 
     Only names that a module has to know, of parameters, tables and measurements, are looked up once there is one.
 
-    `working` and `following` show signs of life, of building and of solving, where there is a terminal.
+    `working` and `following` show signs of life where there is a terminal: of what takes long, and of the iterates of a
+    driver that can be watched, as the table of drivers says.
     """
     start = start_of(request.warm)
     path, is_new, build_seconds = _built(request, working)
@@ -94,23 +98,56 @@ def outcome_of(
         seconds, said = ahead_of_time.require(path, module, is_new, working)
         build_seconds += seconds
     said = [*said, *_rounded(request, module)]
-    with following() as watch:
-        result = _solved(request, module, driver, warm, points, request.watch or watch)
-    result = replace(result, notes=_notes(module, result))
+    is_watched = driver.takes(task_of(module).name, "watch")
+    with following() if is_watched else working("Solving") as watch:
+        result = _solved(request, module, driver, warm, points, request.watch or (watch if is_watched else None))
+    result = _with_notes(module, _with_error(request, module, driver, result))
     found = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
     result = replace(found, parameters=values, background=_background(request, module))
     if result.compiled:
-        return Outcome(module, result, build_seconds + result.seconds_first, load_seconds, said)
-    return Outcome(module, result, build_seconds, load_seconds + result.seconds_first, said)
+        return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, said)
+    return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, said)
 
 
-def _notes(module: GeneratedModule, result: Result) -> tuple[str, ...]:
-    """What is to be said of the motion of a solution between its nodes."""
+def _with_error(request: Request, module: GeneratedModule, driver: Driver, result: Result) -> Result:
+    """The result of an optimal-control problem with its estimated discretisation error, and a note where it is large.
+
+    Where accuracy was asked for there is an estimate already.
+    """
+    if not (is_control(module) and result.solved and result.unknowns is not None) or result.accuracy:
+        return result
+
+    left = math.inf if request.time_limit is None else request.time_limit - result.seconds_solve
+
+    def search(steps: int, start: Vector, grid: Vector | None) -> Vector | None:
+        run = Run(
+            steps, guess=start, max_iterations=max(LEAST_ITERATIONS, result.iterations), scaling=request.scaling,
+            time_limit=max(LEAST_TIME, left), grid=grid,
+        )  # fmt: skip
+        attempt = driver.function("control")(module, run)
+        return attempt.unknowns if attempt.status == "solved" else None
+
+    error = discretisation_error(module, result, search, linear=driver.generated)
+    if error is None:
+        return replace(result, notes=(*result.notes, UNKNOWN_ERROR))
+    summary = {**result.summary, "state_error": error.states, "cost_error": error.cost}
+    notes = (*result.notes, *([error.note] if error.is_large else []))
+    return replace(result, error=error, summary=summary, notes=notes, labels={**result.labels, **_ERROR_LABELS})
+
+
+LEAST_ITERATIONS = 50
+"""Iterations that a search for the optimum on double steps has at least."""
+_ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
+
+
+def _with_notes(module: GeneratedModule, result: Result) -> Result:
+    """The result with what is to be said of its motion between nodes."""
     if not (is_control(module) and result.solved and result.unknowns is not None):
-        return ()
+        return result
     where = module, result.unknowns, result.steps, result.grid
     gross = [one.note for one in excursions(*where) if one.is_gross]
-    return (*gross, *(pole.note for pole in poles(*where)))
+    beyond = [stage.note for stage in stages_beyond(*where)]
+    return replace(result, notes=(*result.notes, *gross, *beyond, *(pole.note for pole in poles(*where))))
 
 
 def _background(request: Request, module: Any) -> Background:
@@ -153,7 +190,8 @@ def _has_path_inequalities(path: Path) -> bool:
     """
     meanings: Any = loading.load(path).metadata.get("meanings", {})
     return any(
-        text.startswith("slack of ") and not text.startswith("slack of the integral") for text in meanings.values()
+        text.startswith("slack of ") and not text.startswith(("slack of the integral", "slack of the bound"))
+        for text in meanings.values()
     )
 
 

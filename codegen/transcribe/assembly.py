@@ -15,7 +15,7 @@ from codegen.transcribe.conditions.ends import End, Ends, pinned_at_zero, with_b
 from codegen.transcribe.conditions.free_times import Clock, clock_of
 from codegen.transcribe.conditions.inner_times import InnerTerms, inner_terms
 from codegen.transcribe.conditions.integrals import end_share, integral_equations, interval_share, own_unknowns
-from codegen.transcribe.conditions.path_conditions import NodalTerms, interval_terms
+from codegen.transcribe.conditions.path_conditions import NodalTerms, bounded_stages, interval_terms, stage_inequalities
 from codegen.transcribe.conditions.samples import sample_element
 from codegen.transcribe.conditions.shared import Shared
 from codegen.transcribe.guesses import control_guess, inner_guess
@@ -68,7 +68,11 @@ def assemble(
         end + End(aliases=shared.end_aliases) + end_share(integrals) + pinned_at_zero(nodal.end_pins),
     )
     quadratures = motion.discrete.integrals
-    path = interval_terms(model, motion.discrete.path, len(motion.interval), names)
+    inside = motion.discrete.inside
+    motion = replace(motion, interval=bounded_stages(model, inside, motion.interval))
+    path = interval_terms(
+        model, (*motion.discrete.path, *stage_inequalities(model, inside)), len(motion.interval), names
+    )
     motion = replace(motion, element=motion.element + path.element + interval_share(integrals, quadratures))
     program = _laid_out(model, motion, boundary_values, nodal, ends)
     program = _with_shared(program, replace(shared, own=(*shared.own, *own_unknowns(integrals))))

@@ -48,7 +48,10 @@ class TestJson:
         assert {key: record[key] for key in expected} == expected
         assert list(record["seconds"]) == ["build", "load", "solve"]
         assert all(value > 0.0 for value in record["seconds"].values())
-        assert set(record["summary"]) == {"duration", "final_state_miss", "largest_control", "stationarity"}
+        own = {"duration", "final_state_miss", "largest_control", "stationarity", "state_error", "cost_error"}
+        assert set(record["summary"]) == own
+        # With the limit 0.0487491 of N = 50, 100, 200, the cost is off by 1.6e-4 of itself.
+        assert record["summary"]["cost_error"] == pytest.approx(1.6e-4, rel=0.3)
 
     def test_what_a_motion_does_between_nodes_is_a_note_on_stderr_and_in_the_record(self, solved, folder, uncompiled):
         (folder / "walled.py").write_text(WALLED)

@@ -152,7 +152,13 @@ _EXPRESSIONS = [
     Malformed("truth", simulation(lagrangian="True"), ExpressionError, "lagrangian is True"),
     Malformed("equation", simulation(lagrangian="Eq(dq, q)"), ExpressionError, "Equality"),
     Malformed("function", simulation(lagrangian="sin"), ExpressionError, "lagrangian is a"),
-    Malformed("cost-rate", optimal(cost="f.diff(time())**2"), ExpressionError, "the cost is zero, whatever moves"),
+    Malformed("cost-zero", optimal(cost="0 * f"), ExpressionError, "the cost is zero, whatever moves"),
+    Malformed("cost-rate", optimal(cost="f.diff(time())**2"), ExpressionError, "declare the rate as the control"),
+    Malformed(
+        "cost-beside-rate", optimal(cost="f**2 + 100*diff(f, time())**2"), ExpressionError, "dynamics={f: df, ...}"
+    ),
+    Malformed("rate-of-coordinate", optimal(force="{q: f - q.diff(time())}"), ExpressionError, "its velocity dq"),
+    Malformed("rate-by-other-symbol", optimal(cost='f**2 + Derivative(f, Symbol("t"))'), ExpressionError, "is zero"),
     Malformed("end-pair", optimal(end="{q: (1, 2)}"), ExpressionError, "limits as in end_conditions=[q >= ..."),
     Malformed("bounds-expression", optimal(bounds="{q * f: (0, 1)}"), SymbolError, "write path=[f*q <= ...]"),
     Malformed("cost-none", optimal(cost="None"), ExpressionError, "cost is None"),

@@ -110,7 +110,7 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
     model = program.model
     ends = [_at_end(program, condition, symbols) for symbols in (program.left_symbols, program.right_symbols)]
     instants = [_in_time(program, model.time + right * STEP) for right in (0, 1)]
-    at_ends = (value.xreplace({model.time: t}) for value, t in zip(ends, instants, strict=True))
+    at_ends = [value.xreplace({model.time: t}) for value, t in zip(ends, instants, strict=True)]
     imposed = {*_imposed(program), *at_ends}
     nodes = {*program.left_symbols, *program.right_symbols, *program.shared_symbols}
     nodes |= {model.time, STEP, *model.parameters, *(value.symbol for value in program.boundary_values)}
@@ -118,7 +118,18 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
         not condition.equality or is_convex(model, replace(condition, expression=-condition.expression))
     )
     values = [_in_time(program, v.value) for v in _values(program, scheme, condition)]
-    return [v for v in values if v not in imposed and not (convex and v.free_symbols <= nodes)]
+    open_values = [v for v in values if v not in imposed and not (convex and v.free_symbols <= nodes)]
+    return [v for v in open_values if not (convex and _is_mean(v, imposed, program.element_symbols))]
+
+
+def _is_mean(value: Expr, imposed: set[Expr], symbols: Sequence[Symbol]) -> bool:
+    """Whether a value of a condition is a mean, with positive weights, of values that are imposed."""
+    present = value.free_symbols & set(symbols)
+    slopes = [sympy.diff(value, x) for x in present]
+    if not (all(slope.is_positive for slope in slopes) or all(slope.is_negative for slope in slopes)):
+        return False
+    values = [sympy.expand(value.xreplace(dict.fromkeys(present, x))) for x in present]
+    return {sympy.expand(v) for v in values} <= {sympy.expand(v) for v in imposed}
 
 
 def _values(program: ControlProgram, scheme: Scheme, condition: Condition) -> Sequence[PathValue]:

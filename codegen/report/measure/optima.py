@@ -113,7 +113,7 @@ def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton
         "status": result.status, "steps": steps, "cost": result.cost, "seconds": result.seconds_solve,
         "iterations": result.iterations, "residual": result.residual, "stationarity": result.stationarity,
         "order": module.metadata["order"], "expected order": order_of_optima(module),
-        "load seconds": result.seconds_first,
+        "load seconds": result.seconds_code,
     }  # fmt: skip
 
 

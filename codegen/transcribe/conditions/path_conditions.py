@@ -7,6 +7,11 @@ A condition on coordinates and time alone holds at the nodes. An inequality is i
 interval, at the start unless the coordinates are given there, and where the scheme evaluates cost and dynamics as well.
 Otherwise nodes could alternate between two sides of a forbidden region, and the middle of every interval would lie
 inside it, where the cost is less. Between two nodes on a straight line it follows from theirs if it is convex.
+A bound of a state holds at the nodes, and where an implicit scheme evaluates the dynamics inside the interval: kinetics
+may have another sign beyond it. A stage that is an unknown has the bound itself, and between two values with bounds it
+follows; elsewhere, as on a polynomial, it is an inequality with a slack. Stages of explicit schemes follow from the
+nodes with less accuracy than the step, and have no bounds (`solutions.stages` looks at them).
+
 An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2, because then each end can do without it
 where the coordinates are given (a condition on given numbers has no derivative, and the KKT matrix would be singular).
 """
@@ -19,7 +24,8 @@ from dataclasses import dataclass, fields, replace
 import sympy
 from sympy import Expr, Rational, S, Symbol
 
-from codegen.discretise import STEP, PathValue, at_nodes
+from codegen.discretise import STEP, PathValue, StateValue, at_nodes
+from codegen.errors import ExpressionError
 from codegen.model import Boundary, Condition, Model
 from codegen.model.conditions.path import is_nodal, nodal_conditions
 from codegen.transcribe.conditions.ends import imposed
@@ -77,6 +83,46 @@ def start_inequalities(model: Model) -> tuple[Condition, ...]:
         for g in nodal_conditions(model, equality=False)
         if not (given_at(model, model.start, g.expression) or _is_repeated(model, g.expression))
     )
+
+
+def bounded_stages(model: Model, inside: Sequence[StateValue], stages: Sequence[Unknown]) -> tuple[Unknown, ...]:
+    """Unknowns of an interval with the bounds of the states whose values they are."""
+    quantities = {v.value.name: v.quantity for v in inside if isinstance(v.value, Symbol)}
+    bounds = {bound.symbol: bound for bound in model.bounds}
+    found = ((unknown, bounds.get(quantities.get(unknown.name))) for unknown in stages)
+    return tuple(replace(u, lower=b.lower, upper=b.upper) if b else u for u, b in found)
+
+
+def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[PathValue, ...]:
+    """The bounds of states where dynamics are evaluated, as far as they do not follow from the bounds of unknowns.
+
+    Raises ExpressionError for a bound that differs from body to body.
+    """
+    bounds, values = {bound.symbol: bound for bound in model.bounds}, list[PathValue]()
+    for state in inside:
+        bound = bounds.get(state.quantity)
+        if bound is None or isinstance(state.value, Symbol):
+            continue
+        own = {v.value for v in inside if v.quantity == state.quantity and isinstance(v.value, Symbol)}
+        own |= {x for suffix in ("_k", "_k1") for x in at_nodes([state.quantity], suffix)}
+        present = state.value.free_symbols
+        if present <= own and all(sympy.diff(state.value, x).is_nonnegative for x in present):
+            continue
+        for condition in bound.conditions:
+            if model.body is not None and condition.expression.has(model.body):
+                raise ExpressionError(
+                    f"a bound on {bound.symbol} depends on the body's number, and the scheme has no unknown with it "
+                    "where the dynamics are evaluated",
+                    "give every body the same bound, or use scheme midpoint",
+                )
+            named = replace(condition, name=f"{STAGE_BOUND}{condition.name}")
+            value = condition.expression.xreplace({state.quantity: state.value})
+            values.append(PathValue(named, state.abscissa, value))
+    return tuple(values)
+
+
+STAGE_BOUND = "the bound "
+"""How conditions are called that are the bound of a state at a point where the dynamics are evaluated."""
 
 
 def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: Names) -> IntervalTerms:

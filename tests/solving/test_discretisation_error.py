@@ -1,0 +1,134 @@
+"""The estimated error of the discretisation against the true one: closed forms, and Richardson's extrapolation."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from compiled_modules import compiled
+from conftest import PROBLEMS
+from interpreted import of_problem
+
+from codegen import Control, control, free_parameter, solving, states
+from codegen.compiler import build
+from codegen.solutions import output
+from codegen.solutions.result import UNKNOWN_ERROR
+from codegen.solving.accuracy.double_steps import discretisation_error
+
+FACTOR = 3.0
+EFFORT, PENDULUM = 12.0, 4.530760981081599
+"""The integral of u^2 from rest to rest along x = 3 t^2 - 2 t^3, and the least cost of the linear pendulum."""
+SCHEMES = [
+    ("variational", "midpoint", "interval"),
+    ("variational", "trapezoidal", "interval"),
+    ("variational", "gauss-4", "interval"),
+    ("hamiltonian", "rk4", "interval"),
+    ("hamiltonian", "hermite-simpson", "interval"),
+    ("hamiltonian", "midpoint", "nodal"),
+]
+
+
+def within(estimate: float, truth: float) -> bool:
+    """Whether an estimate is the truth but for a factor."""
+    return truth / FACTOR <= estimate <= FACTOR * truth
+
+
+@pytest.mark.parametrize("steps", [10, 21, 40])
+@pytest.mark.parametrize(("method", "scheme", "controls"), SCHEMES)
+def test_closed_forms(interpreted, method, scheme, controls, steps):
+    choices = {"method": method, "scheme": scheme, "controls": controls}
+    pendulum = solving.solve(interpreted("linear_pendulum", **choices), steps=steps)
+    assert within(pendulum.error.cost, abs(pendulum.cost - PENDULUM) / PENDULUM)
+    effort = solving.solve(interpreted("double_integrator_effort", **choices), steps=steps)
+    assert within(effort.error.cost, abs(effort.cost - EFFORT) / EFFORT)
+    exact = np.stack([3.0 * effort.t**2 - 2.0 * effort.t**3, 6.0 * effort.t - 6.0 * effort.t**2], axis=1)
+    found = np.column_stack([effort.q, effort.p])
+    errors = np.abs(found - exact).max(axis=0) / np.abs(found).max(axis=0)
+    if errors.max() > 1e-9:  # some schemes have the states of this one exactly
+        assert within(effort.error.states, errors.max())
+    else:
+        assert effort.error.states < 1e-9
+
+
+@pytest.mark.parametrize("steps", [6, 10])
+def test_fourth_order_with_controls_at_stages(interpreted, steps):
+    module = interpreted("linear_pendulum", scheme="gauss-4", controls="stages")
+    result = solving.solve(module, steps=steps)
+    assert within(result.error.cost, abs(result.cost - PENDULUM) / PENDULUM)
+
+
+def damped(limit: float) -> Control:
+    """A nonlinear system with a bounded control and a free parameter, without a closed form."""
+    x, v = states("x v")
+    u, a = control("u"), free_parameter("a", guess=1)
+    return Control(
+        dynamics={x: v, v: u - x**3 - a * v},
+        cost=u**2 + x**2 + (a - 0.5) ** 2 / 2,
+        duration=3,
+        start={x: 1, v: 0},
+        end={x: 0},
+        bounds={u: (-limit, limit)},
+        steps=20,
+    )
+
+
+@pytest.mark.parametrize("limit", [10.0, 0.35])
+@pytest.mark.parametrize("scheme", ["midpoint", "gauss-4", "rk4", "hermite-simpson"])
+def test_richardson(scheme, limit):
+    module = of_problem(damped(limit), scheme=scheme)
+    coarse, middle, fine = (solving.solve(module, steps=steps) for steps in (20, 40, 80))
+    truth = fine.cost + (fine.cost - middle.cost) / 3.0
+    states = fine.q[::4] + (fine.q[::4] - middle.q[::2]) / 3.0
+    errors = np.abs(coarse.q - states).max(axis=0) / np.abs(coarse.q).max(axis=0)
+    parameter = abs(coarse.summary["a"] / (fine.summary["a"] + (fine.summary["a"] - middle.summary["a"]) / 3.0) - 1.0)
+    assert within(coarse.error.cost, abs(coarse.cost / truth - 1.0))
+    assert within(coarse.error.states, max(errors.max(), parameter))
+    assert coarse.error.quantity in ("x", "v", "a")
+
+
+@pytest.mark.parametrize("name", ["two_stage_rocket", "hovercraft", "brachistochrone"])
+def test_phases_bodies_and_free_durations(interpreted, name):
+    module = interpreted(name)
+    coarse, middle, fine = (solving.solve(module, steps=steps) for steps in (10, 20, 40))
+    truth = fine.cost + (fine.cost - middle.cost) / 3.0
+    assert within(middle.error.cost, abs(middle.cost / truth - 1.0))
+    assert within(coarse.error.cost, abs(coarse.cost / truth - 1.0))
+
+
+@pytest.fixture(scope="module")
+def ethanol(cache_folder):
+    return compiled(build(PROBLEMS / "published" / "ethanol.py").path)
+
+
+@pytest.mark.parametrize("steps", [100, 200, 400])
+def test_controls_that_chatter_are_noted(ethanol, steps):
+    """Midpoints alternate along the singular arc, and with 400 intervals the optimum is another, of 18126."""
+    result = solving.solve(ethanol, steps=steps, parameters={"hours": 54})
+    assert result.solved
+    assert result.error.is_large
+    (note,) = result.notes
+    assert f"{100 * result.error.states:.2g} % of {result.error.quantity}" in note
+    assert "take more --steps, or --accuracy" in note
+
+
+def test_a_figure_is_small_where_the_error_is(interpreted):
+    result = solving.solve(interpreted("linear_pendulum"), steps=100)
+    assert not result.error.is_large
+    assert result.notes == ()
+
+
+def test_the_estimate_is_shown(interpreted):
+    result = solving.solve(interpreted("linear_pendulum"), steps=10)
+    record = json.loads(output.as_json(output.as_record(result, 0.0, 0.0)))
+    assert record["summary"]["cost_error"] == result.error.cost
+    assert record["summary"]["state_error"] == result.error.states
+    assert result.label("state_error") == "relative error of states"
+
+
+def test_no_estimate_is_noted(interpreted, monkeypatch):
+    module = interpreted("linear_pendulum")
+    result = solving.solve(module, steps=10)
+    assert discretisation_error(module, result, lambda *_: None, linear=False) is None
+    monkeypatch.setattr("codegen.solving.outcome.discretisation_error", lambda *_, **__: None)
+    assert solving.solve(module, steps=10).notes == (UNKNOWN_ERROR,)
