@@ -29,7 +29,8 @@ from codegen.interfaces import Grid, Matrix, Vector
 from codegen.runtime.search import linear
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
-from codegen.runtime.search.solve import optimise, scaled_grid
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import optimise
 from codegen.runtime.search.termination import final_status
 from codegen.solutions.result import Run
 

@@ -14,7 +14,8 @@ from codegen.interfaces import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import worst_row
-from codegen.runtime.search.solve import STEEP, corrected_cost, scaled_grid
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import STEEP, corrected_cost
 from codegen.runtime.search.table_ranges import tables_beyond
 from codegen.solutions.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solutions.result import (

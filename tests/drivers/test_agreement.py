@@ -18,6 +18,7 @@ from golden import text_of
 from interpreted import as_machine_code
 
 from codegen import solving
+from codegen.runtime.search.grid import free_unknowns
 
 STEPS = {"pendulum_swing_up": 12, "two_stage_rocket": 4}
 """Intervals, where six are too few for a solution to exist; of each phase, where there are several."""
@@ -85,7 +86,7 @@ def beside(module, result):
     grid = module.make_grid(result.steps)
     generator = np.random.default_rng(zlib.crc32(result.problem.encode()))
     noise = 1e-2 * np.maximum(np.abs(result.unknowns), 0.1) * generator.uniform(-1, 1, result.unknowns.size)
-    return module.with_pinned_values(grid, result.unknowns + np.where(module.free_unknowns(grid), noise, 0.0))
+    return module.with_pinned_values(grid, result.unknowns + np.where(free_unknowns(grid), noise, 0.0))
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.problem}-{case.driver}")

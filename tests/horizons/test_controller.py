@@ -15,7 +15,7 @@ from codegen.horizons.judgement import BestIterate, Candidate, better
 from codegen.runtime.search import descent
 from codegen.runtime.search.iterates import search_on
 from codegen.runtime.search.newton import stored
-from codegen.runtime.search.solve import scaled_grid
+from codegen.runtime.search.scaling import scaled_grid
 
 H = HORIZON / STEPS
 

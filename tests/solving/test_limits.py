@@ -229,10 +229,10 @@ def test_an_inequality_is_off_by_what_it_exceeds(interpreted):
     grid = module.make_grid(4)
     unknowns = module.initial_guess(grid)
     nodes, intervals = module.views(grid, unknowns)
-    nodes[0, :, :2], intervals[0, :, module.SLACKS - module.NODE] = 0.0, 0.0
+    nodes[0, :, :2], intervals[0, :, module.problem.structure.slacks - module.problem.structure.node] = 0.0, 0.0
     controls = intervals[0, :, list(module.metadata["interval"]).index("u")]
     controls[2] = 7.0
-    intervals[0, 1, module.SLACKS - module.NODE] = 3e12
+    intervals[0, 1, module.problem.structure.slacks - module.problem.structure.node] = 3e12
     point = module.evaluate(grid, unknowns)
     assert np.abs(point.gradient[grid.is_multiplier]).max() >= 2e12
     violated = module.with_violations(grid, point)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from codegen.runtime.search.grid import free_unknowns
+
 
 @pytest.fixture(scope="module")
 def hovercraft(interpreted):
@@ -14,7 +16,7 @@ def hovercraft(interpreted):
 def noisy(module, grid, seed: int):
     """The problem's guess with noise of a tenth on everything that is not given."""
     guess = module.initial_guess(grid)
-    indices = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    indices = free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
     size = np.abs(guess[indices])
     guess[indices] += 0.1 * np.random.default_rng(seed).standard_normal(size.size) * (size + 0.1 * size.max())
     return module.with_pinned_values(grid, guess)

@@ -7,6 +7,8 @@ import pytest
 from gallery_units import GALLERY, UNITS, cost_factor, text_in_units
 from interpreted import without_compilation
 
+from codegen.runtime.search.scaling import scaled_grid
+
 OTHER_UNITS = [
     ("low_thrust", {"length_unit": 1e-6}),
     ("low_thrust", {"length_unit": 1e6}),
@@ -44,7 +46,7 @@ def test_solutions_are_found_as_quickly_in_other_units(name, units):
 def test_ordinary_numbers_stay_what_they_are(interpreted, name):
     module = interpreted(name)
     grid = module.make_grid(10)
-    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
+    assert scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
 
 
 def test_the_weight_of_a_cost_does_not_depend_on_the_number_of_intervals(interpreted):
@@ -53,7 +55,7 @@ def test_the_weight_of_a_cost_does_not_depend_on_the_number_of_intervals(interpr
     weights = []
     for steps in (4, 400):
         grid = module.make_grid(steps, g=9.81e4)
-        weights.append(module.scaled_grid(grid, module.initial_guess(grid)).weight)
+        weights.append(scaled_grid(grid, module.initial_guess(grid)).weight)
     assert weights[0] == weights[1] != 1.0
 
 

@@ -18,8 +18,8 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
-from codegen.solutions.notes import shortened
 from codegen.runtime.search.callbacks import submatrix
+from codegen.solutions.notes import shortened
 from codegen.transcribe.program import ControlProgram, EndElement
 from codegen.transcribe.redundancy.redundant_couplings import independent_couplings
 

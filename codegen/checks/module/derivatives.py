@@ -17,7 +17,6 @@ from sympy import Expr, Symbol
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import (
     DIGITS,
-    Function,
     curved_beyond,
     function_of,
     gradient,

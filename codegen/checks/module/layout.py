@@ -57,6 +57,7 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     return (
         _differing_metadata(module.metadata, names)
         or _differing_values(module, _sizes(program) | _tables(program))
+        or _differing_structure(module, program)
         or _differing_condensed(module, program)
         or _differing_patterns(module, program)
         or _differing_couplings(module, program)
@@ -78,6 +79,21 @@ def _differing_values(module: Any, wanted: Mapping[str, Any]) -> str:
         found = getattr(module, name, None)
         if _plain(found) != value:
             return f"{name} is {_plain(found)}, expected {value}"
+    return ""
+
+
+def _differing_structure(module: Any, program: ControlProgram) -> str:
+    """The first field of the structure, which all solvers read, that contradicts the program."""
+    structure = module.problem.structure
+    for name, value in (_sizes(program) | _tables(program)).items():
+        found = _plain(getattr(structure, name.lower()))
+        if found != value:
+            return f"{name.lower()} of the structure is {found}, expected {value}"
+    for prefix in ("", "START_", "END_"):
+        for side in ("ROWS", "COLUMNS"):
+            found, own = getattr(structure, f"{prefix}{side}".lower()), _indices(module, f"{prefix}HESSIAN_{side}")
+            if not np.array_equal(found, own):
+                return f"{prefix}{side} of the structure are not {prefix}HESSIAN_{side}".lower()
     return ""
 
 
@@ -178,9 +194,9 @@ def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> s
     parameters += len(program.shared) + len(numbers_of(program.model))
     if program.sample is not None:
         own = parameters, 1 + len(program.sample.symbols)
-        structure = module.problem.structure
-        if own != (structure.first_sample, structure.sample):
-            return f"samples of {structure.sample} numbers begin at {structure.first_sample}, expected {own[1]} at {own[0]}"
+        first, size = module.problem.structure.first_sample, module.problem.structure.sample
+        if own != (first, size):
+            return f"samples of {size} numbers begin at {first}, expected {own[1]} at {own[0]}"
         parameters += own[1] * max(len(data.rows) for data in program.model.measurements)
     if grid.parameters.shape != (program.bodies, parameters):
         return f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, parameters)}"
