@@ -284,6 +284,8 @@ class Controller:
         if point is None:
             return None
         best = point if log.best is None else better(point, log.best, self._feasible)
+        if best.residual <= self._feasible:
+            return best
         before = candidate(grid, guess)
         return best if better(best, before, self._feasible) is best else None
 

@@ -226,6 +226,7 @@ def test_a_solve_that_fails_falls_back_on_the_plan_before(status, monkeypatch):
     controller = codegen.Controller(module)
     controller.step([1.0, 0.0])
     _, _, planned = controller.plan()
+
     def failing(grid, guess, *_, **_named):
         return status, module.evaluate(grid, guess), 1
 
