@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 from golden import text_of
-from interpreted import as_machine_code
+from interpreted import without_compilation
 
 from codegen import solving
 from codegen.runtime.search.grid import free_unknowns
@@ -76,7 +76,7 @@ CASES = [
 @cache
 def solved(problem: str):
     """The uncompiled module and what `newton` finds."""
-    module = as_machine_code(text_of(f"{problem}.py"), problem)
+    module = without_compilation(text_of(f"{problem}.py"), problem)
     with np.errstate(all="ignore"):
         return module, solving.solve(module, steps=STEPS.get(problem, 6))
 

@@ -63,7 +63,7 @@ def with_cost(function):
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_values_and_two_derivatives(name):
     function, exact = FUNCTIONS[name]
-    module = interpreted.as_machine_code(interpreted.text_of(with_cost(function)))
+    module = interpreted.without_compilation(interpreted.text_of(with_cost(function)))
     grid = module.make_grid(2)
     node = len(module.metadata["node"])
     stride = node + len(module.metadata["interval"])
@@ -131,7 +131,7 @@ def test_a_module_of_them_solves(tmp_path):
     )
     text = build(tmp_path / "well.py").path.read_text(encoding="utf-8")
     assert text.count("def polygamma(") == text.count("def sinc_derivative(") == 1
-    solution = interpreted.as_machine_code(text).solve()
+    solution = interpreted.without_compilation(text).solve()
     assert solution.status == "solved"
     assert solution.residual < 1e-10
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from codegen.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import corrected_cost
 from codegen.solutions.control import held_at_bounds
 from codegen.solutions.result import DiscretisationError, Result
 from codegen.solutions.segments import segments_of
@@ -183,7 +184,7 @@ def _compared(module: ControlModule, result: Result, grid: Grid, found: Vector, 
         change = abs(float(value) - own) / (abs(own) if abs(own) > NEGLIGIBLE else 1.0)
         if change > states:
             states, quantity, time = change, name, float(result.t[-1])
-    cost = module.corrected_cost(grid, module.evaluate(grid, found))
+    cost = corrected_cost(grid, module.evaluate(grid, found))
     size = abs(result.cost) if abs(result.cost) > NEGLIGIBLE else 1.0
     if segments := segments_of(module.metadata):
         quantity, segment = segments.split(quantity)
