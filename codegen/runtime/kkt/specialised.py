@@ -1,33 +1,47 @@
 """Linear systems with the numbers of their shape as constants, compiled once for each shape.
 
-The text is the same for all problems of a shape. It is kept in the cache folder, and numba keeps its machine code beside
-it. Constants halve the time of a factorisation.
+The text of a system is that of the files of this folder, in which the shape is a constant in place of an argument.
+Problems of one shape share it. It is kept in the cache folder, and numba keeps its machine code beside it. Constants
+halve the time of a factorisation.
 """
 
+import ast
 import hashlib
 import importlib.util
 import os
+import re
 import sys
 from functools import lru_cache
 from pathlib import Path
 
-from numba import types
-
-from codegen.runtime.addresses import SYSTEM
 from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.kkt.system import solve_system
-from codegen.runtime.packing import packed_operations, little_optimised
+from codegen.runtime.packing import packed_operations
 
-TEXT = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
+FILES = "shape", "tables", "symmetric", "condensation", "frontal", "substitution", "system"
+HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
 
 Numbers of unknowns: {fields}.
 """
 
-from numba import cfunc
+import numpy as np
+from numba import carray, cfunc, njit
 
-from codegen.runtime.addresses import SYSTEM
+from codegen.runtime.addresses import SYSTEM, ahead
 from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.kkt.system import solve_system
+from codegen.runtime.linking import link_inner_functions
+
+shape = Shape({values})
+
+
+@njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+'''
+TAIL = '''
+link_inner_functions(value for value in list(globals().values()) if hasattr(value, "py_func"))
 
 
 @cfunc(SYSTEM, cache=True, error_model="numpy")
@@ -36,8 +50,8 @@ def system(
 ):
     """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
     return solve_system(
-        Shape({values}), is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors,
-        orders, step, is_wanted,
+        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
     )
 '''
 
@@ -54,14 +68,33 @@ def cache_folder():
 def text_of(shape):
     """Return the text of the module with the linear system of a shape."""
     fields = ", ".join(f"{name} {value}" for name, value in zip(Shape._fields, shape, strict=True))
-    return TEXT.format(fields=fields, values=", ".join(map(str, shape)))
+    head = HEAD.format(fields=fields, values=", ".join(map(str, shape)))
+    return "\n\n".join([head, *(body_of(name) for name in FILES), TAIL])
+
+
+@lru_cache
+def body_of(name):
+    """Return the statements of a file of this folder but imports, docstring and Shape, without arguments `shape`."""
+    text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+    lines, kept = text.splitlines(), []
+    for node in ast.parse(text).body:
+        is_docstring = isinstance(node, ast.Expr) and node.col_offset == 0 and not kept
+        is_class = isinstance(node, ast.ClassDef)
+        if isinstance(node, (ast.Import, ast.ImportFrom)) or is_docstring or is_class:
+            continue
+        if isinstance(node, ast.FunctionDef) and node.name in ("packed", "factor_sizes"):
+            continue
+        first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
+        between = "\n\n" if isinstance(node, ast.FunctionDef) else ""
+        kept.append(between + "\n".join(lines[first - 1 : node.end_lineno]))
+    return re.sub(r"\(shape\)", "()", re.sub(r"\bshape,\s+", "", "\n".join(kept)))
 
 
 @lru_cache(maxsize=256)
 def system_address(shape):
     """Return the address of the linear system of a shape, which is compiled if it is new to this machine."""
     text = text_of(shape)
-    name = f"kkt_{hashlib.sha256((text + sources()).encode()).hexdigest()[:16]}"
+    name = f"kkt_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     if name not in sys.modules:
         path = cache_folder() / "kkt" / f"{name}.py"
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
@@ -69,28 +102,8 @@ def system_address(shape):
             temporary = path.with_name(f".{name}.{os.getpid()}")
             temporary.write_text(text, encoding="utf-8")
             temporary.replace(path)
-        compile_common()
         spec = importlib.util.spec_from_file_location(name, path)
         module = sys.modules[name] = importlib.util.module_from_spec(spec)
         with packed_operations():
             spec.loader.exec_module(module)
     return sys.modules[name].system.address
-
-
-@lru_cache(maxsize=1)
-def compile_common():
-    """Compile what the systems of all shapes include, once on a machine.
-
-    It is left to the optimisation of each shape, where all numbers are constants: that is quicker, and makes quicker
-    code.
-    """
-    with little_optimised():
-        solve_system.compile((types.NamedUniTuple(types.int64, len(Shape._fields), Shape), *SYSTEM.args))
-
-
-@lru_cache(maxsize=1)
-def sources():
-    """Return the texts on which the machine code of a linear system depends."""
-    folder = Path(__file__).parent
-    files = sorted([*folder.glob("*.py"), folder.parent / "addresses.py", folder.parent / "arrays.py"])
-    return "".join(file.read_text(encoding="utf-8") for file in files)

@@ -17,7 +17,7 @@ from codegen.runtime.kkt.symmetric import (
 from codegen.runtime.kkt.tables import FIRST, FIRST_PINNED, LAST_PINNED, count_of, place_of
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def forward(shape, tables, upper, inverse, order, steps, right, front, last):
     """Solve with a body's upper factor, transposed, and the pivots; the share of the last node goes to `last`.
 
@@ -57,7 +57,7 @@ def forward(shape, tables, upper, inverse, order, steps, right, front, last):
     forward_once(upper[first:], inverse[first:], order[first:], end, last.size, last)
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def backward(shape, tables, upper, order, steps, carried, last, front, right):
     """Solve with a body's upper factor, from its last node and block 0 if it stays to the end, in `last`, backward.
 

@@ -29,7 +29,7 @@ SINGULAR = 1 << 40
 """The excess of negative pivots of a matrix that is singular, or whose condensed block is not positive definite."""
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def solve_system(
     shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
     is_wanted,
@@ -221,13 +221,13 @@ def solve_system(
     return excess
 
 
-@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(error_model="numpy", forceinline=True)
 def root_index(own, bodies, body, j):
     """Return the index, among the linking variables, of variable j of a body, of which `own` are the body's alone."""
     return body * own + j if j < own else (bodies - 1) * own + j
 
 
-@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(error_model="numpy")
 def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
     """Add right-hand sides of unknowns that equal linking variables to those of the latter."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
@@ -235,7 +235,7 @@ def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared
         shared[root_index(own, bodies, body, tables[to + i])] += right[first + tables[tied + i]]
 
 
-@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+@njit(error_model="numpy")
 def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
     """Give unknowns that equal linking variables the values of the latter."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)

@@ -11,6 +11,7 @@ from numba import cfunc, config
 from codegen.runtime.addresses import LOOP
 from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
+from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.packing import packed_operations
 from codegen.runtime.search.structure import Structure
 
@@ -32,6 +33,8 @@ class Loop:
             reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
             kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
             return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
+        of_module = self.function.__globals__.values()
+        link_inner_functions(value for value in of_module if is_inner(value))
         with packed_operations():
             return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
 
@@ -40,6 +43,11 @@ class Loop:
         """The address of the function."""
         found = self.compiled
         return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+
+def is_inner(value):
+    """Return True for a compiled function that only loops call: a kernel, or a part of a loop."""
+    return hasattr(value, "py_func") and value.stats.cache_path is None
 
 
 @dataclass(frozen=True, eq=False)

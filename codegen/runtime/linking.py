@@ -1,4 +1,4 @@
-"""Have numba make machine code only of what Python calls: for processes that compile a module and run it no further.
+"""Have numba make machine code only of what Python, or C, calls.
 
 numba runs LLVM's whole optimiser over every function and makes machine code of it, although a function that only
 compiled functions call is optimised once more in each of its callers, into which its intermediate code is linked: a
@@ -20,13 +20,13 @@ Base: Any = Any if TYPE_CHECKING else object
 
 TRIED = (0, 61), (0, 68)
 """The oldest and the newest version that was tried; those that pyproject.toml allows."""
-ENTRY = "_ZN7cpython"
-"""How numba begins the name of the entry by which Python calls a function."""
+ENTRIES = ("_ZN7cpython", "cfunc.")
+"""How numba begins the names of the entries by which Python and C call a function."""
 OF_LIBRARIES = (
     "_ensure_finalized", "_finalize_dynamic_globals", "_finalize_final_module", "_optimize_final_module",
     "_verify_declare_only_symbols", "get_pointer_to_function", "serialize_using_bitcode", "serialize_using_object_code",
 )  # fmt: skip
-OF_CODE = ("name", "_final_module", "_shared_module")
+OF_CODE = ("_final_module", "_shared_module")
 OF_FUNCTIONS = ("get_call_template", "targetoptions", "stats")
 """What numba's class of the code of one function, that code, and a function that numba compiles must have."""
 
@@ -34,18 +34,15 @@ OF_FUNCTIONS = ("get_call_template", "targetoptions", "stats")
 class InnerLibrary(Base):  # type: ignore[misc]
     """The code of one function; if Python cannot call it, it stays intermediate code, to be linked into its callers."""
 
-    optimised: frozenset[str] = frozenset()
-    """Names of functions so long that it pays to shorten them once, before their callers take them in."""
-
     @property
     def is_inner(self) -> bool:
-        """Whether Python cannot call the function."""
+        """True if neither Python nor C can call the function."""
         # Of what is read from the disk as machine code, the intermediate code is beside it.
         code = self._final_module if any(True for _ in self._final_module.functions) else self._shared_module
-        return code is None or not any(f.name.startswith(ENTRY) and not f.is_declaration for f in code.functions)
+        return code is None or not any(f.name.startswith(ENTRIES) and not f.is_declaration for f in code.functions)
 
     def _optimize_final_module(self) -> None:
-        if not self.is_inner or self.name in self.optimised:
+        if not self.is_inner:
             super()._optimize_final_module()
 
     def _finalize_final_module(self) -> None:
@@ -81,23 +78,22 @@ def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
         return False
 
 
-def link_inner_functions(functions: Iterable[Any], long: Iterable[str] = ()) -> None:
-    """From now on, make machine code in this process only of those of a module's functions that it keeps on the disk.
+def link_inner_functions(functions: Iterable[Any]) -> None:
+    """From now on, make no machine code of some functions of their own: they become part of the code of their callers.
 
-    Python must not call the others any more. Those of the names `long` are optimised by themselves all the same. numba
-    must have compiled something before, so that its own run-time library is there. Further modules may follow.
+    Python must not call them any more. Further functions may follow. Nothing happens where numba is not as expected.
     """
+    functions = list(functions)
+    if not applies(functions):
+        return
     generator = _generator()
     if not issubclass(generator._library_class, InnerLibrary):
         generator._library_class = type("LinkedLibrary", (InnerLibrary, generator._library_class), {})
         generator.set_env = _where_defined(generator, generator.set_env)
-    generator._library_class.optimised |= frozenset(long)
     for function in functions:
-        if function.targetoptions.get("no_cfunc_wrapper"):
-            continue  # prepared already, and its place on the disk is no sign any more
-        function.targetoptions["no_cfunc_wrapper"] = True  # the entry by which C would call it
-        function.targetoptions["no_cpython_wrapper"] = function.stats.cache_path is None
-        function.get_call_template = _for_any_value(function.get_call_template)
+        if not function.targetoptions.get("no_cfunc_wrapper"):
+            function.targetoptions["no_cfunc_wrapper"] = function.targetoptions["no_cpython_wrapper"] = True
+            function.get_call_template = _for_any_value(function.get_call_template)
 
 
 def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
