@@ -155,13 +155,14 @@ def _scaled_grid(module: ControlModule, grid: Grid, run: Run) -> Grid:
     if run.scaling == "none":
         return grid
     guess = module.initial_guess(grid) if run.guess is None else run.guess
-    return scaled_grid(grid, module.with_pinned_values(grid, guess))
+    scaled: Grid = scaled_grid(grid, module.with_pinned_values(grid, guess))
+    return scaled
 
 
 def _cost(module: ControlModule, scaled: Grid, point: Any) -> float:
     """The discrete cost of a solution, corrected by what residuals and distances to bounds are worth."""
     own = module.evaluate(scaled, point.unknowns / scaled.sizes) if scaled.sizes.size else point
-    return corrected_cost(scaled, own)
+    return float(corrected_cost(scaled, own))
 
 
 def _is_accurate(
