@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import PROBLEMS
-from interpreted import as_machine_code, of_problem, text_of
+from interpreted import of_problem, text_of, without_compilation
 from poorly_guessed import FIRST, SECOND, batch, charging, lane, reactions, thrust, yeast
 from sympy import cos, exp, sin
 
@@ -18,7 +18,7 @@ POISON = 1.093664682973  # IPOPT 3.14 on the same program
 
 
 def module_of(problem: Control | Phases):
-    return as_machine_code(text_of(problem))
+    return without_compilation(text_of(problem))
 
 
 def take_off() -> Control:
@@ -44,7 +44,7 @@ def take_off() -> Control:
 @pytest.mark.parametrize("scheme", ["rk4", "gauss-4", "hermite-simpson"])
 def test_schemes_with_stages_take_no_more_iterations(scheme):
     """Equations of stages had a residual, and with it a size, of h a_ij f: 54, 174 and 52 iterations."""
-    solution = as_machine_code(text_of(take_off(), scheme=scheme)).solve(50)
+    solution = without_compilation(text_of(take_off(), scheme=scheme)).solve(50)
     assert solution.status == "solved", solution.message
     assert solution.iterations <= 1.5 * 16
 
@@ -60,8 +60,8 @@ def factors_by_name(module, steps: int) -> dict[str, float]:
 @pytest.mark.parametrize("scheme", ["rk4", "gauss-4", "hermite-simpson"])
 def test_stages_have_the_factors_of_their_states(scheme, controls_on):
     """And equations of stages those of the state's step: as by midpoint, whatever the number of intervals."""
-    midpoint = as_machine_code(text_of(spiral()))
-    module = as_machine_code(text_of(spiral(), scheme=scheme, controls=controls_on))
+    midpoint = without_compilation(text_of(spiral()))
+    module = without_compilation(text_of(spiral(), scheme=scheme, controls=controls_on))
     for steps in (12, 30, 100, 300):
         expected, factors = factors_by_name(midpoint, steps), factors_by_name(module, steps)
         assert len(set(expected.values())) > 5, "the problem is chosen for them"
@@ -166,7 +166,7 @@ def spiral() -> Control:
 @pytest.mark.parametrize("choices", [{}, {"scheme": "gauss-4", "controls": "stages"}])
 def test_an_angle_is_one_radian_at_most(choices):
     """Balancing gravity took it for hundreds."""
-    module = as_machine_code(text_of(spiral(), **choices))
+    module = without_compilation(text_of(spiral(), **choices))
     grid = module.make_grid(30)
     scaled = module.scaled_grid(grid, module.initial_guess(grid))
     angles = [i for i, name in enumerate((*module.metadata["node"], *module.metadata["interval"])) if name[0] == "a"]
@@ -177,7 +177,7 @@ def test_an_angle_is_one_radian_at_most(choices):
 
 def test_a_guess_out_of_bounds_does_not_tell_sizes():
     """Drag at a tenth of the radius below the ground is e^50 of that above; so measured, rockets left for infinity."""
-    module = as_machine_code(build(PROBLEMS / "goddard_rocket.py").path.read_text())
+    module = without_compilation(build(PROBLEMS / "goddard_rocket.py").path.read_text())
     grid = module.make_grid(20)
     guess = module.initial_guess(grid)
     noise = np.random.default_rng(0).standard_normal(guess.size)
@@ -192,7 +192,7 @@ def test_a_guess_out_of_bounds_does_not_tell_sizes():
 
 def test_a_bound_beside_the_guess_does_not_tell_sizes_either():
     """A thousandth, the least mass of bacteria, became the size of a mass of one, and the end was called inaccurate."""
-    module = as_machine_code(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
+    module = without_compilation(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
     grid = module.make_grid(20)
     assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
 
@@ -216,7 +216,7 @@ def climb() -> Control:
 
 def test_a_sample_where_derivatives_leave_all_measure_does_not_count():
     """Else equations are divided by 1e18, and controls that seem to do nothing are as large."""
-    module = as_machine_code(text_of(climb()), "climb")
+    module = without_compilation(text_of(climb()), "climb")
     grid = time_grid(module, 40)
     sizes = dict(
         zip(

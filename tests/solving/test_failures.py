@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 from failing_problems import DEPENDENT_END, FAILING, HEAD, RANK_DEFICIENT, STEEP, Failing, mass, plane, row
-from interpreted import as_machine_code, of_problem, silent_math
+from interpreted import of_problem, silent_math, without_compilation
 from sympy import Eq
 from typer.testing import CliRunner
 
@@ -28,7 +28,7 @@ from codegen.solutions.result import STATUSES
 def module_of(folder: Path, text: str):
     path = folder / "failing.py"
     path.write_text(text)
-    return as_machine_code(generate(path, {}, Choices()), "failing")
+    return without_compilation(generate(path, {}, Choices()), "failing")
 
 
 @pytest.mark.parametrize("case", FAILING, ids=lambda case: case.id)
