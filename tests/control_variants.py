@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from codegen.runtime.search.grid import free_unknowns
+
 DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
 from sympy import cos, pi
 from codegen import Control, controls, coordinates, parameters
@@ -81,7 +83,7 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
 
 def trial_point(module: Any, grid: Any, seed: int, scale: float) -> np.ndarray:
     """Unknowns at a random distance from the guess; those that are given, or equal shared ones, keep to that."""
-    free = module.free_unknowns(grid)
+    free = free_unknowns(grid)
     noise = np.random.default_rng(seed).normal(scale=scale, size=free.size)
     return module.with_pinned_values(grid, module.initial_guess(grid) + np.where(free, noise, 0.0))
 
@@ -101,7 +103,7 @@ def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
 def shifts(module: Any, grid: Any, shift: float, delta_c: float) -> np.ndarray:
     """A diagonal to be added to the KKT matrix, for free unknowns only."""
     diagonal = np.where(grid.is_multiplier, -delta_c, shift)
-    return np.where(module.free_unknowns(grid), diagonal, 0.0)
+    return np.where(free_unknowns(grid), diagonal, 0.0)
 
 
 def eliminated_blocks_are_positive(module: Any, grid: Any, matrix: np.ndarray) -> bool:
