@@ -30,6 +30,7 @@ class Grid(Protocol):
     sizes: Vector
     weight: float
     inner: tuple[int, ...]
+    problem: Any
 
 
 class ControlSolution(Protocol):
@@ -64,11 +65,13 @@ class Unpacked(NamedTuple):
 class ControlModule(Protocol):
     """The public functions of a generated module that solves an optimal-control problem.
 
-    `variable_bounds` and `prescribed_beyond` are there if metadata["inequalities"]; COUPLINGS is the number of
-    conditions between bodies, ROOT that of unknowns that no node owns. Views are of nodes and intervals, bodies first.
+    `variable_bounds` is there if metadata["inequalities"]. `problem` is the ControlProblem that all grids of the module
+    carry; what else there is to ask of a grid, `codegen.runtime.search` answers. Views are of nodes and intervals,
+    bodies first.
     """
 
     metadata: Mapping[str, Any]
+    problem: Any
 
     solve: Callable[..., ControlSolution]
     make_grid: Callable[..., Grid]
@@ -83,19 +86,9 @@ class ControlModule(Protocol):
     hessian: Callable[[Grid, Vector], Entries]
     stationarity: Callable[[Grid, Vector], Vector]
     evaluate: Callable[[Grid, Vector], Any]
-    scaled_grid: Callable[[Grid, Vector], Grid]
-    plain_grid: Callable[[Grid], Grid]
-    corrected_cost: Callable[[Grid, Any], float]
-    sizes_of_terms: Callable[[Grid, Vector], tuple[float, float]]
-    worst_row: Callable[[Grid, Any], str]
-    not_finite: Callable[[Grid, Any], str]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
-    bounds_of: Callable[[Grid], tuple[Vector, Vector]]
-    prescribed_beyond: Callable[[Grid, Vector], str]
-    COUPLINGS: int
-    ROOT: int
 
 
 class StepGrid(Protocol):

@@ -87,7 +87,7 @@ TASKS = {
             "optimisation",
             "warm doublings accuracy guesses tables observations sensitivities",
             "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
-            "constraints jacobian hessian stationarity evaluate worst_row not_finite unpack",
+            "constraints jacobian hessian stationarity evaluate unpack",
         ),
         _task(
             "connect",

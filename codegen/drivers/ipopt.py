@@ -15,6 +15,7 @@ import numpy as np
 from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.interfaces import ControlModule, Vector
+from codegen.runtime.search.messages import not_finite
 from codegen.solutions.result import ControlAttempt, Run
 
 TOLERANCE = 1e-8
@@ -91,7 +92,7 @@ def _cause(problem: ScaledProblem, code: int, x: Vector, iterations: int) -> str
     if code == _NOT_FINITE:
         point = problem.module.evaluate(problem.grid, problem.unknowns(x))
         where = "at the guess" if not iterations else f"after {iterations} iterations of IPOPT"
-        return f"{problem.module.not_finite(problem.grid, point)} {where}; {NOT_FINITE}"
+        return f"{not_finite(problem.grid, point)} {where}; {NOT_FINITE}"
     return ""
 
 

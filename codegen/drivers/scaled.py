@@ -159,7 +159,7 @@ class ScaledProblem:
         unknowns[self.primal] = x
         unknowns[self.dual] = 0.0 if nu is None else self.row_scale * nu / self.cost_scale
         # Unknowns at the ends may equal shared ones, which have just been changed.
-        return self.module.with_pinned_values(self.grid, unknowns) if self.module.ROOT else unknowns
+        return self.module.with_pinned_values(self.grid, unknowns) if self.module.problem.structure.root else unknowns
 
     def cost(self, x: Vector) -> float:
         """The scaled cost."""

@@ -93,7 +93,7 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
     observations, names = module.metadata.get("observations"), tuple(module.metadata["free_parameters"])
     if not observations or not names:
         return None
-    last = unknowns.size - module.COUPLINGS
+    last = unknowns.size - module.problem.structure.couplings
     indices = np.arange(last - len(names), last)
     is_free, values = ~held[indices], unknowns[indices]
     fit, is_estimated = Fit(module, grid, unknowns), all(sigma is None for sigma in observations["sigmas"])

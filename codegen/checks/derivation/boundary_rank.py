@@ -19,6 +19,7 @@ from codegen.checks.module.kernel_arguments import few_steps
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
 from codegen.solutions.notes import shortened
+from codegen.runtime.search.callbacks import submatrix
 from codegen.transcribe.program import ControlProgram, EndElement
 from codegen.transcribe.redundancy.redundant_couplings import independent_couplings
 
@@ -135,7 +136,7 @@ def _decomposed(module: Any, grid: Any, unknowns: Any) -> tuple[int, NDArray[np.
     rank = int(np.sum(singular > _SINGULAR * singular.max(initial=0.0)))
     nulls = left[:, rank:]
     every = np.flatnonzero(~grid.is_multiplier)
-    full = _dense(module.submatrix(grid, unknowns, rows, every, False), (rows.size, every.size))
+    full = _dense(submatrix(grid, unknowns, rows, every, False), (rows.size, every.size))
     share = nulls.T @ (full / row_scale[:, None])
     touched = np.zeros((nulls.shape[1], unknowns.size))
     touched[:, every] = np.abs(share)

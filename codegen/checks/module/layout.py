@@ -20,6 +20,7 @@ from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, othe
 from codegen.checks.module.step_kernels import step_length
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
+from codegen.runtime.search.grid import free_unknowns
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
 from codegen.verify.couplings import shared_symbols
@@ -55,9 +56,8 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     }
     return (
         _differing_metadata(module.metadata, names)
-        or _differing_values(module, _sizes(program))
+        or _differing_values(module, _sizes(program) | _tables(program))
         or _differing_condensed(module, program)
-        or _differing_values(module, _tables(program))
         or _differing_patterns(module, program)
         or _differing_couplings(module, program)
         or _differing_grid(module, program, flat)
@@ -76,10 +76,14 @@ def _differing_values(module: Any, wanted: Mapping[str, Any]) -> str:
     """The first of some constants that is missing or not what it should be."""
     for name, value in wanted.items():
         found = getattr(module, name, None)
-        found = found.tolist() if isinstance(found, np.ndarray) else found
-        if found != value:
-            return f"{name} is {found}, expected {value}"
+        if _plain(found) != value:
+            return f"{name} is {_plain(found)}, expected {value}"
     return ""
+
+
+def _plain(value: Any) -> Any:
+    """A number, or an array as a list."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _sizes(program: ControlProgram) -> dict[str, int]:
@@ -103,9 +107,10 @@ def _differing_condensed(module: Any, program: ControlProgram) -> str:
     """Slacks are eliminated inside their interval, and with them controls if their block allows it."""
     slacks = len(program.slacks)
     possible = sorted({slacks, slacks + len(program.controls)})
-    if module.CONDENSED in possible:
+    condensed = module.problem.structure.condensed
+    if condensed in possible:
         return ""
-    return f"CONDENSED is {module.CONDENSED}, expected {' or '.join(map(str, possible))}"
+    return f"condensed of the structure is {condensed}, expected {' or '.join(map(str, possible))}"
 
 
 def _tables(program: ControlProgram) -> dict[str, list[Any]]:
@@ -173,14 +178,15 @@ def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> s
     parameters += len(program.shared) + len(numbers_of(program.model))
     if program.sample is not None:
         own = parameters, 1 + len(program.sample.symbols)
-        if own != (module.FIRST_SAMPLE, module.SAMPLE):
-            return f"samples of {module.SAMPLE} numbers begin at {module.FIRST_SAMPLE}, expected {own[1]} at {own[0]}"
+        structure = module.problem.structure
+        if own != (structure.first_sample, structure.sample):
+            return f"samples of {structure.sample} numbers begin at {structure.first_sample}, expected {own[1]} at {own[0]}"
         parameters += own[1] * max(len(data.rows) for data in program.model.measurements)
     if grid.parameters.shape != (program.bodies, parameters):
         return f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, parameters)}"
     for name, found, wanted in (
         ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
-        ("free_unknowns", module.free_unknowns(grid), flat.free()),
+        ("free_unknowns", free_unknowns(grid), flat.free()),
     ):
         if found.shape != wanted.shape:
             return f"{name} has {found.size} entries, expected {wanted.size}"
@@ -213,7 +219,7 @@ def _control_run(module: Any, program: ControlProgram) -> str:
         if hasattr(module, f"{end}_hessian") or entries:
             problem = problem or _run(module, f"{end}_hessian", (local, t, given), hessian=(entries,))
     if program.sample is not None:
-        row = np.concatenate([given, np.full(module.SAMPLE, 0.5)])
+        row = np.concatenate([given, np.full(module.problem.structure.sample, 0.5)])
         arguments = (x, t, h, row, given.size)
         problem = problem or _run(module, "sample_values", arguments, values=(len(program.sample.values),))
         problem = problem or _run(module, "sample_gradient", arguments, adds=True, gradient=(size,))

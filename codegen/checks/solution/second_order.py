@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.transcribe.program import ControlProgram
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
@@ -103,13 +104,13 @@ def _judged(
     module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64], sizes: NDArray[np.float64]
 ) -> tuple[bool, str] | None:
     """Whether it is a minimum, and how that is known; None where the KKT matrix is singular whatever the curvature."""
-    equations, system = module.multiplier_unknowns(grid).size, module.allocate_system(grid)
-    excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
-    if excess == 0 and module.factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
+    equations, system = module.multiplier_unknowns(grid).size, allocate_system(grid)
+    excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
+    if excess == 0 and factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     # Where a symmetry moves an optimum to another one, the curvature is zero along it, and its sign is rounding.
     for part in _NOTHING:
-        if module.factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
+        if factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
             return (
                 True,
                 f"a minimum, isolated or not: a curvature is zero up to rounding, above -{part:g} of its terms",

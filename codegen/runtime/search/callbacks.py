@@ -7,7 +7,6 @@ by a boundary condition appears in neither. Matrices are returned as (rows, colu
 import numpy as np
 
 from codegen.runtime.search.grid import multiplier_unknowns, primal_unknowns
-from codegen.runtime.search.iterates import ties
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
 
@@ -54,7 +53,7 @@ def submatrix(grid, unknowns, rows, columns, is_curvature):
     value = np.concatenate([value, value[off_diagonal]])
     new_row, new_column = np.full(unknowns.size, -1), np.full(unknowns.size, -1)
     new_row[rows], new_column[columns] = np.arange(rows.size), np.arange(columns.size)
-    tied = ties(grid.problem.structure, grid.steps)
+    tied = grid.problem.structure.ties(grid.steps)
     if tied.size:
         representative = np.arange(unknowns.size)
         representative[tied[:, 0]] = tied[:, 1]

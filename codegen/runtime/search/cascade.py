@@ -1,12 +1,14 @@
 """The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed."""
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.search.convergence import is_at_rounding_level, is_solved, sizes_of_terms
 from codegen.runtime.search.descent import relaxation
 from codegen.runtime.search.exact_bounds import within_bounds
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
+    LARGEST_DUAL,
     CASCADE,
     CASCADE_WITH_BOUNDS,
     FROM_AFAR,
@@ -17,6 +19,7 @@ from codegen.runtime.search.iterates import (
     barrier_curvature,
     begin,
     central_duals,
+    has_multipliers,
     measured_point,
     newton_system,
     on_grid,
@@ -25,7 +28,7 @@ from codegen.runtime.search.iterates import (
     search_on,
 )
 from codegen.runtime.search.linear_system import factor_kkt
-from codegen.runtime.search.newton import UNLUCKY, descend, has_multipliers, restored
+from codegen.runtime.search.newton import UNLUCKY, descend, restored
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.restoration import NONE_HELD, least_violation
 from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is_below
@@ -233,7 +236,7 @@ def begin_nearby(search, unknowns, tolerance):
     Optim. 12: the larger the change of the data, the larger the weight of the barrier from which to begin.
     """
     grid, bounds = search.grid, search.bounds
-    if not has_multipliers(grid, unknowns):
+    if not has_multipliers(unknowns, grid.is_multiplier):
         return None
     if not search.is_bounded:
         iterate = Iterate(evaluate(grid, unknowns), 0.0, bounds.side, bounds.side)
@@ -243,11 +246,20 @@ def begin_nearby(search, unknowns, tolerance):
     if point.residual > NEAR:
         iterate = begin(search, unknowns, FROM_AFAR)
     else:
-        distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
-        distance += relaxation(mu, search.least) * bounds.magnitude
-        slope = bounds.side * point.gradient[bounds.indices]
-        iterate = Iterate(point, mu, distance, np.where(slope > distance, slope, central_duals(mu, distance)))
+        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
+        fill_active(unknowns, point.gradient, *bounds, mu, search.least, distance, duals)
+        iterate = Iterate(point, mu, distance, duals)
     return iterate if iterate.point.error < np.inf else None
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_active(unknowns, gradient, indices, value, side, magnitude, mu, least, distance, duals):
+    """Fill the distances (m,) to bounds, and duals (m,), where bounds that the Lagrangian falls towards are active."""
+    relaxed = relaxation(mu, least)
+    for j in range(indices.size):
+        distance[j] = side[j] * (unknowns[indices[j]] - value[j]) + relaxed * magnitude[j]
+        slope = side[j] * gradient[indices[j]]
+        duals[j] = slope if slope > distance[j] else min(mu / distance[j], LARGEST_DUAL)
 
 
 def factor_nearby(grid, unknowns, tolerance, search):

@@ -3,7 +3,6 @@
 import numpy as np
 
 from codegen.runtime.search.descent import UNIT_ROUNDOFF, VANISHED, WORTH_MEASURING
-from codegen.runtime.search.iterates import fillings
 from codegen.runtime.search.linear_system import allocate_system, filled_entries, multiply_entries
 
 
@@ -17,7 +16,7 @@ def sizes_of_terms(grid, unknowns, system=None):
     own = unknowns * grid.sizes if grid.sizes.size else unknowns
     entries = filled_entries(grid, own, system)
     multiply_entries(entries, system.rows, system.columns, grid.steps, system.counts, own, sums, True)
-    for entry, row in fillings(s, grid.steps):
+    for entry, row in s.fillings(grid.steps):
         value = entries[entry]
         sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(own[row])
     if grid.sizes.size:

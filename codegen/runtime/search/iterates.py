@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.search import descent
 from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
@@ -15,6 +16,7 @@ from codegen.runtime.search.linear_system import System, allocate_system, factor
 from codegen.runtime.search.point import Point, evaluate, lagrangian
 from codegen.runtime.search.bounds import bounds_of
 
+LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
 LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
 SINGULAR_STEP = descent.SINGULAR_STEP
 
@@ -90,6 +92,11 @@ class Workspace:
         self.reals, self.integers = np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64)
         self.pairs, self.room = np.empty((1000, 2)), np.empty((0, n))
 
+    @property
+    def spare(self):
+        """A vector (n,) that holds nothing between calls."""
+        return self.vectors[descent.SPARE]
+
     @cached_property
     def log(self):
         """Rows of the iterates of one call."""
@@ -100,7 +107,7 @@ class Search(NamedTuple):
     """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
 
     `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
-    by `least` at least, relative to their magnitudes. `data` is the grid as the compiled search takes it.
+    by `least` at least, relative to their magnitudes. `arguments` are those of the compiled search.
     """
 
     grid: Grid
@@ -109,7 +116,7 @@ class Search(NamedTuple):
     equations: np.ndarray
     box: tuple
     work: Workspace
-    data: tuple
+    arguments: tuple
     least: float = LEAST_RELAXED
 
     @property
@@ -148,45 +155,29 @@ def search_on(grid):
     bounds, n = finite_bounds(*box), grid.is_multiplier.size
     system = allocate_system(grid)
     work = Workspace(n, bounds.side.size)
-    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, search_data(grid))
+    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments_of(grid, system, bounds))
 
 
 def on_grid(search, grid):
     """Return the search on a grid with the same bounds and so many intervals: its storage serves again."""
-    return search._replace(grid=grid, data=search_data(grid))
+    if grid is search.grid:
+        return search
+    return search._replace(grid=grid, arguments=arguments_of(grid, search.system, search.bounds))
 
 
-def search_data(grid):
-    """Return a grid as the compiled search takes it."""
+def arguments_of(grid, system, bounds):
+    """Return problem, grid, linear system and bounds as the compiled search takes them."""
     s = grid.problem.structure
-    return (
+    problem = (grid.problem.gradient.address, system.loop, system.address)
+    data = (
         grid.steps, float(grid.h), grid.nodes, grid.parameters, grid.is_multiplier, grid.sizes, grid.forces,
-        float(grid.weight), ties(s, grid.steps), free_unknowns(grid), fillings(s, grid.steps),
+        float(grid.weight), s.ties(grid.steps), free_unknowns(grid), s.fillings(grid.steps),
     )  # fmt: skip
-
-
-def ties(s, steps):
-    """Return pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
-    chain, size = steps * s.stride + s.node, s.size(steps)
-    pairs = []
-    if s.is_tied:
-        for body, indices in enumerate(size - s.root + s.root_indices()):
-            pairs += zip(body * chain + s.start_tied, indices[s.start_shared], strict=True)
-            pairs += zip((body + 1) * chain - s.node + s.end_tied, indices[s.end_shared], strict=True)
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def fillings(s, steps):
-    """Return pairs (k, 2): the entry by which a start takes back a one of intervals on the diagonal, and its row."""
-    chain, first = steps * s.stride + s.node, s.bodies * steps * s.rows.size
-    is_one = (s.start_rows == s.start_columns) & np.isin(s.start_rows, s.only_at_ends)
-    entries = np.flatnonzero(is_one)
-    pairs = [
-        (first + body * s.start_rows.size + j, body * chain + s.start_rows[j])
-        for body in range(s.bodies)
-        for j in entries
-    ]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    storage = (
+        system.tables, system.factors, system.orders, system.entries, system.scaled, system.costless, system.inverses,
+        system.counts, system.equations, system.rows, system.columns,
+    )  # fmt: skip
+    return problem, data, storage, (bounds.indices, bounds.side, bounds.magnitude)
 
 
 def begin(search, unknowns, attempt):
@@ -202,14 +193,24 @@ def begin(search, unknowns, attempt):
 
 def pushed_inside(search, unknowns, push):
     """Return unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
-    lower, upper = search.box
-    with np.errstate(invalid="ignore"):  # differences of infinite bounds
-        width = push * (upper - lower)
-        least = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), width)
-        greatest = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), width)
-    inside = np.where(lower > -np.inf, np.maximum(unknowns, least), unknowns)
-    inside = np.where(upper < np.inf, np.minimum(inside, greatest), inside)
+    inside = unknowns.copy()
+    push_inside(inside, *search.box, search.bounds.indices, push)
     return with_tied_values(search.grid, inside)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def push_inside(unknowns, lower, upper, indices, push):
+    """Move those of `unknowns` (n,) that have bounds inside, in place."""
+    for i in indices:
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            least = lower[i] + min(push * max(1.0, abs(lower[i])), width)
+            if unknowns[i] < least:
+                unknowns[i] = least
+        if upper[i] < np.inf:
+            greatest = upper[i] - min(push * max(1.0, abs(upper[i])), width)
+            if unknowns[i] > greatest:
+                unknowns[i] = greatest
 
 
 def with_tied_values(grid, unknowns):
@@ -223,7 +224,7 @@ def with_tied_values(grid, unknowns):
 
 def central_duals(mu, distance):
     """Return duals (m,) on the central path, or large ones where a bound is closer."""
-    return np.minimum(mu / distance, 1e3)
+    return np.minimum(mu / distance, LARGEST_DUAL)
 
 
 def with_least_squares_multipliers(search, iterate):
@@ -247,14 +248,36 @@ def with_least_squares_multipliers(search, iterate):
 
 def measured_point(search, iterate):
     """Return the point of an iterate, in whose stationarity and error the duals of bounds take part."""
-    point = iterate.point
+    point, bounds = iterate.point, search.bounds
     if not search.is_bounded:
         return point
-    slope = np.where(search.grid.is_multiplier, 0.0, point.gradient)
-    np.subtract.at(slope, search.bounds.indices, search.bounds.side * iterate.duals)
-    stationarity = float(np.abs(slope).max(initial=0.0))
+    stationarity = largest_slope(
+        point.gradient, search.grid.is_multiplier, bounds.indices, bounds.side, iterate.duals, search.work.spare
+    )
     error = max(point.residual, stationarity) if point.error < np.inf else np.inf
     return point._replace(stationarity=stationarity, error=error)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def largest_slope(gradient, is_multiplier, indices, side, duals, spare):
+    """Return the largest slope that no dual of a bound balances; `spare` (n,) is work space."""
+    spare[:] = gradient
+    for j in range(indices.size):
+        spare[indices[j]] -= side[j] * duals[j]
+    largest = 0.0
+    for i in range(spare.size):
+        if not is_multiplier[i]:
+            largest = max(largest, abs(spare[i]))
+    return largest
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def has_multipliers(unknowns, is_multiplier):
+    """Return True if any multiplier is not zero."""
+    for i in range(unknowns.size):
+        if is_multiplier[i] and unknowns[i] != 0.0:
+            return True
+    return False
 
 
 def barrier_curvature(search, iterate):

@@ -13,13 +13,13 @@ ROUNDINGS = 4.0  # errors of their terms that one Newton step leaves in the equa
 LARGE = 1e6  # steps beyond it lead to infinity
 
 
-def minimise(grid, unknowns, tolerance, log):
+def minimise(grid, unknowns, tolerance, log, system=None):
     """Find the minimum; return (status, point, iterations).
 
     A row (cost, residual, stationarity, Hessian's shift, step length) is
-    appended to `log` at every iterate.
+    appended to `log` at every iterate. `system` is the storage of the linear system, if there is one.
     """
-    system = allocate_system(grid)
+    system = system or allocate_system(grid)
     none, step = np.zeros(unknowns.size), np.empty(unknowns.size)
     point = evaluate(grid, unknowns)
     excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient, step)

@@ -7,6 +7,7 @@ from codegen.runtime.search.descent import CONTINUE, RESTORE, ROOM, WORDS
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
+    has_multipliers,
     measured_point,
     with_least_squares_multipliers,
     with_relaxed_bounds,
@@ -20,11 +21,6 @@ WORK_PER_CALL = 5_000_000  # unknowns times iterations between looks at the cloc
 FILTERED = 1e-4  # part of the first violation up to which the switching condition asks for descent
 
 
-def has_multipliers(grid, unknowns):
-    """Return True if any multiplier is not zero."""
-    return np.count_nonzero(unknowns[grid.is_multiplier]) > 0
-
-
 def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
     """Follow Newton's steps from an iterate; return (status, iterate, iterations).
 
@@ -32,7 +28,7 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
     `known`, the search ends as there once it is clear that it leads no lower.
     """
     grid, work = search.grid, search.work
-    is_warm = has_multipliers(grid, iterate.point.unknowns)
+    is_warm = has_multipliers(iterate.point.unknowns, grid.is_multiplier)
     if not is_warm:
         iterate = with_least_squares_multipliers(search, iterate)
     reals, integers = work.reals, work.integers
@@ -75,19 +71,13 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
 
 def run(search, tolerance, max_iterations, log):
     """Call the compiled search once, and log its iterates; return the number of its status, and "time limit" if late."""
-    grid, system, work = search.grid, search.system, search.work
-    problem = (grid.problem.gradient.address, system.loop, system.address)
-    storage = (
-        system.tables, system.factors, system.orders, system.entries, system.scaled, system.costless, system.inverses,
-        system.counts, system.equations, system.rows, system.columns,
-    )  # fmt: skip
-    bounds = search.bounds.indices, search.bounds.side, search.bounds.magnitude
+    grid, work = search.grid, search.work
     most = log.iterations_per_call(work.log.shape[0] - 1, WORK_PER_CALL // max(1, grid.is_multiplier.size))
     before = int(work.integers[descent.ITERATIONS])
     while True:
         status = descent.descend(
-            problem, search.data, storage, bounds, tolerance, max_iterations, most, work.reals, work.integers,
-            work.vectors, work.barriers, work.pairs, work.room, work.log,
+            *search.arguments, tolerance, max_iterations, most, work.reals, work.integers, work.vectors, work.barriers,
+            work.pairs, work.room, work.log,
         )  # fmt: skip
         if status != ROOM:
             break

@@ -199,7 +199,12 @@ def scaled_unknowns(grid, unknowns):
 
 
 def scaled_grid(grid, unknowns):
-    """The same grid with the sizes of all unknowns, as `with_sizes` has it; unknowns (n,) are a guess."""
+    """Return the grid with the scaling factors with which a solve from a guess (n,) begins.
+
+    A linear-quadratic problem has none: one Newton step is the same in all units.
+    """
+    if grid.problem.structure.linear_quadratic:
+        return grid
     return with_sizes(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
 
 

@@ -249,6 +249,16 @@ class Structure:
         return lru_cache(maxsize=4)(lambda steps, numbers: _inner_layout(self, steps, numbers))
 
     @cached_property
+    def ties(self):
+        """Pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
+        return lru_cache(maxsize=4)(lambda steps: _ties(self, steps))
+
+    @cached_property
+    def fillings(self):
+        """Pairs (k, 2) of the entry by which a start takes back a one of intervals on the diagonal, and its row."""
+        return lru_cache(maxsize=4)(lambda steps: _fillings(self, steps))
+
+    @cached_property
     def kinds(self):
         """The kind of each unknown: its index in a node with the interval after it, then linking variables."""
         return lru_cache(maxsize=4)(lambda steps: _kinds(self, steps))
@@ -314,6 +324,28 @@ def _frozen(is_multiplier, is_free):
     for array in (is_multiplier, is_free, primal, multipliers):
         array.flags.writeable = False
     return Layout(is_multiplier, is_free, primal, multipliers)
+
+
+def _ties(s, steps):
+    chain, size = steps * s.stride + s.node, s.size(steps)
+    pairs = []
+    if s.is_tied:
+        for body, indices in enumerate(size - s.root + s.root_indices()):
+            pairs += zip(body * chain + s.start_tied, indices[s.start_shared], strict=True)
+            pairs += zip((body + 1) * chain - s.node + s.end_tied, indices[s.end_shared], strict=True)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _fillings(s, steps):
+    chain, first = steps * s.stride + s.node, s.bodies * steps * s.rows.size
+    is_one = (s.start_rows == s.start_columns) & np.isin(s.start_rows, s.only_at_ends)
+    entries = np.flatnonzero(is_one)
+    pairs = [
+        (first + body * s.start_rows.size + j, body * chain + s.start_rows[j])
+        for body in range(s.bodies)
+        for j in entries
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _kinds(s, steps):
