@@ -9,6 +9,7 @@ from interpreted import of_problem
 from random_problems import phase_problems, single_problems
 
 from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.linear_system import allocate_system
 from codegen.runtime.search.point import lagrangian
 from codegen.runtime.search.sensitivities import case_at, changes_along, follow_ties, kernel_times
 from codegen.sweeping.quantities import given_to, quantities
@@ -49,7 +50,9 @@ def require_exact(module, steps, seed, scale):
     moves = offsets + own
     follow_ties(grid.structure, grid.steps, offsets, moves)
     times = kernel_times(grid, rates, duration)
-    changes, values = changes_along(case_at(grid, unknowns, free.astype(float)), moves, rates, times)
+    changes, values = changes_along(
+        case_at(grid, unknowns, free.astype(float), allocate_system(grid)), moves, rates, times
+    )
     now = [*grid.parameters[:, : module.OWN_QUANTITIES].T, grid.steps * grid.h]
     for i, quantity in enumerate(quantities(module.QUANTITIES, module, ())):
         value = now[i] if quantity.kind == "boundary" else float(np.max(now[i]))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numba import cfunc, config
 
 from codegen.runtime.addresses import LOOP
@@ -91,6 +92,20 @@ class DataDerivatives:
     bounding: Any = ()
     clock: int | None = None
 
+    def tables(self, structure):
+        """Return rows, columns and counts for `sensitivities.change_along`, and the length of what the loop fills.
+
+        The length has two parts: of each interval, and of all others.
+        """
+        s, sizes = structure, [part.size for part in (self.rows, self.start_rows, self.end_rows)]
+        counts = np.array([self.count, self.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
+        of_ends = s.bodies * (2 * (self.count + s.node) + sizes[1] + sizes[2])
+        return (
+            s.in_element(self.rows, self.start_rows, self.end_rows),
+            np.concatenate([self.columns, self.start_columns, self.end_columns]), counts,
+            (s.bodies * (self.count + sizes[0]), of_ends + (1 + s.root) * self.count),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
@@ -137,6 +152,11 @@ class ControlProblem:
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
     observations: tuple[Any, ...] = ()
+
+    @cached_property
+    def mixed(self):
+        """The tables of mixed second derivatives by unknowns and data."""
+        return self.data.tables(self.structure)
 
     @cached_property
     def system(self):

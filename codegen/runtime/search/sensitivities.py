@@ -15,9 +15,8 @@ from numba import njit
 
 from codegen.runtime.addresses import call_system
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.grid import free_unknowns, plain_grid, views
-from codegen.runtime.search.iterates import ties
-from codegen.runtime.search.linear_system import System, allocate_system, factor_kkt, filled_entries, global_index
+from codegen.runtime.search.grid import NONE, free_unknowns, plain_grid, views
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, filled_entries, global_index
 from codegen.runtime.search.parts import fill, interval_parts
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.solve import scaled_grid, scaled_unknowns
@@ -87,7 +86,8 @@ def sensitivities(grid, unknowns, given=()):
     factors, times = np.where(is_solved_for, roots, 0.0), kernel_times(grid, rates, duration)
     moves = offsets.copy()
     follow_ties(s, grid.steps, offsets, moves)
-    case, system = case_at(grid, unknowns, factors), allocate_system(scaled)
+    system = allocate_system(scaled)
+    case = case_at(grid, unknowns, factors, system)
     changes, cost = changes_along(case, moves, rates, times)
     failure, best, inaccuracy = DEPENDENT, moves, np.inf
     for fast, shift in ATTEMPTS:
@@ -146,7 +146,7 @@ def node_time_rates(grid, moves, durations, times):
 
 def follow_ties(s, steps, offsets, moves):
     """Let unknowns of the ends move with the linking variables that they equal, except for `offsets` (m, n)."""
-    pairs = ties(s, steps)
+    pairs = s.ties(steps)
     if pairs.size:
         moves[:, pairs[:, 0]] = offsets[:, pairs[:, 0]] + moves[:, pairs[:, 1]]
 
@@ -154,51 +154,35 @@ def follow_ties(s, steps, offsets, moves):
 class Case(NamedTuple):
     """Derivatives of the Lagrangian at a solution, and what products with them are multiplied by: `factors` (n,).
 
-    `gradient` (n,) includes pinned unknowns. `entries` are second derivatives by unknowns, and `filled` what the loop of
-    the problem fills. `begins` (N,) has the inner time at which each interval begins, else -1. `rows`, `columns` and
-    `counts` are tables for `change_along`.
+    `gradient` (n,) includes pinned unknowns. `entries` are second derivatives by unknowns, and the loop of the problem
+    fills `filled`. `begins` (N,) has the inner time at which each interval begins, else -1.
     """
 
     grid: NamedTuple
-    system: System
     factors: np.ndarray
     gradient: np.ndarray
     entries: np.ndarray
     filled: np.ndarray
     begins: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
-    counts: np.ndarray
 
 
-def case_at(grid, unknowns, factors):
-    """Return the derivatives at `unknowns` (n,), in the problem's own units."""
-    s, data, system = grid.problem.structure, grid.problem.data, allocate_system(grid)
-    sizes = [part.size for part in (data.rows, data.start_rows, data.end_rows)]
-    of_bodies = grid.steps * (data.count + sizes[0]) + 2 * (data.count + s.node) + sizes[1] + sizes[2]
-    filled = np.empty(unknowns.size + s.bodies * of_bodies + (1 + s.root) * data.count)
+def case_at(grid, unknowns, factors, system):
+    """Return the derivatives at `unknowns` (n,), in the problem's own units; `system` has room for second ones."""
+    s, data = grid.problem.structure, grid.problem.data
+    of_interval, others = grid.problem.mixed[3]
+    filled = np.empty(unknowns.size + grid.steps * of_interval + others)
     fill(data.loop.address, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, filled)
     # The loop fills the gradient of both ends and of conditions between linking variables.
-    gradient, parts = filled[: unknowns.size].copy(), interval_parts(grid, unknowns)[:, :, :-1]
-    nodes, intervals = views(grid, gradient)
+    gradient, parts = filled[: unknowns.size], interval_parts(grid, unknowns)[:, :, :-1]
+    nodes, intervals = views(grid, filled)
     nodes[:, :-1] += parts[:, :, : s.node]
     nodes[:, 1:] += parts[:, :, s.stride : s.element]
     intervals += parts[:, :, s.node : s.stride]
     if s.shared:
         np.add.at(gradient, gradient.size - s.root + s.root_indices(), parts[:, :, s.element :].sum(axis=1))
     begins = np.full(grid.steps, -1)
-    for number, node in enumerate(grid.inner):
-        begins[node] = number
-    # Of an end, linking variables stand behind the unknowns of a whole element.
-    ends = [
-        np.where(rows < s.node, first + rows, s.element + rows - s.node)
-        for first, rows in ((0, data.start_rows), (s.stride, data.end_rows))
-    ]
-    counts = np.array([data.count, data.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
-    return Case(
-        grid, system, factors, gradient, filled_entries(grid, unknowns, system), filled, begins,
-        np.concatenate([data.rows, *ends]), np.concatenate([data.columns, data.start_columns, data.end_columns]), counts,
-    )  # fmt: skip
+    begins[list(grid.inner)] = np.arange(len(grid.inner))
+    return Case(grid, factors, gradient, filled_entries(grid, unknowns, system).copy(), filled, begins)
 
 
 def changes_along(case, moves, rates, times):
@@ -209,8 +193,8 @@ def changes_along(case, moves, rates, times):
     grid, data, s = case.grid, case.grid.problem.data, case.grid.problem.structure
     products, values = np.zeros_like(moves), moves @ case.gradient
     change_along(
-        moves, rates, times, grid.steps, case.system.counts, case.entries, case.system.rows, case.system.columns,
-        case.filled, case.rows, case.columns, case.counts, data.acting, case.begins, products, values,
+        moves, rates, times, grid.steps, s.counts, case.entries, *s.entries, case.filled, *grid.problem.mixed[:3],
+        data.acting, case.begins, products, values,
     )  # fmt: skip
     if s.couplings:
         first = moves.shape[1] - s.root
@@ -219,7 +203,7 @@ def changes_along(case, moves, rates, times):
         values += by_data[:, 0]
         matrix = case.entries[case.entries.size - s.root**2 :].reshape(s.root, s.root)
         products[:, first:] += moves[:, first:] @ matrix.T + by_data[:, 1:]
-    pairs = ties(s, grid.steps)
+    pairs = s.ties(grid.steps)
     if pairs.size:
         np.add.at(products, (slice(None), pairs[:, 1]), products[:, pairs[:, 0]])
     products *= case.factors
@@ -237,7 +221,7 @@ def change_along(
     What an interval contributes is read once for all directions. Most boundary values act on the end intervals alone.
     """
     bodies, element, stride, size = system_counts[0], system_counts[6], system_counts[7], moves.shape[1]
-    node, count, parametric = element - stride, counts[0], counts[1]
+    node, count = element - stride, counts[0]
     moved, part = np.zeros(element + counts[2]), np.zeros(element + counts[2])
     data = np.zeros(count + node)
     place, at_data, first_entry, first_mixed = 0, size, 0, 0
@@ -248,43 +232,49 @@ def change_along(
                 interval = steps - 1 if kind == 2 else k
                 first = body * (steps * stride + node) + interval * stride
                 for d in range(len(moves)):
-                    moves_here = read_moves(moves[d], first, body, system_counts, moved)
+                    is_moved = read_moves(moves[d], first, body, system_counts, moved)
                     if kind == 0:
                         acts = read_data(rates[d, body], times[d, k], times[d, k + 1], counts, acting, begins[k], data)
                     else:
                         acts = read_end(rates[d, body], times[d, steps if kind == 2 else 0], counts, data)
                         for i in range(node):
                             data[count + i] = moved[stride + i if kind == 2 else i]
-                    if moves_here or acts:
-                        add_changes(
-                            entries, place, entry_rows, entry_columns, first_entry, width, filled, at_data + slopes,
-                            rows, columns, first_mixed, mixed, moved, data, part,
-                        )  # fmt: skip
-                        for i in range(slopes):
-                            values[d] += filled[at_data + i] * data[i]
-                        for i in range(part.size):
-                            products[d, global_index(i, first, body, size, system_counts)] += part[i]
-                            part[i] = 0.0
+                    if not (is_moved or acts):
+                        continue
+                    add_changes(
+                        entries, place, entry_rows, entry_columns, first_entry, width if is_moved else 0, filled,
+                        at_data + slopes, rows, columns, first_mixed, mixed, moved, data, part,
+                    )  # fmt: skip
+                    for i in range(slopes):
+                        values[d] += filled[at_data + i] * data[i]
+                    for i in range(element):
+                        products[d, first + i] += part[i]
+                    for i in range(element, part.size):
+                        products[d, global_index(i, first, body, size, system_counts)] += part[i]
+                    part[:] = 0.0
                 place += width
                 at_data += slopes + mixed
         first_entry += width
         first_mixed += mixed
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def read_moves(vector, first, body, system_counts, moved):
     """Fill `moved` with the entries of `vector` (n,) of an element, then of linking variables; return True if any is.
 
     Zeros do not count.
     """
-    moves = False
-    for i in range(moved.size):
+    element, is_moved = system_counts[6], False
+    for i in range(element):
+        moved[i] = vector[first + i]
+        is_moved |= moved[i] != 0.0
+    for i in range(element, moved.size):
         moved[i] = vector[global_index(i, first, body, vector.size, system_counts)]
-        moves = moves or moved[i] != 0.0
-    return moves
+        is_moved |= moved[i] != 0.0
+    return is_moved
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def read_data(rates, begin, end, counts, acting, inner, data):
     """Fill `data` with derivatives of parameters, of the time and length of an interval, and of inner numbers.
 
@@ -302,7 +292,7 @@ def read_data(rates, begin, end, counts, acting, inner, data):
     return acts
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def read_end(rates, time, counts, data):
     """Fill `data` with derivatives of parameters and of the time of an end; return True if any is not zero."""
     parametric, acts = counts[1], time != 0.0
@@ -315,7 +305,7 @@ def read_end(rates, time, counts, data):
     return acts
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", forceinline=True)
 def add_changes(
     entries, place, entry_rows, entry_columns, first_entry, width, filled, at_mixed, rows, columns, first_mixed, mixed,
     moved, data, part,
@@ -338,18 +328,17 @@ def solved_along(case, system, roots, offsets, directions, changes):
     """
     moves, rates, times = directions
     s, steps, is_multiplier, inaccuracy = case.grid.problem.structure, case.grid.steps, case.grid.is_multiplier, np.inf
-    solutions = np.empty_like(changes)
-    for substitution in range(SUBSTITUTIONS):
+    solutions, sizes = np.empty_like(changes), np.empty((2, len(changes)))
+    for _ in range(SUBSTITUTIONS):
         solve_all(
             system.address, steps, system.tables, changes, system.equations, system.factors, system.orders,
             system.inverses, system.counts, solutions,
         )  # fmt: skip
-        moves += case.factors * solutions
-        sizes = sizes_of(moves / roots, changes, is_multiplier)
+        add_steps(solutions, changes, roots, case.factors, is_multiplier, moves, sizes)
         follow_ties(s, steps, offsets, moves)
         # One sum of all, scaled and with signs at random, tells if any is inaccurate.
         weights = SIGNS[: len(moves)] / sizes[0]
-        sums = [np.tensordot(weights, each, axes=1)[None] for each in (moves, rates, times)]
+        sums = [(weights @ each.reshape(len(each), -1)).reshape(1, *each.shape[1:]) for each in (moves, rates, times)]
         before, inaccuracy = inaccuracy, largest_residual(changes_along(case, *sums)[0][0], is_multiplier, sizes)
         if inaccuracy <= EXACT or not inaccuracy < 0.5 * before:
             break
@@ -359,7 +348,7 @@ def solved_along(case, system, roots, offsets, directions, changes):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve_all(address, steps, tables, gradients, equations, factors, orders, inverses, counts, solutions):
-    """Fill `solutions` (m, n) with the Newton steps for `gradients` (m, n), by the factors of the system at `address`."""
+    """Fill `solutions` (m, n) with the Newton steps for `gradients` (m, n) by the factors of a system."""
     for d in range(len(gradients)):
         at = gradients[d].ctypes.data
         call_system(
@@ -368,24 +357,41 @@ def solve_all(address, steps, tables, gradients, equations, factors, orders, inv
         )  # fmt: skip
 
 
-def sizes_of(moves, changes, is_multiplier):
-    """Return the largest scaled moves and changes (m, n) of each direction (2, m), without and with multipliers."""
-    own = np.abs(moves)
-    largest = np.abs(changes).max(axis=1, initial=1e-300)
-    largest = np.maximum(largest, own.max(axis=1, initial=0.0, where=~is_multiplier))
-    return np.stack([largest, np.maximum(largest, own.max(axis=1, initial=0.0))])
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"nnan", "nsz", "reassoc"})
+def add_steps(steps, changes, roots, factors, is_multiplier, moves, sizes):
+    """Add `steps` (m, n) times `factors` (n,) to `moves` (m, n); fill `sizes` (2, m) of the terms of their equations.
+
+    Sizes are the largest of the `changes` (m, n) and of moves divided by `roots` (n,), without and with multipliers.
+    """
+    for d in range(len(moves)):
+        largest, multiplier = 1e-300, 0.0
+        for i in range(roots.size):
+            moves[d, i] += factors[i] * steps[d, i]
+            own, change = abs(moves[d, i] / roots[i]), abs(changes[d, i])
+            primal, dual = (0.0, own) if is_multiplier[i] else (own, 0.0)
+            largest = primal if primal > largest else largest
+            largest = change if change > largest else largest
+            multiplier = dual if dual > multiplier else multiplier
+        sizes[0, d], sizes[1, d] = largest, max(largest, multiplier)
 
 
+@njit(cache=True, error_model="numpy", nogil=True)
 def largest_residual(residual, is_multiplier, sizes):
     """Return the largest modulus of a `residual` (n,) relative to `sizes` (2, m); NaN where any is not finite.
 
     Multipliers without limit, as of equations that contradict each other, take no part in equations.
     """
-    residual, ratio = np.abs(residual), (sizes[1] / sizes[0]).max()
-    if not np.isfinite(residual).all():
-        return np.nan
-    of_equations = residual.max(initial=0.0, where=is_multiplier)
-    return max(of_equations, residual.max(initial=0.0, where=~is_multiplier) / max(1.0, ratio))
+    of_equations, remaining, ratio = 0.0, 0.0, 1.0
+    for d in range(sizes.shape[1]):
+        ratio = max(ratio, sizes[1, d] / sizes[0, d])
+    for i in range(residual.size):
+        if not abs(residual[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            of_equations = max(of_equations, abs(residual[i]))
+        else:
+            remaining = max(remaining, abs(residual[i]))
+    return max(of_equations, remaining / ratio)
 
 
 def momentum_rates(grid, unknowns, found, i):
@@ -393,12 +399,11 @@ def momentum_rates(grid, unknowns, found, i):
 
     `found` are its Sensitivities. See `parts.discrete_momenta`.
     """
-    s, case = grid.problem.structure, case_at(grid, unknowns, np.ones(unknowns.size))
+    s, case = grid.problem.structure, case_at(grid, unknowns, NONE, allocate_system(grid))
     momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
     momenta_along(
-        found.unknowns[i], found.rates[i], found.grid_times[i], grid.steps, case.system.counts, case.entries,
-        case.system.rows, case.system.columns, case.filled, case.rows, case.columns, case.counts,
-        grid.problem.data.acting, case.begins, s.equations, momenta,
+        found.unknowns[i], found.rates[i], found.grid_times[i], grid.steps, s.counts, case.entries, *s.entries,
+        case.filled, *grid.problem.mixed[:3], grid.problem.data.acting, case.begins, s.equations, momenta,
     )  # fmt: skip
     return momenta
 
