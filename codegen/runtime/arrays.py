@@ -7,19 +7,19 @@ import numpy as np
 from numba import njit
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def zero_vector(size):
     """A vector of zeros."""
     return np.zeros(size)
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def zero_matrix(rows, columns):
     """A matrix of zeros."""
     return np.zeros((rows, columns))
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def copy_part(values, first, part):
     """Fill `part` with the values from `first` on.
 
@@ -29,7 +29,7 @@ def copy_part(values, first, part):
         part[i] = values[first + i]
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def clear(matrix):
     """Make all entries of a matrix zero."""
     for i in range(matrix.shape[0]):

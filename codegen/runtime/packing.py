@@ -5,6 +5,7 @@ percent less time. Machine code that is on the disk already is as it was compile
 modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
 """
 
+from contextlib import contextmanager
 from functools import wraps
 from threading import Lock
 from numba import config
@@ -28,6 +29,17 @@ def end_packing():
         PACKING["blocks"] -= 1
         if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
             config.SLP_VECTORIZE = PACKING["before"]
+
+
+@contextmanager
+def little_optimised():
+    """Have numba optimise little while the block runs: code that becomes part of other code is optimised there."""
+    before = config.OPT
+    config.OPT = type(before)("1")
+    try:
+        yield
+    finally:
+        config.OPT = before
 
 
 class packed_operations:

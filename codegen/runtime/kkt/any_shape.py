@@ -10,6 +10,7 @@ from numba import cfunc
 
 from codegen.runtime.addresses import SYSTEM
 from codegen.runtime.kkt.shape import Shape
+from codegen.runtime.kkt.specialised import compile_common
 from codegen.runtime.kkt.system import solve_system
 from codegen.runtime.kkt.tables import SHAPE, place_of
 
@@ -17,6 +18,7 @@ from codegen.runtime.kkt.tables import SHAPE, place_of
 @lru_cache(maxsize=1)
 def compiled_system():
     """Return the compiled function, which has the address."""
+    compile_common()
 
     @cfunc(SYSTEM, cache=True, error_model="numpy")
     def system(

@@ -25,7 +25,7 @@ from codegen.runtime.kkt.tables import (
 )
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def scatter(shape, tables, hessian, k, element, couplings):
     """Put the second derivatives of interval k by unknowns that stay into the element matrix, others into `couplings`.
 
@@ -44,7 +44,7 @@ def scatter(shape, tables, hessian, k, element, couplings):
             coupling[row, column] = hessian[np.uint64(tables[kept + j])]
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def invert_block(shape, tables, hessian, diagonal, k, block):
     """Invert the block C of interval k; return False if it is not positive definite.
 
@@ -65,7 +65,7 @@ def invert_block(shape, tables, hessian, diagonal, k, block):
     return invert_positive_definite(block, shape.condensed)
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def invert_positive_definite(block, size):
     """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; return False if it is not positive definite."""
     for k in range(size):
@@ -84,7 +84,7 @@ def invert_positive_definite(block, size):
     return True
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
     """Subtract B' inverse(C) B from `element` (rows, width); B is `coupling` (condensed, width)."""
     touched = place_of(tables, TOUCHED)
@@ -97,7 +97,7 @@ def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
             subtract_row(weighted, coupling, a, width, element, i)
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def condense(shape, gradient, inverses, couplings, steps, right):
     """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u).
 
@@ -124,7 +124,7 @@ def condense(shape, gradient, inverses, couplings, steps, right):
                     right[steps * block + shape.node + i] += couplings[k, a, tail + i] * weighted
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def recover_condensed(shape, gradient, inverses, couplings, steps, solved, step):
     """Fill a body's `step` (N stride + node,) with what is `solved`, as `right`, and -inverse(C) (g_u + B d)."""
     block, tail = block_size(shape), tail_of(shape)

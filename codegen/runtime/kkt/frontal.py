@@ -23,7 +23,7 @@ from numba import njit
 from codegen.runtime.arrays import clear
 from codegen.runtime.kkt.condensation import invert_block, scatter, subtract_schur_complement
 from codegen.runtime.kkt.shape import block_size, interval_of, last_size, padded, row_count, tail_of, unknown_of
-from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
+from codegen.runtime.kkt.symmetric import eliminate_once, eliminate_rows, subtract_products
 from codegen.runtime.kkt.tables import (
     COMMON,
     COUNTS,
@@ -46,7 +46,7 @@ from codegen.runtime.kkt.tables import (
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def eliminate_body(
     shape, tables, entries, at_start, at_end, gradient, diagonal, steps, upper, inverse, order, inverses, couplings,
     element, rest, last,
@@ -104,7 +104,7 @@ def eliminate_body(
         )
     end_front(shape, rest, remaining, last)
     first, size = steps * block_rows, last_size(shape)
-    found = eliminate_rows(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
+    found = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
     if found < 0:
         return False, 0, 0
     # No multiplier of another body reaches into this one.
@@ -112,7 +112,7 @@ def eliminate_body(
     return True, negative, negative - ((steps - 1) * multipliers + ending)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element):
     """Add the ends' own second derivatives to the first or last `element` (rows, width), and pin what is given.
 
@@ -135,7 +135,7 @@ def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagona
         pin(shape, tables, END_PINNED, right, element)
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def add_entries(tables, of_rows, of_columns, entries, element):
     """Add entries of an end's Hessian to an element matrix, mirrored."""
     rows, columns = place_of(tables, of_rows), place_of(tables, of_columns)
@@ -146,7 +146,7 @@ def add_entries(tables, of_rows, of_columns, entries, element):
             element[column, row] += entries[j]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def add_tied_rows(tables, of_tied, of_shared, first, tail, element):
     """Add rows and columns of unknowns that equal linking variables to those of the latter, which begin at `tail`."""
     tied, shared = place_of(tables, of_tied), place_of(tables, of_shared)
@@ -158,7 +158,7 @@ def add_tied_rows(tables, of_tied, of_shared, first, tail, element):
             element[j, to] += element[j, index]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def pin(shape, tables, of_pinned, first, element):
     """Make rows and columns of an element matrix those of the unit matrix, and their right-hand sides zero."""
     pinned = place_of(tables, of_pinned)
@@ -172,7 +172,7 @@ def pin(shape, tables, of_pinned, first, element):
             element[index, row_count(shape)] = 0.0
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def begin_front(shape, tables, element, rest):
     """Put the first `element` (rows, width) into `rest`, where block 0 has its place."""
     block, rows, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
@@ -188,7 +188,7 @@ def begin_front(shape, tables, element, rest):
             rest[i, j] = element[block + i, block + j]
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def move_front(shape, element, rest):
     """Add what borders block k - 1, of which the node is now in block k, to the element matrix of the interval.
 
@@ -217,7 +217,7 @@ def move_front(shape, element, rest):
             rest[last + i, last + j] += element[tail + i, tail + j]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def end_front(shape, rest, remaining, last):
     """Fill `last` (last + shared, ..): last node and block 0 if it stays, both triangles; then linking variables."""
     clear(last)

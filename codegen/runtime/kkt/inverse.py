@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def invert_positive_definite(block, size):
     """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; False when it is not positive definite."""
     for k in range(size):

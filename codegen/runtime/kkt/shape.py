@@ -36,50 +36,50 @@ class Shape(NamedTuple):
     constant: int
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def padded(size):
     """Return the next multiple of four: four entries of a row are computed at once."""
     return (size + 3) // 4 * 4
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def block_size(shape):
     """Return the number of unknowns of a block: a node and its interval without what is condensed."""
     return shape.stride - shape.condensed
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def tail_of(shape):
     """Return the first row of an element matrix that belongs to linking variables."""
     return block_size(shape) + shape.node + shape.border
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def row_count(shape):
     """Return the number of rows of an element matrix."""
     return tail_of(shape) + shape.shared
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def row_width(shape):
     """Return the number of columns of an element matrix, in fours from 0 and from the border of the block on."""
     block = block_size(shape)
     return padded(block + padded(row_count(shape) - block))
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def last_size(shape):
     """Return the number of unknowns that are eliminated as the last node is."""
     return shape.node + shape.border
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def last_width(shape):
     """Return the number of columns of the matrix of the last node."""
     return padded(last_size(shape) + padded(shape.carried + shape.shared))
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def unknown_of(shape, block, i, steps):
     """Return the index, among a body's unknowns, of unknown i of a block; block N is the node that comes last."""
     if shape.backward:
@@ -87,7 +87,7 @@ def unknown_of(shape, block, i, steps):
     return block * shape.stride + i
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def interval_of(shape, block, steps):
     """Return the interval of a block: the one after its node, or before it if elimination goes backward."""
     if shape.backward:

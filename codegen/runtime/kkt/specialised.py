@@ -11,8 +11,12 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
+from numba import types
+
+from codegen.runtime.addresses import SYSTEM
 from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.kkt.system import solve_system
+from codegen.runtime.packing import packed_operations, little_optimised
 
 TEXT = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
 
@@ -65,11 +69,23 @@ def system_address(shape):
             temporary = path.with_name(f".{name}.{os.getpid()}")
             temporary.write_text(text, encoding="utf-8")
             temporary.replace(path)
+        compile_common()
         spec = importlib.util.spec_from_file_location(name, path)
         module = sys.modules[name] = importlib.util.module_from_spec(spec)
         with packed_operations():
             spec.loader.exec_module(module)
     return sys.modules[name].system.address
+
+
+@lru_cache(maxsize=1)
+def compile_common():
+    """Compile what the systems of all shapes include, once on a machine.
+
+    It is left to the optimisation of each shape, where all numbers are constants: that is quicker, and makes quicker
+    code.
+    """
+    with little_optimised():
+        solve_system.compile((types.NamedUniTuple(types.int64, len(Shape._fields), Shape), *SYSTEM.args))
 
 
 @lru_cache(maxsize=1)

@@ -7,11 +7,17 @@ back, as if it belonged to one more unknown, with the value -1.
 from numba import njit
 
 from codegen.runtime.kkt.shape import block_size, last_size, padded, row_count, tail_of
-from codegen.runtime.kkt.symmetric import solve_backward, solve_forward, solve_pivots
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    forward_once,
+    solve_backward,
+    solve_forward,
+    solve_pivots,
+)
 from codegen.runtime.kkt.tables import FIRST, FIRST_PINNED, LAST_PINNED, count_of, place_of
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def forward(shape, tables, upper, inverse, order, steps, right, front, last):
     """Solve with a body's upper factor, transposed, and the pivots; the share of the last node goes to `last`.
 
@@ -48,11 +54,10 @@ def forward(shape, tables, upper, inverse, order, steps, right, front, last):
         last[shape.node + i] = right[tables[place + i]] + front[size + i]
     for i in range(shape.shared):
         last[end + i] = front[tail_of(shape) + i]
-    solve_forward(upper[first:], order[first:], end, last.size, last)
-    solve_pivots(inverse[first:], order[first:], end, last)
+    forward_once(upper[first:], inverse[first:], order[first:], end, last.size, last)
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def backward(shape, tables, upper, order, steps, carried, last, front, right):
     """Solve with a body's upper factor, from its last node and block 0 if it stays to the end, in `last`, backward.
 
@@ -64,7 +69,7 @@ def backward(shape, tables, upper, order, steps, carried, last, front, right):
         front[i] = 0.0
     if shape.carried:
         front[row_count(shape)] = -1.0 if carried else 0.0
-    solve_backward(upper[first:], order[first:], last_size(shape), last.size, last)
+    backward_once(upper[first:], order[first:], last_size(shape), last.size, last)
     for i in range(shape.node):
         right[first + i] = last[i]
     place = place_of(tables, FIRST)

@@ -15,7 +15,7 @@ from numba import njit
 BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both kinds of pivots
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
@@ -55,7 +55,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
     return negative
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def largest_beside(matrix, row, count):
     """The largest modulus beside the diagonal of a row, in `count` columns, which are zero where they are eliminated.
 
@@ -68,7 +68,7 @@ def largest_beside(matrix, row, count):
     return largest
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
     """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
@@ -90,7 +90,7 @@ def eliminate_one(matrix, c, count, width, upper, inverse, order):
     return reciprocal < 0.0
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     """Eliminate the rows at positions c and c + 1 together, one pivot negative; arrays as in `eliminate_rows`."""
     p, q = order[c], order[c + 1]
@@ -118,7 +118,7 @@ def eliminate_pair(matrix, c, count, width, upper, inverse, order):
     upper[p, p] = upper[p, q] = upper[q, p] = upper[q, q] = 0.0
 
 
-@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def subtract_row(multiple, source, p, width, target, i):
     """Subtract a multiple of row p of `source` (r, width) from row i of `target` (r, width), another or the same."""
     for j in range(0, width, 4):
@@ -132,7 +132,7 @@ def subtract_row(multiple, source, p, width, target, i):
         target[i, j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
@@ -155,7 +155,7 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
             rest[i, j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def solve_forward(upper, order, count, width, values):
     """Overwrite the first `count` of `values` (width,) by inverse(U') times them; the rest loses its share."""
     for c in range(count):
@@ -170,7 +170,7 @@ def solve_forward(upper, order, count, width, values):
             values[j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def solve_pivots(inverse, order, count, values):
     """Multiply the first `count` of `values` by the `inverse` (count, 2) of the pivots, in `order` (count,)."""
     carried = 0.0
@@ -182,7 +182,7 @@ def solve_pivots(inverse, order, count, values):
         carried = inverse[c, 1] * value
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def solve_backward(upper, order, count, width, values):
     """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
 
@@ -205,3 +205,25 @@ def solve_backward(upper, order, count, width, values):
         for k in range(count - 1, c, -1):
             value -= upper[order[c], order[k]] * values[order[k]]
         values[order[c]] = value
+
+
+# The same functions for matrices that are eliminated once in a factorisation: compiled once, not part of their callers.
+
+
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def eliminate_once(matrix, count, width, upper, inverse, order):
+    """Eliminate rows as `eliminate_rows` does."""
+    return eliminate_rows(matrix, count, width, upper, inverse, order)
+
+
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def forward_once(upper, inverse, order, count, width, values):
+    """Solve as `solve_forward` and `solve_pivots` do."""
+    solve_forward(upper, order, count, width, values)
+    solve_pivots(inverse, order, count, values)
+
+
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+def backward_once(upper, order, count, width, values):
+    """Solve as `solve_backward` does."""
+    solve_backward(upper, order, count, width, values)

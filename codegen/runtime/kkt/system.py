@@ -10,7 +10,7 @@ from codegen.runtime.kkt.condensation import condense, recover_condensed
 from codegen.runtime.kkt.frontal import eliminate_body
 from codegen.runtime.kkt.shape import block_size, last_size, last_width, padded, row_count, row_width
 from codegen.runtime.kkt.substitution import backward, forward
-from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
+from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
 from codegen.runtime.kkt.tables import (
     COUNTS,
     END_COLUMNS,
@@ -29,7 +29,7 @@ SINGULAR = 1 << 40
 """The excess of negative pivots of a matrix that is singular, or whose condensed block is not positive definite."""
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def solve_system(
     shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
     is_wanted,
@@ -143,7 +143,7 @@ def solve_system(
                 for j in range(root):
                     root_matrix[i, j] += entries[at_conditions + i * root + j]
                 root_matrix[i, i] += diagonal[of_chains + i]
-            negative = eliminate_rows(root_matrix, root, shared_width, root_upper, root_inverse, root_order)
+            negative = eliminate_once(root_matrix, root, shared_width, root_upper, root_inverse, root_order)
             if negative < 0:
                 return SINGULAR
             excess += negative
@@ -188,9 +188,8 @@ def solve_system(
     if root:
         for i in range(root, shared_width):
             shared[i] = 0.0
-        solve_forward(root_upper, root_order, root, shared_width, shared)
-        solve_pivots(root_inverse, root_order, root, shared)
-        solve_backward(root_upper, root_order, root, shared_width, shared)
+        forward_once(root_upper, root_inverse, root_order, root, shared_width, shared)
+        backward_once(root_upper, root_order, root, shared_width, shared)
         for i in range(root):
             step[of_chains + i] = shared[i]
     for body in range(bodies):
@@ -222,13 +221,13 @@ def solve_system(
     return excess
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def root_index(own, bodies, body, j):
     """Return the index, among the linking variables, of variable j of a body, of which `own` are the body's alone."""
     return body * own + j if j < own else (bodies - 1) * own + j
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
     """Add right-hand sides of unknowns that equal linking variables to those of the latter."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
@@ -236,7 +235,7 @@ def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared
         shared[root_index(own, bodies, body, tables[to + i])] += right[first + tables[tied + i]]
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
     """Give unknowns that equal linking variables the values of the latter."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
@@ -246,13 +245,18 @@ def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, sh
 
 def factor_sizes(shape, bodies, steps, inverses):
     """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers."""
-    rows, end = row_count(shape), last_size(shape)
-    width, end_width, root_width = row_width(shape), last_width(shape), padded(shape.root)
-    block = block_size(shape)
+
+    def fours(size):
+        return -(-size // 4) * 4
+
+    block, end = shape.stride - shape.condensed, shape.node + shape.border
+    remaining = end + shape.shared
+    rows, width = block + remaining, fours(block + fours(remaining))
+    end_width = fours(end + fours(shape.carried + shape.shared))
     size = steps * block + end
     of_body = size * (width + 2) + inverses * shape.condensed**2 + steps * shape.condensed * width
     of_body += steps * block + shape.node + shape.shared + end_width
-    common = shape.root * (2 * root_width + 3) + root_width + rows * width + width
-    common += (rows - block) * padded(rows - block) + (end + shape.shared) * end_width
-    common += shape.shared * padded(shape.shared + shape.carried)
+    common = shape.root * (2 * fours(shape.root) + 3) + fours(shape.root) + rows * width + width
+    common += remaining * fours(remaining) + (end + shape.shared) * end_width
+    common += shape.shared * fours(shape.shared + shape.carried)
     return bodies * of_body + common + 8, bodies * size + shape.root + 1

@@ -37,13 +37,13 @@ def packed(tables):
     return np.concatenate([np.stack([places, lengths], axis=1).ravel(), *parts]).astype(np.int64)
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def place_of(tables, number):
     """Return where a table begins."""
     return tables[2 * number]
 
 
-@njit(error_model="numpy", forceinline=True)
+@njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 def count_of(tables, number):
     """Return the length of a table."""
     return tables[2 * number + 1]

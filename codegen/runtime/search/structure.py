@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.kkt.shape import Shape, padded
-from codegen.runtime.kkt.system import root_index
+from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.tables import packed
 
 NO_INDICES = np.zeros(0, np.int64)
@@ -246,13 +245,6 @@ class Structure:
         of_root = ~(root[:, None] | root)
         return np.concatenate([~(is_multiplier[rows] | is_multiplier[columns]), of_root.ravel()])
 
-    @cached_property
-    def carries(self):
-        """True if the rows of an element matrix have room for one more column."""
-        block = self.stride - self.condensed
-        beside = self.node + self.border.size + self.shared
-        return (block + beside) % 4 > 0 and beside % 4 > 0 and padded(block) >= block
-
     def size(self, steps):
         """Return the number n of unknowns on so many intervals."""
         return self.bodies * (steps * self.stride + self.node) + self.root
@@ -264,10 +256,8 @@ class Structure:
 
     def root_indices(self):
         """Return the indices (bodies, shared), among the linking variables, of those of each body."""
-        return np.array(
-            [[root_index(self.own, self.bodies, body, j) for j in range(self.shared)] for body in range(self.bodies)],
-            dtype=np.int64,
-        ).reshape(self.bodies, self.shared)
+        bodies, variables = np.arange(self.bodies)[:, None], np.arange(self.shared)
+        return np.where(variables < self.own, bodies * self.own, (self.bodies - 1) * self.own) + variables
 
     @cached_property
     def layouts(self):
