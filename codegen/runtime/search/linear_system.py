@@ -165,11 +165,12 @@ def fill_entries(loop, unknowns, sizes, scaled, factors, steps, h, nodes, parame
 
 
 @njit(error_model="numpy", forceinline=True)
-def global_index(local, first, body, size, counts):
-    """Return the index, among all unknowns, of unknown `local` of the interval that begins at `first`."""
-    if local < counts[6]:
-        return first + local
-    return size - counts[5] + root_index(counts[4], counts[0], body, local - counts[6])
+def global_index(local, first, element, own, bodies, body, linking):
+    """Return the index, among all unknowns, of unknown `local` of the interval that begins at `first`.
+
+    Linking variables begin at `linking`.
+    """
+    return first + local if local < element else linking + root_index(own, bodies, body, local - element)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -180,18 +181,18 @@ def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_
     values by both.
     """
     size, place, first_local = vector.size, 0, 0
-    stride, node = counts[7], counts[6] - counts[7]
-    chain = steps * stride + node
+    bodies, own, root, element, stride = counts[0], counts[4], counts[5], counts[6], counts[7]
+    chain, linking = steps * stride + element - stride, size - root
     for kind in range(3):
         count = counts[1 + kind]
-        for body in range(counts[0]):
+        for body in range(bodies):
             for k in range(steps if kind == 0 else 1):
                 first = body * chain + k * stride
                 if kind == 2:
                     first += (steps - 1) * stride
                 for j in range(count):
-                    row = global_index(rows[first_local + j], first, body, size, counts)
-                    column = global_index(columns[first_local + j], first, body, size, counts)
+                    row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
+                    column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
                     value = entries[place + j]
                     if is_absolute:
                         product[row] += abs(value * vector[column])
@@ -203,11 +204,10 @@ def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_
                             product[column] += value * vector[row]
                 place += count
         first_local += count
-    root = counts[5]
     for i in range(root):
         for j in range(root):
-            value = entries[place + i * root + j] * vector[size - root + j]
-            product[size - root + i] += abs(value) if is_absolute else value
+            value = entries[place + i * root + j] * vector[linking + j]
+            product[linking + i] += abs(value) if is_absolute else value
 
 
 def filled_entries(grid, unknowns, system):

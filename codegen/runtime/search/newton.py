@@ -13,7 +13,7 @@ from codegen.runtime.search.iterates import (
     with_relaxed_bounds,
 )
 from codegen.runtime.search.linear_system import SOLVED_AGAIN
-from codegen.runtime.search.point import Point
+from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import restore
 
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
@@ -94,16 +94,15 @@ def load(search, iterate):
     work = search.work
     work.vectors[descent.X], work.vectors[descent.G] = iterate.point.unknowns, iterate.point.gradient
     work.barriers[descent.DISTANCE], work.barriers[descent.DUALS] = iterate.distance, iterate.duals
-    work.reals[descent.MU] = iterate.mu
+    work.reals[descent.MU], work.reals[descent.COST : descent.COST + 5] = iterate.mu, iterate.point[2:]
 
 
 def load_loose(search):
     """Put back the iterate before bounds were relaxed less."""
     work = search.work
-    work.vectors[descent.X] = work.vectors[descent.LOOSE_X]
-    work.barriers[descent.DISTANCE] = work.barriers[descent.LOOSE_DISTANCE]
-    work.barriers[descent.DUALS] = work.barriers[descent.LOOSE_DUALS]
-    work.reals[descent.MU] = work.reals[descent.LOOSE_MU]
+    barriers = work.barriers[descent.LOOSE_DISTANCE], work.barriers[descent.LOOSE_DUALS]
+    point = evaluate(search.grid, work.vectors[descent.LOOSE_X].copy())
+    load(search, Iterate(point, work.reals[descent.LOOSE_MU], *barriers))
 
 
 def forget(integers):
