@@ -14,9 +14,10 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.addresses import call_system
+from codegen.runtime.kkt.system import root_index
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE, free_unknowns, plain_grid, views
-from codegen.runtime.search.linear_system import allocate_system, factor_kkt, filled_entries, global_index
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, filled_entries
 from codegen.runtime.search.parts import fill, interval_parts
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.solve import scaled_grid, scaled_unknowns
@@ -206,8 +207,7 @@ def changes_along(case, moves, rates, times):
     pairs = s.ties(grid.steps)
     if pairs.size:
         np.add.at(products, (slice(None), pairs[:, 1]), products[:, pairs[:, 0]])
-    products *= case.factors
-    products[:, case.factors == 0.0] = 0.0
+    multiply(products, case.factors)
     return products, values
 
 
@@ -249,13 +249,22 @@ def change_along(
                         values[d] += filled[at_data + i] * data[i]
                     for i in range(element):
                         products[d, first + i] += part[i]
-                    for i in range(element, part.size):
-                        products[d, global_index(i, first, body, size, system_counts)] += part[i]
+                    for j in range(counts[2]):
+                        index = size - system_counts[5] + root_index(system_counts[4], bodies, body, j)
+                        products[d, index] += part[element + j]
                     part[:] = 0.0
                 place += width
                 at_data += slopes + mixed
         first_entry += width
         first_mixed += mixed
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def multiply(products, factors):
+    """Multiply `products` (m, n) by `factors` (n,), where zeros make zeros of what is not finite as well."""
+    for d in range(len(products)):
+        for i in range(factors.size):
+            products[d, i] = factors[i] * products[d, i] if factors[i] != 0.0 else 0.0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -268,9 +277,10 @@ def read_moves(vector, first, body, system_counts, moved):
     for i in range(element):
         moved[i] = vector[first + i]
         is_moved |= moved[i] != 0.0
-    for i in range(element, moved.size):
-        moved[i] = vector[global_index(i, first, body, vector.size, system_counts)]
-        is_moved |= moved[i] != 0.0
+    for j in range(moved.size - element):
+        index = vector.size - system_counts[5] + root_index(system_counts[4], system_counts[0], body, j)
+        moved[element + j] = vector[index]
+        is_moved |= vector[index] != 0.0
     return is_moved
 
 
