@@ -9,7 +9,7 @@ from interpreted import of_problem
 from random_problems import phase_problems, single_problems
 
 from codegen.runtime.search.grid import free_unknowns
-from codegen.runtime.search.linear_system import allocate_system
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, linear_residual
 from codegen.runtime.search.point import lagrangian
 from codegen.runtime.search.sensitivities import case_at, changes_along, follow_ties, kernel_times
 from codegen.sweeping.quantities import given_to, quantities
@@ -38,6 +38,23 @@ def test_changes_of_variants(interpreted, name, text, choices):
 def test_changes_of_random_problems(problems, data, seed):
     problem, choices = data.draw(problems)
     require_exact(of_problem(problem, sensitivities=True, **choices), STEPS, seed, 0.1)
+
+
+@pytest.mark.parametrize(("name", "choices"), [("van_der_pol", {}), ("hovercraft", {}), ("low_thrust", {})])
+def test_newton_steps_of_a_scaled_grid(interpreted, name, choices):
+    """The scaled matrix is the plain one times scaling factors, and the weight of the cost is in these."""
+    module = interpreted(name, None, sensitivities=True, **choices)
+    grid, generator = module.make_grid(STEPS), np.random.default_rng(1)
+    s, weight = grid.structure, 1e3
+    kinds = s.kinds(STEPS)
+    sizes = generator.uniform(0.1, 10.0, kinds.max() + 1)[kinds]
+    scaled = grid._replace(sizes=sizes, forces=weight * sizes, weight=weight)
+    unknowns = trial_point(module, grid, 3, 0.02) / sizes
+    diagonal = np.where(grid.is_multiplier, 0.0, 1e5)
+    gradient, step = np.where(free_unknowns(grid), generator.normal(size=sizes.size), 0.0), np.empty(sizes.size)
+    system = allocate_system(scaled)
+    assert factor_kkt(scaled, unknowns, 1.0, diagonal, system, gradient, step) == 0
+    assert linear_residual(scaled, unknowns, diagonal, gradient, step, system)[1] < 1e-6
 
 
 def require_exact(module, steps, seed, scale):

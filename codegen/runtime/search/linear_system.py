@@ -25,7 +25,7 @@ NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions,
 class System(NamedTuple):
     """The storage of a linear system: index tables, work space, second derivatives, scaling factors of these.
 
-    `scaled` and `costless` are the factors of all entries with the weight of the cost and without the cost; the former
+    `scaled` and `costless` are the factors of all entries with the cost and without the cost; the former
     is empty where it makes no difference. `counts` are bodies, entries of an interval, of a start and of an end, own
     linking variables, and all linking variables. `equations` is the number of multipliers.
     """
@@ -53,7 +53,7 @@ def allocate_system(grid):
     is_scaled = bool(grid.sizes.size)
     return System(
         problem.system, problem.hessians.address, s.tables, np.zeros(reals), np.zeros(integers, np.int64),
-        np.zeros(s.entry_count(grid.steps)), entry_factors(grid, grid.weight) if is_scaled else NONE,
+        np.zeros(s.entry_count(grid.steps)), entry_factors(grid, 1.0) if is_scaled else NONE,
         entry_factors(grid, 0.0), inverses, s.counts, layout_of(grid).multipliers.size, *s.entries,
     )  # fmt: skip
 
@@ -61,8 +61,9 @@ def allocate_system(grid):
 def entry_factors(grid, weight):
     """Return what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
 
-    These are the scaling factors of both unknowns, and the weight where both are primal. The one for a multiplier that
-    an interval lacks stays one: a shift of the multipliers' diagonal would turn the sign of a smaller one.
+    These are the roots of `sizes` times `forces` of both unknowns, which have the weight of the grid in them, and
+    `weight`, 0 or 1, where both unknowns are primal. The one for a multiplier that an interval lacks stays one: a shift
+    of the multipliers' diagonal would turn the sign of a smaller one.
     """
     s = grid.problem.structure
     factors = np.where(s.is_of_cost, weight, 1.0)
