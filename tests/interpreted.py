@@ -37,6 +37,9 @@ _REPLACED = {
     "import math\n": "from interpreted import silent_math as math\n",
     "\nfrom numba import carray, njit": "\nfrom numba import carray\nfrom interpreted import njit",
     "import ControlProblem, Loop": "import ControlProblem\nfrom interpreted import Loop",
+    "import ControlProblem, DataDerivatives, Loop": (
+        "import ControlProblem, DataDerivatives\nfrom interpreted import Loop"
+    ),
 }
 """Imports of a generated module, and those in their place."""
 

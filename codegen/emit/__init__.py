@@ -60,20 +60,25 @@ def render(module: Module, origin: Origin) -> str:
 
 def _render_control(module: Module, values: dict[str, Any]) -> str:
     """The text of a module that imports what is common to all problems."""
-    names = [argument.name for argument in module.arguments]
+    names, sizes = [argument.name for argument in module.arguments], dict(module.sizes)
+    public = (
+        *_PUBLIC,
+        *(("variable_bounds",) if sizes["INEQUALITIES"] else ()),
+        *(("sensitivities", "unpacked_rates") if sizes["SENSITIVE"] else ()),
+    )
     loops = resources.files("codegen.emit").joinpath("templates/loops.txt").read_text(encoding="utf-8")
     values |= {
         "description": (*module.description, *renamed_arguments(names)),
-        "loops": specialise(loops, dict(module.sizes)).strip(),
+        "loops": specialise(loops, sizes).strip(),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
-        "public": _PUBLIC + (("variable_bounds",) if dict(module.sizes)["INEQUALITIES"] else ()),
+        "public": public,
         "imports": (),
     }
     template = _environment().get_template(module.template)
     body = template.render(values, identity=_NAME)
-    values["imports"] = _imports_of(body)
+    values["imports"] = _imports_of(body, public)
     named = renamed(_tidy(template.render(values, identity=_NAME)))
     text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
     compile(text, f"{module.name}.py", "exec")
@@ -103,17 +108,17 @@ def _importable() -> dict[str, str]:
 
 _IMPORTED = (
     "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.callbacks",
-    "search.parts", "search.slacks", "search.solution", "inner_number", "special.polygamma",
+    "search.parts", "search.slacks", "search.solution", "search.sensitivities", "inner_number", "special.polygamma",
     "special.sinc_derivative", "tabulated.table_cells", "tabulated.table_curves", "tabulated.table_surfaces",
     "tabulated.table_guesses",
 )  # fmt: skip
 """Modules of the runtime from which generated modules import."""
 
 
-def _imports_of(text: str) -> tuple[str, ...]:
+def _imports_of(text: str, public: tuple[str, ...]) -> tuple[str, ...]:
     """The lines that import what a text uses and does not define, and what it offers."""
     tree, wanted = ast.parse(text), dict[str, set[str]]()
-    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} | set(_PUBLIC)
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} | set(public)
     own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     for name in used - own:
         if name in _importable():

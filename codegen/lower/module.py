@@ -79,7 +79,7 @@ class SensitivityText:
 
     `rates` are assignments to derivatives by the quantities; those of `following` hold unless the quantity with the
     name is given by itself. `pins`, `bounds` (one group, if any move) and `durations` are directional derivatives;
-    `momenta` reads those of momenta.
+    `momenta` reads those of momenta. `fields` are those of the record `DataDerivatives` with their code.
     """
 
     rate_inputs: tuple[Line, ...]
@@ -93,7 +93,7 @@ class SensitivityText:
     bound_inputs: tuple[Line, ...]
     bounds: tuple[tuple[Line, ...], ...]
     coupling_kinds: tuple[tuple[str, ...], ...]
-    choices: tuple[Choice, ...]
+    fields: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)

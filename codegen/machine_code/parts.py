@@ -34,8 +34,6 @@ def control_parts(module: Any) -> Calls:
         calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
     if hasattr(module, "tables_beyond"):
         calls.append(lambda: module.tables_beyond(grid, unknowns))
-    if hasattr(module, "change_along"):
-        calls += _sensitivity_parts(module, grid, unknowns)
     return [*calls, lambda: module.unpack(grid, unknowns), lambda: module.sizes_of_terms(grid, unknowns)]
 
 
@@ -61,30 +59,6 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
         lambda: module.prescribed_beyond(grid, unknowns),
         lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),
     ]
-
-
-def _sensitivity_parts(module: Any, grid: Any, unknowns: Any) -> Calls:
-    """Calls of what sensitivities call."""
-    count = len(module.QUANTITIES)
-    factors, lanes = module.allocate_system(grid)[0], np.zeros((module.LANES, unknowns.size))
-    moves, mask = np.zeros((count, unknowns.size)), np.ones(unknowns.size, dtype=bool)
-    rates, times = np.zeros((count, module.BODIES, module.PARAMETRIC)), np.zeros((count, grid.steps + 1))
-    data = unknowns, grid.steps, grid.h, grid.nodes, grid.parameters
-    parts = np.ones(unknowns.size)
-    calls = [
-        lambda: module.change_along(*data, moves, rates, times, parts, moves.copy(), np.zeros(count)),
-        lambda: module.substitute_all(lanes, grid.steps, factors, lanes.copy()),
-        lambda: module.add_steps(moves, moves, parts, parts, mask, moves.copy(), np.zeros((2, count))),
-    ]
-    calls.append(lambda: module.largest_left(unknowns, mask, np.ones((2, count))))
-    if hasattr(module, "compare_with_bounds"):
-        calls.append(lambda: module.active_bounds(grid, module.plain_grid(grid), unknowns))
-    if hasattr(module, "follow_ties"):
-        calls.append(lambda: module.follow_ties(grid.steps, moves, moves.copy()))
-    if hasattr(module, "momenta_along"):
-        room = np.zeros((module.BODIES, grid.steps + 1, module.EQUATIONS.size))
-        calls.append(lambda: module.momenta_along(*data, moves[0], rates[0], times[0], room))
-    return calls
 
 
 def simulate_parts(module: Any) -> Calls:

@@ -13,6 +13,7 @@ from codegen.discretise import STEP
 from codegen.expressions.table_functions import tables_of
 from codegen.lower.control import guesses, inner_times, layout, phases, sensitivities
 from codegen.lower.control.coupling import Couplings, lower_couplings
+from codegen.lower.control.mixed_kernels import choices
 from codegen.lower.control.notable import notable
 from codegen.lower.control.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
 from codegen.lower.control.sizes import sizes
@@ -41,12 +42,13 @@ def lower_control(
     couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
     first = len(layout.parameters(program))
     ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
-    added = sensitivities.added(program, by_data, curved, lambda unknowns: _codes(program, unknowns))
+    added = sensitivities.added(program, by_data, lambda unknowns: _codes(program, unknowns))
     own = (*_own_kernels(program, derivatives, curved), *couplings.kernels, *_inputs_kernels(program, ranged))
     kernels = (*own, *added.kernels)
     of_phases = (phases.guesses, phases.duration, phases.bounds)
     parts = of_phases if program.phases else (guesses.guesses, layout.duration, layout.bounds)
     code = {name: value for part in parts for name, value in part(program).items()}
+    code["choices"] = (*code["choices"], *(choices(program) if by_data else ()))
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -67,7 +69,7 @@ def lower_control(
         features=_features(program, tables, ranged),
         sizes=(
             *sizes(program, derivatives),
-            *added.sizes,
+            ("SENSITIVE", int(by_data is not None)),
             ("RANGED", len(ranged)),
             ("SAMPLED", len(model.measurements)),
             ("CURVED", int(curved)),

@@ -25,7 +25,7 @@ NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions,
 class System(NamedTuple):
     """The storage of a linear system: index tables, work space, second derivatives, scaling factors of these.
 
-    `scaled` and `costless` are the factors of all entries with the weight of the cost and without the cost; the former
+    `scaled` and `costless` are the factors of all entries with the cost and without the cost; the former
     is empty where it makes no difference. `counts` are bodies, entries of an interval, of a start and of an end, own
     linking variables, and all linking variables. `equations` is the number of multipliers.
     """
@@ -51,49 +51,29 @@ def allocate_system(grid):
     inverses = 1 if s.constant and grid.is_uniform else grid.steps
     reals, integers = factor_sizes(s.shape, s.bodies, grid.steps, inverses)
     is_scaled = bool(grid.sizes.size)
-    counts = np.array([s.bodies, s.rows.size, s.start_rows.size, s.end_rows.size, s.own, s.root, s.element, s.stride])
     return System(
         problem.system, problem.hessians.address, s.tables, np.zeros(reals), np.zeros(integers, np.int64),
-        np.zeros(s.entry_count(grid.steps)), entry_factors(grid, grid.weight) if is_scaled else NONE,
-        entry_factors(grid, 0.0), inverses, counts, layout_of(grid).multipliers.size, *local_entries(s),
+        np.zeros(s.entry_count(grid.steps)), entry_factors(grid, 1.0) if is_scaled else NONE,
+        entry_factors(grid, 0.0), inverses, s.counts, layout_of(grid).multipliers.size, *s.entries,
     )  # fmt: skip
-
-
-def local_entries(s):
-    """Return rows and columns, among the unknowns of an element, of the entries of an interval and of both ends.
-
-    The ends have those of their node, then linking variables.
-    """
-    of_ends = [
-        [np.where(part < s.node, part + first, part - s.node + s.element) for part in parts]
-        for first, parts in ((0, (s.start_rows, s.start_columns)), (s.stride, (s.end_rows, s.end_columns)))
-    ]
-    rows = np.concatenate([s.rows, of_ends[0][0], of_ends[1][0]]).astype(np.int64)
-    columns = np.concatenate([s.columns, of_ends[0][1], of_ends[1][1]]).astype(np.int64)
-    return rows, columns
 
 
 def entry_factors(grid, weight):
     """Return what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
 
-    These are the scaling factors of both unknowns, and the weight where both are primal. The one for a multiplier that
-    an interval lacks stays one: a shift of the multipliers' diagonal would turn the sign of a smaller one.
+    These are the roots of `sizes` times `forces` of both unknowns, which have the weight of the grid in them, and
+    `weight`, 0 or 1, where both unknowns are primal. The one for a multiplier that an interval lacks stays one: a shift
+    of the multipliers' diagonal would turn the sign of a smaller one.
     """
     s = grid.problem.structure
-    parts, roots = np.ones(s.element + s.shared), np.ones(s.root)
-    if grid.sizes.size:
-        roots_of_all = np.sqrt(grid.sizes * grid.forces)
-        roots = roots_of_all[roots_of_all.size - s.root :]
-        parts = np.concatenate([roots_of_all[: s.element], roots[s.root_indices()[0]]])
-    is_multiplier = s.local_is_multiplier
-    rows, columns = local_entries(s)
+    factors = np.where(s.is_of_cost, weight, 1.0)
+    if not grid.sizes.size:
+        return factors
+    roots_of_all, (rows, columns), is_multiplier = np.sqrt(grid.sizes * grid.forces), s.entries, s.local_is_multiplier
+    roots = roots_of_all[roots_of_all.size - s.root :]
+    parts = np.concatenate([roots_of_all[: s.element], roots[s.root_indices()[0]]])
     of_elements = np.where(is_multiplier[rows] & (rows == columns), 1.0, parts[rows] * parts[columns])
-    of_elements *= np.where(is_multiplier[rows] | is_multiplier[columns], 1.0, weight)
-    few = s.phases or 1
-    root_is_multiplier = s.layouts(few).is_multiplier[s.size(few) - s.root :]
-    either = root_is_multiplier[:, None] | root_is_multiplier
-    of_root = roots[:, None] * roots * np.where(either, 1.0, weight)
-    return np.concatenate([of_elements, of_root.ravel()])
+    return factors * np.concatenate([of_elements, (roots[:, None] * roots).ravel()])
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=None):
@@ -233,9 +213,7 @@ def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_
 
 def filled_entries(grid, unknowns, system):
     """Return the storage with all second derivatives, unscaled, at `unknowns` (n,) in the problem's own units."""
-    call_hessians(
-        system.loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, system.counts, system.entries
-    )
+    call_hessians(system.loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, system.counts, system.entries)
     return system.entries
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numba import cfunc, config
 
 from codegen.runtime.addresses import LOOP
@@ -51,6 +52,70 @@ def is_inner(value):
 
 
 @dataclass(frozen=True, eq=False)
+class DataDerivatives:
+    """How the Lagrangian and the formulas of a problem depend on its data, for sensitivities.
+
+    Data are all parameters but linking variables, time and length of an interval, and numbers of its left node, which
+    are those of conditions at inner times. Of an end, the unknowns of its node come behind them, as some are pinned.
+
+    Attributes
+    ----------
+    quantities : tuple of str
+        Names of what derivatives of solutions are by.
+    count, parametric : int
+        Number of data, and of those among the parameters.
+    acting, bounding : array of int
+        Parameters on which intervals depend, and those that move bounds.
+    rows, columns : array of int
+        Unknowns of an interval, and data, of its mixed second derivatives; `start_rows` and so on of the ends.
+    loop : Loop
+        Fills the gradient (n,) of both ends and of conditions between linking variables; first derivatives by data,
+        then mixed ones, of all intervals, of all starts, of all ends; and both (1 + root, count) of the conditions.
+    rates, pins : callable
+        (grid, given) -> rates (m, bodies, parametric), duration (m,): derivatives of the parameters and the duration.
+        (grid, rates) -> moves (m, n): derivatives of pinned unknowns.
+    durations : callable
+        (grid, unknowns, moves, rates, duration) -> (m, D): derivatives of the durations of D phases.
+    bounds : callable or None
+        (grid, rates of one quantity) -> lower, upper: derivatives of bounds, where these depend on parameters.
+    clock : int or None
+        The time of a node among its unknowns.
+    """
+
+    quantities: tuple[str, ...]
+    count: int
+    parametric: int
+    acting: Any
+    rows: Any
+    columns: Any
+    start_rows: Any
+    start_columns: Any
+    end_rows: Any
+    end_columns: Any
+    loop: Loop
+    rates: Callable[..., Any]
+    pins: Callable[..., Any]
+    durations: Callable[..., Any]
+    bounds: Callable[..., Any] | None = None
+    bounding: Any = ()
+    clock: int | None = None
+
+    def tables(self, structure):
+        """Return rows, columns and counts for `sensitivities.change_along`, and the length of what the loop fills.
+
+        The length has two parts: of each interval, and of all others.
+        """
+        s, sizes = structure, [part.size for part in (self.rows, self.start_rows, self.end_rows)]
+        counts = np.array([self.count, self.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
+        of_ends = s.bodies * (2 * (self.count + s.node) + sizes[1] + sizes[2])
+        return (
+            s.in_element(self.rows, self.start_rows, self.end_rows),
+            np.concatenate([self.columns, self.start_columns, self.end_columns]), counts,
+            (s.bodies * (self.count + sizes[0]), of_ends + (1 + s.root) * self.count),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
 class ControlProblem:
     """An optimal control problem: its structure, its loops over intervals, and what depends on the author's formulas.
 
@@ -74,6 +139,8 @@ class ControlProblem:
         (grid, unknowns) -> lengths of all phases.
     inputs : Loop or None
         Fill the least and greatest inputs of tables with ranges; `ranges` and `range_names` say which these are.
+    data : DataDerivatives or None
+        Derivatives by data, if the module was built with sensitivities.
     """
 
     structure: Structure
@@ -88,10 +155,16 @@ class ControlProblem:
     variable_bounds: Callable[..., Any] | None = None
     phase_durations: Callable[..., Any] | None = None
     inputs: Loop | None = None
+    data: DataDerivatives | None = None
     ranges: Any = ()
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
     observations: tuple[Any, ...] = ()
+
+    @cached_property
+    def mixed(self):
+        """The tables of mixed second derivatives by unknowns and data."""
+        return self.data.tables(self.structure)
 
     @cached_property
     def system(self):
@@ -102,7 +175,8 @@ class ControlProblem:
 
     def compile(self):
         """Compile what is special about the problem: the loops, and the linear system of its shape."""
-        for loop in (self.gradient, self.hessians, self.parts, self.inputs):
+        of_data = self.data and self.data.loop
+        for loop in (self.gradient, self.hessians, self.parts, self.inputs, of_data):
             if loop is not None:
                 loop.address  # noqa: B018
         self.system  # noqa: B018

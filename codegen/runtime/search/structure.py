@@ -214,6 +214,37 @@ class Structure:
             }
         )
 
+    @cached_property
+    def counts(self):
+        """Numbers that compiled functions read: see `linear_system.System`."""
+        sizes = self.rows.size, self.start_rows.size, self.end_rows.size
+        return np.array([self.bodies, *sizes, self.own, self.root, self.element, self.stride])
+
+    @cached_property
+    def entries(self):
+        """Rows and columns, in the unknowns of an element, of second derivatives of an interval and of both ends."""
+        sides = (self.rows, self.start_rows, self.end_rows), (self.columns, self.start_columns, self.end_columns)
+        return tuple(self.in_element(*side) for side in sides)
+
+    def in_element(self, of_interval, of_start, of_end):
+        """Return indices of unknowns, those of both ends behind those of an interval, in the unknowns of an element.
+
+        In an end the unknowns of the node come first, then linking variables.
+        """
+        ends = [
+            np.where(part < self.node, part + first, part - self.node + self.element)
+            for first, part in ((0, of_start), (self.stride, of_end))
+        ]
+        return np.concatenate([of_interval, *ends]).astype(np.int64)
+
+    @cached_property
+    def is_of_cost(self):
+        """Mask of the second derivatives by primal unknowns: of an interval, of both ends, of coupling conditions."""
+        few, (rows, columns), is_multiplier = self.phases or 1, self.entries, self.local_is_multiplier
+        root = self.layouts(few).is_multiplier[self.size(few) - self.root :]
+        of_root = ~(root[:, None] | root)
+        return np.concatenate([~(is_multiplier[rows] | is_multiplier[columns]), of_root.ravel()])
+
     def size(self, steps):
         """Return the number n of unknowns on so many intervals."""
         return self.bodies * (steps * self.stride + self.node) + self.root
