@@ -1,0 +1,130 @@
+"""Functions of generated modules that compiled code calls by their address, and how it calls them.
+
+A kernel reads and fills arrays by pointers to their first entries; its other arguments are numbers. What is common to
+all problems calls it by an integer, the address, which does not take part in numba's cache on disk.
+"""
+
+import ctypes
+import inspect
+from functools import cached_property
+
+import numpy as np
+from llvmlite import ir
+from numba import cfunc, config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from codegen.runtime.packing import packed_operations
+
+REALS = types.CPointer(types.float64)
+NUMBERS = {
+    "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,
+}  # fmt: skip
+"""Arguments that are numbers, by name; all others are pointers to floating-point numbers."""
+_CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: ctypes.POINTER(ctypes.c_double)}
+
+
+class Kernel:
+    """A function that fills arrays, which is compiled when its address is first asked for.
+
+    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter. Called
+    from Python, a kernel takes arrays of numpy, which must be contiguous.
+    """
+
+    returns, options = types.void, {}
+
+    def __init__(self, function, is_interpreted=False):
+        self.function, self.is_interpreted = function, is_interpreted
+        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+        self.kinds = [NUMBERS.get(name, REALS) for name in inspect.signature(function).parameters]
+
+    @cached_property
+    def compiled(self):
+        """The compiled function, or the callback; what has the address must be kept."""
+        if self.is_interpreted or config.DISABLE_JIT:
+            returns = _CTYPES.get(self.returns)
+            return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
+        with packed_operations():
+            return cfunc(self.returns(*self.kinds), cache=True, error_model="numpy", **self.options)(self.function)
+
+    @cached_property
+    def address(self):
+        """The address of the function."""
+        found = self.compiled
+        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    @cached_property
+    def _called(self):
+        """The function for calls from Python."""
+        kinds = [ctypes.c_void_p if kind is REALS else _CTYPES[kind] for kind in self.kinds]
+        return ctypes.CFUNCTYPE(_CTYPES.get(self.returns), *kinds)(self.address)
+
+    def __call__(self, *values):
+        """Call the function with arrays and numbers; ValueError for an array that is not contiguous, or of integers."""
+        return self._called(*(address_of(v) if isinstance(v, np.ndarray) else v for v in values))
+
+    def _interpreted(self, *values):
+        """Call the function of Python with numbers that divide by zero as those of machine code do."""
+        pairs = zip(self.kinds, values, strict=True)
+        return self.function(*(Reals(v) if kind is REALS else np.float64(v) if isinstance(v, float) else v
+                               for kind, v in pairs))
+
+
+def address_of(array):
+    """Return the address of an array of floating-point numbers; ValueError where they do not follow each other."""
+    if array.dtype != np.float64 or not array.flags.c_contiguous:
+        raise ValueError(f"an array of {array.dtype}, shape {array.shape}, expected contiguous numbers of type float64")
+    return array.ctypes.data
+
+
+class Value(Kernel):
+    """A function that returns a number."""
+
+    returns = types.float64
+
+
+class Contracted(Kernel):
+    """A function in which products may be added without being rounded before."""
+
+    options = {"fastmath": {"contract"}}
+
+
+class Reals:
+    """Numbers behind a pointer, as the interpreter reads them: of numpy's type."""
+
+    def __init__(self, pointer):
+        self.pointer = pointer
+
+    def __getitem__(self, index):
+        """Return a number."""
+        return np.float64(self.pointer[index])
+
+    def __setitem__(self, index, value):
+        """Give a number another value."""
+        self.pointer[index] = float(value)
+
+
+@intrinsic
+def call(typingctx, address, values):
+    """Call the Kernel at an address with a tuple of numbers and addresses of arrays."""
+    return _calling(types.void, address, values)
+
+
+@intrinsic
+def call_value(typingctx, address, values):
+    """Call the Value at an address with a tuple of numbers and addresses of arrays; return what it returns."""
+    return _calling(types.float64, address, values)
+
+
+def _calling(returned, address, values):
+    """Return what an intrinsic returns to call the address that is its first argument."""
+    kinds = [ir.DoubleType() if isinstance(kind, types.Float) else ir.IntType(64) for kind in values.types]
+    # A compiled function that returns nothing returns an empty pointer.
+    result = ir.DoubleType() if returned is types.float64 else ir.IntType(8).as_pointer()
+
+    def generate(context, builder, _, given):
+        function = ir.FunctionType(result, kinds).as_pointer()
+        found = builder.call(builder.inttoptr(given[0], function), cgutils.unpack_tuple(builder, given[1]))
+        return found if returned is types.float64 else context.get_dummy_value()
+
+    return returned(address, values), generate
