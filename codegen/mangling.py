@@ -24,11 +24,8 @@ MARK = "\ua78f"
 _TEMPLATES = {
     "control": ("head", "identity", "kernel", "control"),
     "simulate": ("header", "kernel", "simulate"),
-    "particles": ("head", "identity", "kernel", "pair_loop", "particle_loop", "particles"),
-    "connect": (
-        *("head", "identity", "kernel", "pair_loop", "particle_loop", "connect"),
-        *("gathered_loop", "passive_loop"),
-    ),
+    "particles": ("header", "pair_loop", "particle_loop", "particles"),
+    "connect": ("header", "pair_loop", "particle_loop", "gathered_loop", "passive_loop", "connect"),
 }
 """The templates that make the module of each kind of problem."""
 _IN_KERNELS = {
@@ -39,7 +36,8 @@ _IN_KERNELS = {
 }
 _IN_LOOPS = (
     "z own parameters singles rates gradient hessian products directions margin place fraction start target energy "
-    "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row"
+    "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row "
+    "count columns carray Kernel Value Contracted energy"
 )
 """What lowering calls arguments and locals of kernels and loops, and functions of other files that they call."""
 _AT_NODES = re.compile(r"(_k|_k1|_stage\d+)$|^_")

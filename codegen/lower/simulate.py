@@ -60,7 +60,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         sizes=(),
         public=_public(program, bool(ranged)),
         record=_record(program, derivatives, tables=bool(tables), ranged=bool(ranged)),
-        explicit_sizes=() if program.unknowns or ranged else (f"STATE, STAGES, {len(program.lengths)}",),
+        explicit_sizes=() if program.unknowns or ranged else (f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}",),
         arguments=arguments_of(model),
         table_arguments=table_arguments(tables),
         steps=model.steps,

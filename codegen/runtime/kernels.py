@@ -14,6 +14,7 @@ from numba import cfunc, config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from codegen.runtime.arguments import with_counts
 from codegen.runtime.packing import packed_operations
 
 REALS = types.CPointer(types.float64)
@@ -21,14 +22,13 @@ NUMBERS = {
     "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,
 }  # fmt: skip
 """Arguments that are numbers, by name; all others are pointers to floating-point numbers."""
-_CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: ctypes.POINTER(ctypes.c_double)}
 
 
 class Kernel:
     """A function that fills arrays, which is compiled when its address is first asked for.
 
     With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter. Called
-    from Python, a kernel takes arrays of numpy, which must be contiguous.
+    from Python, a kernel takes arrays of numpy, which must be contiguous, and no numbers of particles and of columns.
     """
 
     returns, options = types.void, {}
@@ -36,7 +36,8 @@ class Kernel:
     def __init__(self, function, is_interpreted=False):
         self.function, self.is_interpreted = function, is_interpreted
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
-        self.kinds = [NUMBERS.get(name, REALS) for name in inspect.signature(function).parameters]
+        self.names = tuple(inspect.signature(function).parameters)
+        self.kinds = [NUMBERS.get(name, REALS) for name in self.names]
 
     @cached_property
     def compiled(self):
@@ -61,13 +62,12 @@ class Kernel:
 
     def __call__(self, *values):
         """Call the function with arrays and numbers; ValueError for an array that is not contiguous, or of integers."""
-        return self._called(*(address_of(v) if isinstance(v, np.ndarray) else v for v in values))
+        given = with_counts(self.names, values)
+        return self._called(*(address_of(v) if isinstance(v, np.ndarray) else v for v in given))
 
     def _interpreted(self, *values):
         """Call the function of Python with numbers that divide by zero as those of machine code do."""
-        pairs = zip(self.kinds, values, strict=True)
-        return self.function(*(Reals(v) if kind is REALS else np.float64(v) if isinstance(v, float) else v
-                               for kind, v in pairs))
+        return self.function(*(np.float64(value) if isinstance(value, float) else value for value in values))
 
 
 def address_of(array):
@@ -89,19 +89,17 @@ class Contracted(Kernel):
     options = {"fastmath": {"contract"}}
 
 
-class Reals:
-    """Numbers behind a pointer, as the interpreter reads them: of numpy's type."""
+class Reals(ctypes.POINTER(ctypes.c_double)):
+    """A pointer to numbers, which the interpreter reads as numbers of numpy's type."""
 
-    def __init__(self, pointer):
-        self.pointer = pointer
+    _type_ = ctypes.c_double
 
     def __getitem__(self, index):
         """Return a number."""
-        return np.float64(self.pointer[index])
+        return np.float64(super().__getitem__(index))
 
-    def __setitem__(self, index, value):
-        """Give a number another value."""
-        self.pointer[index] = float(value)
+
+_CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals}
 
 
 @intrinsic
@@ -128,3 +126,14 @@ def _calling(returned, address, values):
         return found if returned is types.float64 else context.get_dummy_value()
 
     return returned(address, values), generate
+
+
+@intrinsic
+def data_of(typingctx, array):
+    """Return the address of the first number of an array, without counting a reference."""
+
+    def generate(context, builder, signature, values):
+        data = context.make_array(signature.args[0])(context, builder, values[0]).data
+        return builder.ptrtoint(data, ir.IntType(64))
+
+    return types.int64(array), generate

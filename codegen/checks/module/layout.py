@@ -248,7 +248,6 @@ def _step_difference(module: Any, program: StepProgram) -> str:
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     sizes = {"STATE": len(program.state), "STAGES": len(program.stage_symbols), "UNKNOWNS": len(program.unknowns)}
-    sizes["PARTS"] = len(program.fractions)
     if program.fractions:
         found = np.array(getattr(module, "FRACTIONS", []))
         exact = np.array([[float(sympy.N(f, 20)) for f in row] for row in program.fractions])

@@ -82,7 +82,7 @@ class StepProblem:
             return follow(
                 self.scheme, memory_for(self.scheme), start, steps, h, parameters, *accuracy, every, path, before
             )
-        outcome, numbers = np.empty(4), np.array([steps, h, every, len(self.fractions)])
+        outcome, numbers = np.empty(4), np.array([steps, h, every], dtype=float)
         self.all_steps(start.copy(), numbers, self.fractions, parameters, path, before, outcome)
         return tuple(map(int, outcome))
 

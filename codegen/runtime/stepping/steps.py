@@ -267,13 +267,13 @@ def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, 
 
 
 @njit(error_model="numpy", forceinline=True)
-def follow_explicitly(step, size, stages, lengths, state, numbers, fractions, parameters, path, before, outcome):
+def follow_explicitly(step, size, stages, parts, lengths, state, numbers, fractions, parameters, path, before, outcome):
     """Make all steps of an explicit scheme by a function that is inlined; otherwise as `follow`.
 
-    All arrays are given by pointers: `state` holds the first state, `numbers` the number of steps, their length,
-    `every` and the number of parts, of so many `lengths` each; `outcome` takes what `follow` returns.
+    All arrays are given by pointers: `state` holds the first state, `numbers` the number of steps, their length and
+    `every`; `outcome` takes what `follow` returns. A step has so many `parts`, of so many `lengths` each.
     """
-    steps, h, every, parts = int(numbers[0]), numbers[1], int(numbers[2]), int(numbers[3])
+    steps, h, every = int(numbers[0]), numbers[1], int(numbers[2])
     stored_rows = 1 - (-steps // every)
     path, before = carray(path, (stored_rows, size)), carray(before, (stored_rows - 1, size))
     after, interval, now = carray(state, (size,)), np.empty(stages + size), np.empty(size)
