@@ -6,11 +6,12 @@ all problems calls it by an integer, the address, which does not take part in nu
 
 import ctypes
 import inspect
+from collections import Counter
 from functools import cached_property
 
 import numpy as np
 from llvmlite import ir
-from numba import cfunc, config, types
+from numba import cfunc, config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -53,6 +54,19 @@ class Kernel:
         """The address of the function."""
         found = self.compiled
         return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    @property
+    def stats(self):
+        """Where numba keeps machine code of the function, and how often it was read from there or made."""
+        made, read = Counter(), Counter()
+        if hasattr(self.__dict__.get("compiled"), "cache_hits"):
+            (read if self.compiled.cache_hits else made)[self.returns(*self.kinds)] += 1
+        return self._stats._replace(cache_hits=read, cache_misses=made)
+
+    @cached_property
+    def _stats(self):
+        """What numba says of a function that Python calls, of which nothing is compiled: it is kept in the same place."""
+        return njit(cache=True)(self.function).stats
 
     @cached_property
     def _called(self):

@@ -86,9 +86,15 @@ class StepProblem:
         self.all_steps(start.copy(), numbers, self.fractions, parameters, path, before, outcome)
         return tuple(map(int, outcome))
 
+    def kernels(self):
+        """The kernels that a solution calls."""
+        every = (
+            self.all_steps, self.jacobian, self.explicit, self.predict, self.residual if self.is_constant else None,
+            self.complete, self.equations, self.inputs, self.energy,
+        )  # fmt: skip
+        return tuple(kernel for kernel in every if kernel is not None)
+
     def compile(self):
         """Compile what is special about the problem."""
-        self.scheme  # noqa: B018
-        self.energy.address  # noqa: B018
-        if self.all_steps is not None:
-            self.all_steps.address  # noqa: B018
+        for kernel in self.kernels():
+            kernel.address  # noqa: B018
