@@ -24,6 +24,9 @@ NUMBERS = {
 }  # fmt: skip
 """Arguments that are numbers, by name; all others are pointers to floating-point numbers."""
 
+ONLY_COMPILED = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that only compiled functions call: numba leaves out the entries by which Python and C call them."""
+
 
 class Kernel:
     """A function that fills arrays, which is compiled when its address is first asked for.
@@ -54,6 +57,11 @@ class Kernel:
         """The address of the function."""
         found = self.compiled
         return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    @cached_property
+    def inlined(self):
+        """The function for compiled functions of the same module, which it becomes part of."""
+        return njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)(self.function)
 
     @property
     def stats(self):

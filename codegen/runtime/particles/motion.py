@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.kernels import data_of
+from codegen.runtime.addresses import reals_at
+from codegen.runtime.kernels import data_of
 from codegen.runtime.packing import packed_operations
 from codegen.runtime.particles.steps import advance
 from codegen.runtime.particles.trajectory import energy_of
@@ -57,16 +59,21 @@ def follow_particles(pairs, start, steps, h, own, parameters, every, path, befor
     """
     state, end, rows, iterations, wait = start.copy(), np.empty(start.shape), 1, 0, every
     points = np.full((pairs.points, *start.shape), np.nan)  # none is known, and none is near
-    now, after = state.reshape(-1), end.reshape(-1)
-    for i in range(now.size):
+    now, after, size = reals_at(data_of(state)), reals_at(data_of(end)), start.size
+    states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
+    for i in range(size):
         path[0, i] = now[i]
     for k in range(steps):
-        outcome = checked(advance(pairs, state, h, own, parameters, points, 0.0, end), after)
+        outcome = checked(advance(pairs, state, h, own, parameters, points, 0.0, end), size, after)
         if outcome < 0:
-            return k, stored_last(wait, every, rows, now, path), iterations, outcome
+            break
         iterations += outcome
-        wait, rows = stored(k + 1, steps, every, wait, rows, now, after, path, before)
-    return steps, rows, iterations, 0
+        wait, rows = stored(k + 1, steps, every, wait, rows, size, now, after, states, states_before)
+    else:
+        k, outcome = steps, 0
+    if outcome < 0:
+        rows = stored_last(wait, every, rows, size, reals_at(data_of(state)), states)
+    return k, rows, iterations, outcome
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

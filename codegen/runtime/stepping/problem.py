@@ -83,7 +83,8 @@ class StepProblem:
                 self.scheme, memory_for(self.scheme), start, steps, h, parameters, *accuracy, every, path, before
             )
         outcome, numbers = np.empty(4), np.array([steps, h, every], dtype=float)
-        self.all_steps(start.copy(), numbers, self.fractions, parameters, path, before, outcome)
+        states = start.copy(), start.copy(), np.empty(self.stages + self.state)
+        self.all_steps(*states, h * self.fractions, numbers, parameters, path, before, outcome)
         return tuple(map(int, outcome))
 
     def kernels(self):

@@ -8,14 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, njit
 
-from codegen.runtime.addresses import integers_at, reals_at
-from codegen.runtime.kernels import call, call_value
+from codegen.runtime.addresses import ahead, integers_at, reals_at
+from codegen.runtime.kernels import ONLY_COMPILED, call, call_value, data_of
 from codegen.runtime.lu import factor_matrix, solve_factored
 
 NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # why a step fails
 LEAST = 1e-300  # numbers below it are so close to the least ones that they have no relative size
 ROUNDING = 1e-8  # corrections below this part of all unknowns are rounding errors once they no longer shrink
 TABLE_MARGIN = 1e-8  # parts of the range of a table by which an input may be outside, which is rounding
+
+INLINED = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
 
 
 class Scheme(NamedTuple):
@@ -47,12 +49,13 @@ class Scheme(NamedTuple):
 class Work(NamedTuple):
     """Addresses of the arrays of a step, which the caller keeps.
 
-    `lengths` (parts, lengths) are those of all parts, `here` (state,) is the state at the start of a part, `interval`
+    `lengths` (parts, lengths) are those of all parts, `now` (state,) is the state before a step, `here` that at the start of a part, `interval`
     (stages + state,) holds the inner stages and the state at its end, `seen` (inputs, 2) inputs of tables. Of Newton's
     method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last corrections.
     """
 
     lengths: int
+    now: int
     here: int
     interval: int
     seen: int
@@ -67,7 +70,7 @@ class Work(NamedTuple):
 def memory_for(scheme):
     """Return memory for the arrays of a step."""
     count = scheme.unknowns
-    size = scheme.parts * scheme.lengths + 3 * (scheme.stages + scheme.state) + 2 * scheme.inputs + count * (count + 5)
+    size = scheme.parts * scheme.lengths + 4 * (scheme.stages + scheme.state) + 2 * scheme.inputs + count * (count + 5)
     return np.zeros(size)
 
 
@@ -76,13 +79,14 @@ def work_in(scheme, memory, h, parameters_at):
     """Return the addresses of the arrays of steps of length h in memory; a constant matrix is factored."""
     count, size = scheme.unknowns, scheme.state
     lengths = memory.ctypes.data
-    here = lengths + 8 * scheme.parts * scheme.lengths
+    now = lengths + 8 * scheme.parts * scheme.lengths
+    here = now + 8 * size
     interval = here + 8 * size
     seen = interval + 8 * (scheme.stages + size)
     unknowns = seen + 16 * scheme.inputs
     row = 8 * count
     residual, sizes, last, pivots = unknowns + row, unknowns + 2 * row, unknowns + 3 * row, unknowns + 4 * row
-    work = Work(lengths, here, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
+    work = Work(lengths, now, here, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
     fractions = carray(reals_at(scheme.fractions), (scheme.parts * scheme.lengths,))
     for i in range(memory.size):
         memory[i] = h * fractions[i] if i < fractions.size else 0.0
@@ -207,40 +211,41 @@ def first_left(scheme, work, t, lengths_at, parameters_at):
     return -1
 
 
-@njit(error_model="numpy", forceinline=True)
-def checked(outcome, after):
-    """Return the outcome of a step, or that the state (size,) after it is not finite."""
+@INLINED
+def checked(outcome, size, after):
+    """Return the outcome of a step, or that the state (size,) after it, at a pointer, is not finite."""
     total = 0.0
-    for i in range(after.size):
+    for i in range(size):
         total += abs(after[i])
     return outcome if outcome < 0 or total < np.inf else NON_FINITE
 
 
-@njit(error_model="numpy", forceinline=True)
-def stored(made, steps, every, wait, rows, now, after, path, before):
+@INLINED
+def stored(made, steps, every, wait, rows, size, now, after, path, before):
     """Store the state (size,) `after` a step where it is due; return how many steps to wait, and the rows in use.
 
     `made` steps are made; every `every`-th state and the last are stored in `path` (M, size). Row i of `before` takes
-    the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written there.
+    the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written there. All are pointers.
     """
     wait -= 1
     if wait == 0 or made == steps:
-        for i in range(after.size):
-            path[rows, i] = after[i]
-            if every > 1:
-                before[rows - 1, i] = now[i]
+        for i in range(size):
+            path[rows * size + i] = after[i]
+        if every > 1:
+            for i in range(size):
+                before[(rows - 1) * size + i] = now[i]
         rows, wait = rows + 1, every
-    for i in range(after.size):
+    for i in range(size):
         now[i] = after[i]
     return wait, rows
 
 
-@njit(error_model="numpy", forceinline=True)
-def stored_last(wait, every, rows, now, path):
+@INLINED
+def stored_last(wait, every, rows, size, now, path):
     """Store the last good state (size,) if it has not been stored; return the rows in use."""
     if wait < every:
-        for i in range(now.size):
-            path[rows, i] = now[i]
+        for i in range(size):
+            path[rows * size + i] = now[i]
         rows += 1
     return rows
 
@@ -252,49 +257,52 @@ def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, 
     Stops at the first step that fails, and then stores the last good state. Returns the number of steps made, the rows
     of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
     """
-    parameters_at = parameters.ctypes.data
+    parameters_at, size = parameters.ctypes.data, scheme.state
     work = work_in(scheme, memory, h, parameters_at)
-    now, after, rows, iterations, wait = start.copy(), carray(reals_at(work.here), (scheme.state,)), 1, 0, every
-    for i in range(scheme.state):
-        path[0, i] = after[i] = start[i]
+    now, after, rows, iterations, wait = reals_at(work.now), reals_at(work.here), 1, 0, every
+    states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
+    for i in range(size):
+        path[0, i] = after[i] = now[i] = start[i]
     for k in range(steps):
-        outcome = checked(advance(scheme, work, k * h, tolerance, most, parameters_at), after)
+        outcome = checked(advance(scheme, work, k * h, tolerance, most, parameters_at), size, after)
         if outcome < 0:
-            return k, stored_last(wait, every, rows, now, path), iterations, outcome
+            break
         iterations += outcome
-        wait, rows = stored(k + 1, steps, every, wait, rows, now, after, path, before)
-    return steps, rows, iterations, 0
+        wait, rows = stored(k + 1, steps, every, wait, rows, size, now, after, states, states_before)
+    else:
+        k, outcome = steps, 0
+    if outcome < 0:
+        rows = stored_last(wait, every, rows, size, now, states)
+    return k, rows, iterations, outcome
 
 
-@njit(error_model="numpy", forceinline=True)
-def follow_explicitly(step, size, stages, parts, lengths, state, numbers, fractions, parameters, path, before, outcome):
+@INLINED
+def follow_explicitly(
+    step, size, stages, parts, count, state, now, interval, lengths, numbers, parameters, path, before, outcome
+):  # fmt: skip
     """Make all steps of an explicit scheme by a function that is inlined; otherwise as `follow`.
 
-    All arrays are given by pointers: `state` holds the first state, `numbers` the number of steps, their length and
-    `every`; `outcome` takes what `follow` returns. A step has so many `parts`, of so many `lengths` each.
+    A step has so many `parts`, of a `count` of lengths each. All arrays are given by pointers: `state` and `now` hold
+    the first state, `numbers` the number of steps, their length and `every`; `outcome` takes what `follow` returns.
     """
     steps, h, every = int(numbers[0]), numbers[1], int(numbers[2])
-    stored_rows = 1 - (-steps // every)
-    path, before = carray(path, (stored_rows, size)), carray(before, (stored_rows - 1, size))
-    after, interval, now = carray(state, (size,)), np.empty(stages + size), np.empty(size)
-    of_parts = h * carray(fractions, (parts, lengths))
     rows, wait, made, reason = 1, every, 0, 0
     for i in range(size):
-        path[0, i] = now[i] = after[i]
+        path[i] = state[i]
     for k in range(steps):
         t = k * h
         for part in range(parts):
-            step(after, t, of_parts[part], parameters, interval)
+            step(state, t, ahead(lengths, part * count), parameters, interval)
             for i in range(size):
-                after[i] = interval[stages + i]
-            for i in range(lengths):
-                t += of_parts[part, i]
-        reason = checked(0, after)
+                state[i] = interval[stages + i]
+            for i in range(count):
+                t += lengths[part * count + i]
+        reason = checked(0, size, state)
         if reason < 0:
-            rows = stored_last(wait, every, rows, now, path)
+            rows = stored_last(wait, every, rows, size, now, path)
             break
         made += 1
-        wait, rows = stored(made, steps, every, wait, rows, now, after, path, before)
+        wait, rows = stored(made, steps, every, wait, rows, size, now, state, path, before)
     outcome[0], outcome[1], outcome[2], outcome[3] = made, rows, 0, reason
 
 
