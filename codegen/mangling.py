@@ -22,7 +22,7 @@ MARK = "\ua78f"
 """A letter, so that marked names are identifiers, which nobody writes."""
 
 _TEMPLATES = {
-    "control": ("head", "identity", "kernel", "control"),
+    "control": ("header", "kernel", "control"),
     "simulate": ("header", "kernel", "simulate"),
     "particles": ("header", "pair_loop", "particle_loop", "particles"),
     "connect": ("header", "pair_loop", "particle_loop", "gathered_loop", "passive_loop", "connect"),

@@ -39,6 +39,7 @@ def render(module: Module, origin: Origin) -> str:
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
         "imports": (),
+        "numba_imports": (),
     }
     if module.template == "control.py.j2":
         loops = resources.files("codegen.emit").joinpath("templates/loops.txt").read_text(encoding="utf-8")
@@ -46,7 +47,9 @@ def render(module: Module, origin: Origin) -> str:
         values["public"] = _PUBLIC + (("variable_bounds",) if dict(module.sizes)["INEQUALITIES"] else ())
     template = _environment().get_template(module.template)
     body = template.render(values, identity=_NAME)
-    values["imports"] = _imports_of(body, values["public"], _IMPORTED[module.template])
+    lines = _imports_of(body, values["public"], _IMPORTED[module.template])
+    values["numba_imports"] = [line for line in lines if line.startswith("from numba ")]
+    values["imports"] = [line for line in lines if not line.startswith("from numba ")]
     named = renamed(_tidy(template.render(values, identity=_NAME)))
     text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
     compile(text, f"{module.name}.py", "exec")

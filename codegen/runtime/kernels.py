@@ -32,7 +32,7 @@ class Kernel:
     """A function that fills arrays, which is compiled when its address is first asked for.
 
     With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter. Called
-    from Python, a kernel takes arrays of numpy, which must be contiguous, and no numbers of particles and of columns.
+    from Python, a kernel takes arrays of numpy, and no numbers of particles and of columns.
     """
 
     returns, options = types.void, {}
@@ -74,7 +74,7 @@ class Kernel:
     @cached_property
     def _stats(self):
         """What numba says of a function that Python calls, of which nothing is compiled: it is kept in the same place."""
-        return njit(cache=True)(self.function).stats
+        return njit(cache=not self.is_interpreted)(self.function).stats
 
     @cached_property
     def _called(self):
@@ -83,20 +83,31 @@ class Kernel:
         return ctypes.CFUNCTYPE(_CTYPES.get(self.returns), *kinds)(self.address)
 
     def __call__(self, *values):
-        """Call the function with arrays and numbers; ValueError for an array that is not contiguous, or of integers."""
-        given = with_counts(self.names, values)
-        return self._called(*(address_of(v) if isinstance(v, np.ndarray) else v for v in given))
+        """Call the function with arrays and numbers; ValueError for an array of other than floating-point numbers."""
+        given, copies = with_counts(self.names, values), []
+        for i, value in enumerate(given):
+            if isinstance(value, np.ndarray):
+                if value.dtype != np.float64:
+                    raise ValueError(f"{self.names[i]} is an array of {value.dtype}, expected float64")
+                if not value.flags.c_contiguous:
+                    copies.append((value, value.copy()))
+                    value = copies[-1][1]
+                given[i] = value.ctypes.data
+        result = self._called(*given)
+        for value, copy in copies:
+            value[...] = copy  # which it may have filled
+        return result
 
     def _interpreted(self, *values):
-        """Call the function of Python with numbers that divide by zero as those of machine code do."""
-        return self.function(*(np.float64(value) if isinstance(value, float) else value for value in values))
+        """Call the function of Python with numbers that divide by zero as those of machine code do.
 
-
-def address_of(array):
-    """Return the address of an array of floating-point numbers; ValueError where they do not follow each other."""
-    if array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise ValueError(f"an array of {array.dtype}, shape {array.shape}, expected contiguous numbers of type float64")
-    return array.ctypes.data
+        A function that does not make arrays of its pointers gets arrays, whose length is not known here.
+        """
+        makes_arrays = "carray" in self.function.__code__.co_names
+        numbers = (np.float64(value) if isinstance(value, float) else value for value in values)
+        if makes_arrays:
+            return self.function(*numbers)
+        return self.function(*(np.ctypeslib.as_array(v, (LONG,)) if isinstance(v, Reals) else v for v in numbers))
 
 
 class Value(Kernel):
@@ -121,6 +132,8 @@ class Reals(ctypes.POINTER(ctypes.c_double)):
         return np.float64(super().__getitem__(index))
 
 
+LONG = 1 << 24
+"""Entries of an array of which only the beginning is there."""
 _CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals}
 
 

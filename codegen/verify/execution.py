@@ -44,9 +44,10 @@ class Text:
                 self._parts |= {part.id: node for part in named}
 
     def _import(self, node: ast.ImportFrom) -> None:
-        """Take in the functions that a text imports from the runtime, as if they were its own."""
+        """Take in the functions that loops over pairs import from the runtime, as if they were the text's own."""
         module = str(node.module)
-        if not module.startswith("codegen.runtime.particles.") and not module.startswith("codegen.runtime.special."):
+        if not module.startswith("codegen.runtime.particles."):
+            self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
             return
         *folders, name = module.split(".")[1:]
         file = resources.files("codegen").joinpath(*folders, f"{name}.py")

@@ -293,12 +293,14 @@ class Solution(NamedTuple):
 
 
 @packed_operations()
-def solve_case(case, guess=None):
+def solve_case(case, guess=None, method=None):
     """Connect the points of a case, from the momenta `guess` (n, d), if they are given; return a Solution.
+
+    `method` says in which order attempts are made, by default that of the module.
 
     Never raises when the numerics fail.
     """
-    found = run_cascade(case, case.problem.metadata["method"], guess)
+    found = run_cascade(case, method or case.problem.metadata["method"], guess)
     outcome, path, points, iterations, tangents, residual, attempts = found
     status = "solved" if outcome > 0 else "not connected"
     message = (
