@@ -44,8 +44,7 @@ class Origin:
 class Module:
     """A generated module before rendering; `template` names the file that lays it out.
 
-    `constants` are sizes, index arrays and names; `runtime` lists the files of `codegen/runtime` to include, and
-    `sizes` are those constants on which it depends what of them is included.
+    `constants` are sizes, index arrays and names; `sizes` are those on which it depends what loops say.
     """
 
     template: str
@@ -56,7 +55,6 @@ class Module:
     metadata: tuple[tuple[str, str], ...]
     constants: tuple[Line, ...]
     kernels: tuple[Kernel, ...]
-    runtime: tuple[str, ...]
     sizes: tuple[tuple[str, int], ...]
     arguments: tuple[Argument, ...]
     steps: int
@@ -157,11 +155,17 @@ class ControlModule(Module):
 class SimulateModule(Module):
     """A module that solves an initial value problem.
 
+    `public` are names for users, and `record` the fields of the StepProblem with their code. Where all steps are made by
+    one loop, `explicit_sizes` holds the numbers of a state, of stages, of the parts of a step and of
+    the lengths of each, as code.
     `duration` and `start_values` are code in the arguments; `table_arguments` has the name of the argument that takes
     other numbers for tables, where there are any; `start` is the initial state (q, p) as code that reads
     the arguments and the targets of `start_values`, whose comments are the names of the prescribed quantities.
     """
 
+    public: tuple[str, ...]
+    record: tuple[tuple[str, str], ...]
+    explicit_sizes: tuple[str, ...]
     table_arguments: tuple[str, ...]
     duration: str
     start_values: tuple[Line, ...]

@@ -26,7 +26,7 @@ def require(
     from codegen.loading import has_machine_code
 
     with _COMPILING.setdefault(path.resolve(), threading.Lock()):
-        if not is_new and not vars(module)["DAMAGED"] and has_machine_code(path, module):
+        if not is_new and has_machine_code(path, module):
             return 0.0, []
         with working("Compiling"), compilers() as processes:
             return prepare(path, processes), processes.said

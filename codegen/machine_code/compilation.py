@@ -27,13 +27,14 @@ from numba import typeof
 from codegen.interfaces import GeneratedModule, few_steps, is_of_particles
 from codegen.loading import load
 from codegen.machine_code.processes import UNFINISHED
+from codegen.runtime.packing import packed_operations
 from codegen.tasks import task_of
 
 
 def compile_all(module: Any) -> None:
     """Call all that a solution calls, so that it is compiled, or read where it has been."""
     task = task_of(module)
-    with np.errstate(all="ignore"), module.packed_operations():
+    with np.errstate(all="ignore"), packed_operations():
         for call in task.parts(module):
             call()
         task.small(module)
@@ -98,7 +99,7 @@ def compile_in_two(module: Any) -> int:
     other = os.fork()
     status = 1
     try:
-        with np.errstate(all="ignore"), module.packed_operations():
+        with np.errstate(all="ignore"), packed_operations():
             while number := os.read(left, 1):
                 calls[number[0]]()
         status = 0
@@ -132,7 +133,7 @@ def compile_substitution(module: Any) -> None:
 def compile_share(module: Any, share: str) -> int:
     """Compile a share of a module; the exit status."""
     shares = {"the_longest": slice(1), "all_but_the_longest": slice(1, None)}
-    with np.errstate(all="ignore"), module.packed_operations():
+    with np.errstate(all="ignore"), packed_operations():
         for call in task_of(module).parts(module)[shares.get(share, slice(None))]:
             call()
     return status_of(module)
@@ -145,8 +146,7 @@ def failed(error: Exception) -> int:
 
 
 def status_of(module: Any) -> int:
-    """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
-    module.add_checksums(_compiled_functions(module))
+    """The exit status of a process that has compiled its share of a module."""
     return 0 if task_of(module).is_whole else UNFINISHED
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from codegen.interfaces import few_steps, is_of_particles
+from codegen.interfaces import few_steps
 
 Calls = list[Callable[[], Any]]
 
@@ -63,36 +64,17 @@ def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
 
 def simulate_parts(module: Any) -> Calls:
     """Calls for a module that follows a motion."""
-    if is_of_particles(module):
-        return [lambda: module.solve(2)]
-    grid = module.make_grid(2)
-    path, stored = np.vstack([grid.start, grid.start]), np.empty((3, grid.start.size))
-    return [
-        lambda: module.follow(grid.start, 2, grid.h, grid.given, 1, stored, stored),
-        lambda: module.path_residual(grid, path),
-        lambda: module.energies(path, np.zeros(2), grid.given, np.empty(2)),
-    ]
+    return kernel_parts(module)
 
 
 def connect_parts(module: Any) -> Calls:
     """Calls for a module that connects points; where it carries others along, all that a registration calls."""
-    case = small_case(module)
-    points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
-    points[:, 0] = case.start
+    return kernel_parts(module)
 
-    def solve() -> None:
-        solution = module.solve_case(case)
-        module.stages_of(case, np.stack([solution.q, solution.p], axis=1))
 
-    def linearise() -> None:
-        module.Linearised(case, points, None).matrix()
-
-    if module.metadata.get("passive"):  # few functions are in two of these calls, the longest of which come first
-        return [solve, lambda: module.carry(case, points, case.start, derivative=True), linearise]
-    return [
-        linearise,
-        lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
-    ]
+def kernel_parts(module: Any) -> Calls:
+    """Calls that compile one kernel each."""
+    return [partial(getattr, kernel, "address") for kernel in module.problem.kernels()]
 
 
 def small_case(module: Any, steps: int = 2) -> Any:

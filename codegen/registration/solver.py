@@ -44,7 +44,7 @@ def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
 
 
 def _has_machine_code(path: Path) -> bool:
-    return any((path.parent / "__pycache__").glob(f"{path.stem}.carry_points-*.nbi"))
+    return any((path.parent / "__pycache__").glob(f"{path.stem}.tracer_gradient-*.nbi"))
 
 
 @cache

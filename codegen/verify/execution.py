@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from codegen.expressions.special_functions import STEMS
+from codegen.runtime.arguments import with_counts
 from codegen.tables.data import TableData
 from codegen.tables.evaluation import ORDERS, derivative
 from codegen.verify.tape import Arithmetic
@@ -30,15 +31,33 @@ class Text:
         self._parts: dict[str, ast.stmt] = {}
         self._codes: dict[tuple[str, ...], CodeType] = {}
         self._reads: dict[str, set[str]] = {}
-        for node in [*ast.parse(text).body, *_common(text)]:
-            if isinstance(node, (ast.Import, ast.ImportFrom)):
-                self._imports += [node] if not (isinstance(node, ast.ImportFrom) and node.module == "numba") else []
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.Import):
+                self._imports.append(node)
+            elif isinstance(node, ast.ImportFrom):
+                self._import(node)
             elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 self._parts[node.name] = node
             elif isinstance(node, ast.Assign):
                 parts = (p for t in node.targets for p in (t.elts if isinstance(t, ast.Tuple) else [t]))
                 named = (part for part in parts if isinstance(part, ast.Name))
                 self._parts |= {part.id: node for part in named}
+
+    def _import(self, node: ast.ImportFrom) -> None:
+        """Take in the functions that loops over pairs import from the runtime, as if they were the text's own."""
+        module = str(node.module)
+        if not module.startswith("codegen.runtime.particles.") and module != "codegen.runtime.inner_number":
+            self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
+            return
+        *folders, name = module.split(".")[1:]
+        file = resources.files("codegen").joinpath(*folders, f"{name}.py")
+        for part in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(part, ast.FunctionDef):
+                self._parts.setdefault(part.name, part)
+            elif isinstance(part, ast.Assign):
+                targets = (t for target in part.targets for t in ast.walk(target) if isinstance(t, ast.Name))
+                for target in targets:
+                    self._parts.setdefault(target.id, part)
 
     def defines(self, name: str) -> bool:
         """Whether a function, class or constant has the name."""
@@ -47,8 +66,9 @@ class Text:
     def interpreted(self, *names: str) -> dict[str, Any]:
         """Those of the names that the module defines, and what they need, with numba's decorators doing nothing."""
         namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
-        body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
+        namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
         namespace |= {"_interpreted": _interpreted, "carray": _carray}
+        body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
         namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
@@ -112,24 +132,25 @@ def _quiet(function: Callable[..., float]) -> Callable[..., Any]:
     return called
 
 
-def _common(text: str) -> list[ast.stmt]:
-    """Return the definitions of functions that kernels import, which other arithmetics have to execute as well."""
-    if "inner_number(" not in text:
-        return []
-    source = resources.files("codegen.runtime").joinpath("inner_number.py").read_text(encoding="utf-8")
-    return [node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)]
-
-
 def _interpreted(loop: Any) -> Callable[[Any], Any]:
     """Return what marks a loop over intervals, which then runs by the interpreter."""
     return lambda function: loop(function, is_interpreted=True)
 
 
 def _carray(pointer: Any, shape: Any) -> Any:
-    """Return an array over the memory at a pointer, as numba does."""
+    """Return an array over the memory at a pointer, as numba does; an array stays as it is."""
+    if isinstance(pointer, np.ndarray):
+        return pointer
     from numba import carray
 
     return carray(pointer, shape)
+
+
+def _with_counts(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A kernel that Python calls without the numbers of particles and of columns."""
+    code = function.__code__
+    names = code.co_varnames[: code.co_argcount]
+    return lambda *values: function(*with_counts(names, values))
 
 
 def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:

@@ -17,7 +17,7 @@ from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.evaluation import NoPointError, random_points
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, other_symbols, parameter_vector
-from codegen.checks.module.step_kernels import step_length
+from codegen.checks.module.step_kernels import step_lengths
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
 from codegen.runtime.search.grid import free_unknowns
@@ -270,7 +270,6 @@ def _step_difference(module: Any, program: StepProgram) -> str:
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     sizes = {"STATE": len(program.state), "STAGES": len(program.stage_symbols), "UNKNOWNS": len(program.unknowns)}
-    sizes["PARTS"] = len(program.fractions)
     if program.fractions:
         found = np.array(getattr(module, "FRACTIONS", []))
         exact = np.array([[float(sympy.N(f, 20)) for f in row] for row in program.fractions])
@@ -290,7 +289,7 @@ def _step_run(module: Any, program: StepProgram) -> str:
     def at(group: Any) -> Any:
         return np.array([point[symbol] for symbol in group])
 
-    length = step_length(point, program)
+    length = step_lengths(point, program)
     parameters = np.array([*at(program.model.parameters), *numbers_of(program.model)])
     base = (at(program.left_symbols), point[program.model.time], length, parameters)
     size, whole = len(program.unknowns), len(interval)
@@ -301,7 +300,7 @@ def _step_run(module: Any, program: StepProgram) -> str:
     y = at(program.unknowns)
     problem = problem or _run(module, "predict_step", base, unknowns=(size,))
     problem = problem or _run(module, "step_residual", (y, *base), residual=(size,))
-    problem = problem or _run(module, "step_jacobian", (y, *base), residual=(size,), jacobian=(size, size))
+    problem = problem or _run(module, "step_jacobian", (y, *base), residual=(size,), jacobian=(size**2,))
     return problem or _run(module, "complete_step", (y, *base), interval=(whole,))
 
 
@@ -312,7 +311,7 @@ def _run(module: Any, name: str, inputs: Any, adds: bool = False, **outputs: tup
         return f"kernel {name} is missing"
     arrays = {key: np.full(shape, 0.0 if adds else np.nan) for key, shape in outputs.items()}
     try:
-        getattr(kernel, "py_func", kernel)(*inputs, **arrays)
+        getattr(kernel, "py_func", getattr(kernel, "function", kernel))(*inputs, **arrays)
     except Exception as error:  # a damaged kernel may fail in any way
         return " ".join(f"kernel {name} fails ({type(error).__name__}: {error})".split())
     for key, array in arrays.items():

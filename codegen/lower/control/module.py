@@ -64,7 +64,6 @@ def lower_control(
         ),
         constants=(*_own_constants(program, derivatives, couplings, ranged), *added.constants),
         kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
-        runtime=(),
         structure=layout.structure(program, derivatives),
         features=_features(program, tables, ranged),
         sizes=(

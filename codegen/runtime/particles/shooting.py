@@ -14,13 +14,11 @@ steps until the residual decreases.
 import numpy as np
 from numba import njit
 
-from codegen.runtime.stand_ins.example_pairs import BLOCKS, POINTS, domain_margin, momentum_matrix
 from codegen.runtime.lu import factor_matrix, solve_factored
+from codegen.runtime.particles.broyden import broyden_steps
 from codegen.runtime.particles.pair_algebra import cholesky, largest, solve_cholesky
-from codegen.runtime.particles.pair_curvature import curvature_at
-from codegen.runtime.particles.pair_runge_kutta import advance_directions
-from codegen.runtime.particles.pair_broyden import broyden_steps
-from codegen.runtime.particles.pair_trajectory import defects, follow
+from codegen.runtime.particles.steps import advance_directions, curvature_at
+from codegen.runtime.particles.trajectory import defects, follow
 
 SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
 DENSE = 24  # unknowns up to which tangents in all directions are taken
@@ -31,12 +29,12 @@ SAMPLES = 8  # how often numbers are moved by it to see what rounding does
 VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 
-@njit(cache=True, error_model="numpy")
-def tangents(curvature, points, steps, h, own, parameters, directions):
+@njit(cache=True, error_model="numpy", nogil=True)
+def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
     """Propagate directions, shape (2nd, m), over all steps in place; return whether every step was solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
-        if not advance_directions(curvature, points, k * POINTS, h, own, parameters, directions, after):
+        if not advance_directions(pairs, hessians, points, k * pairs.points, h, own, parameters, directions, after):
             return False
         for row in range(after.shape[0]):
             for c in range(after.shape[1]):
@@ -94,14 +92,22 @@ class Linearised:
     def __init__(self, case, points, factor):
         """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
         self.case, self.points, self.factor, self.count = case, points, factor, 0
-        self.curvature = curvature_at(points, case.own, case.parameters)
+        self.hessians = curvature_at(case.problem, points, case.own, case.parameters)
+        self.pairs = case.problem.pairs if self.hessians.size else case.problem.pairs_with_products
+
+    def advance(self, k, directions, after):
+        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if it cannot be had."""
+        case, first = self.case, k * self.pairs.points
+        given = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
+        return advance_directions(*given, directions, after)
 
     def tangents(self, directions):
         """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
         case = self.case
         self.count += directions.shape[1]
         h = case.duration / case.steps
-        if not tangents(self.curvature, self.points, case.steps, h, case.own, case.parameters, directions):
+        given = self.pairs, self.hessians, self.points, case.steps, h, case.own, case.parameters
+        if not tangents(*given, directions):
             directions[:] = np.nan
         return directions
 
@@ -157,9 +163,9 @@ def preconditioner(case):
 
     It is what `end_residual` changes by where momenta are small. None if it is not definite.
     """
-    size = case.start.shape[0] if BLOCKS == 1 else case.start.size
+    size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     matrix = np.empty((size, size))
-    momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
+    case.problem.momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
     matrix *= case.duration
     matrix[np.diag_indices(size)] += np.repeat(case.sigma**2, size // case.start.shape[0])
     return matrix if cholesky(matrix) else None
@@ -178,10 +184,10 @@ def rounding(case, path):
     to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
     """
     h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
-    trial, points = path.copy(), np.empty((case.steps * POINTS, *path.shape[1:]))
+    trial, points = path.copy(), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for momenta in jittered(path[0, 1]):
         trial[0, 1] = momenta
-        if follow(h, case.own, case.parameters, trial, points, 0.0) >= 0:
+        if follow(case.problem.pairs, h, case.own, case.parameters, trial, points, 0.0) >= 0:
             noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
     return noise
 
@@ -189,9 +195,9 @@ def rounding(case, path):
 def rounding_of_states(case, path, errors):
     """The same for the defects of all steps, shape (N, 2, n, d), when all states move by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
-    found, points = np.empty_like(errors), np.empty((case.steps * POINTS, *path.shape[1:]))
+    found, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for trial in jittered(path):
-        if defects(h, case.own, case.parameters, trial, points, found) >= 0:
+        if defects(case.problem.pairs, h, case.own, case.parameters, trial, points, found) >= 0:
             noise = max(noise, largest((found - errors).ravel()))
     return noise
 
@@ -205,7 +211,8 @@ def first_steps(case, h, factor, path, points):
     """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
     if factor is None or case.start.size <= DENSE:
         return 0
-    return broyden_steps(h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance, path, points)
+    given = case.problem.pairs, h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance
+    return broyden_steps(*given, path, points)
 
 
 def shoot(case, factor, path, points, log):
@@ -216,7 +223,7 @@ def shoot(case, factor, path, points, log):
     """
     h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
-    outcome = follow(h, case.own, case.parameters, path, points, 0.0)
+    outcome = follow(case.problem.pairs, h, case.own, case.parameters, path, points, 0.0)
     if outcome < 0:
         return outcome, 0, np.inf
     made = first_steps(case, h, factor, path, points)
@@ -236,7 +243,7 @@ def shoot(case, factor, path, points, log):
         for _ in range(HALVINGS):
             trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
             trial_points[:] = points
-            if follow(h, case.own, case.parameters, trial_path, trial_points, 1e-15) >= 0:
+            if follow(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, 1e-15) >= 0:
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.linalg.norm(trial) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True
@@ -257,7 +264,7 @@ def all_states(case, factor, path, points, log):
     h = case.duration / case.steps
     errors, trial_errors = np.empty_like(path[1:]), np.empty_like(path[1:])
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
-    outcome = defects(h, case.own, case.parameters, path, points, errors)
+    outcome = defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
     if outcome < 0:
         return outcome, 0, np.inf
     residual = end_residual(path[-1], case.target, case.sigma)
@@ -279,8 +286,8 @@ def all_states(case, factor, path, points, log):
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[:] = path + length * shifts.reshape(path.shape)
-            inside = all(domain_margin(z) > 0.0 for z in trial_path)
-            if inside and defects(h, case.own, case.parameters, trial_path, trial_points, trial_errors) >= 0:
+            inside = all(case.problem.domain_margin(z) > 0.0 for z in trial_path)
+            if inside and defects(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, trial_errors) >= 0:
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.hypot(np.linalg.norm(trial_errors), np.linalg.norm(trial)) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True
@@ -295,10 +302,6 @@ def all_states(case, factor, path, points, log):
 
 def shift_states(linear, errors, shifts):
     """Fill shifts[1:], (N, 2nd, 1), with the linearised trajectory from shifts[0] that removes defects (N, 2, n, d)."""
-    case = linear.case
-    h = case.duration / case.steps
     for k, error in enumerate(errors):
-        solved = advance_directions(
-            linear.curvature, linear.points, k * POINTS, h, case.own, case.parameters, shifts[k], shifts[k + 1]
-        )
+        solved = linear.advance(k, shifts[k], shifts[k + 1])
         shifts[k + 1, :, 0] += error.ravel() if solved else np.nan

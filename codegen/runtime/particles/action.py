@@ -1,24 +1,18 @@
 """The discrete action as a minimisation: positions q_1 ... q_N-1 and one momentum P_k on each interval.
 
-Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = ABSCISSA.
+Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = `abscissa`.
 Unknowns are one vector: inner positions, then momenta. At a minimum the multipliers are 2 P_k, and the conditions for
 the positions are the scheme's equations for momenta.
 """
 
 import numpy as np
 
-from codegen.runtime.stand_ins.example_pairs import (
-    ABSCISSA,
-    hamiltonian,
-    hamiltonian_gradient,
-    hamiltonian_hessian,
-)
-from codegen.runtime.particles.pair_cascade import guessed_path
+from codegen.runtime.particles.cascade import guessed_path
 
 
 def action_start(case):
     """The unknowns of the guessed path, shape (nd (2 N - 1),)."""
-    path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
 
 
@@ -27,30 +21,31 @@ def action_states(case, unknowns):
     inner = (case.steps - 1) * case.start.size
     between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
     positions = np.concatenate([case.start[None], between, case.target[None]])
-    momenta = unknowns[inner:].reshape(case.steps, *case.start.shape)
-    return positions, np.stack([(1.0 - ABSCISSA) * positions[:-1] + ABSCISSA * positions[1:], momenta], axis=1)
+    momenta, c = unknowns[inner:].reshape(case.steps, *case.start.shape), case.problem.abscissa
+    return positions, np.stack([(1.0 - c) * positions[:-1] + c * positions[1:], momenta], axis=1)
 
 
 def action_cost(case, unknowns):
     """The discrete cost."""
     _, states = action_states(case, unknowns)
-    return 2.0 * case.duration / case.steps * sum(hamiltonian(z, case.own, case.parameters) for z in states)
+    total = sum(case.problem.hamiltonian(z, case.own, case.parameters) for z in states)
+    return 2.0 * case.duration / case.steps * total
 
 
 def action_gradients(case, states):
     """H_q and H_p at every state, shape (N, 2, n, d)."""
     gradients = np.empty_like(states)
     for z, gradient in zip(states, gradients, strict=True):
-        hamiltonian_gradient(z, case.own, case.parameters, gradient)
+        case.problem.gradient(z, case.own, case.parameters, gradient)
     return gradients
 
 
 def action_cost_gradient(case, unknowns):
     """Its gradient by the unknowns, in the shape of those."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
-    at_nodes = np.zeros((case.steps + 1, *case.start.shape))
-    at_nodes[:-1] += (1.0 - ABSCISSA) * gradients[:, 0]
-    at_nodes[1:] += ABSCISSA * gradients[:, 0]
+    at_nodes, c = np.zeros((case.steps + 1, *case.start.shape)), case.problem.abscissa
+    at_nodes[:-1] += (1.0 - c) * gradients[:, 0]
+    at_nodes[1:] += c * gradients[:, 0]
     return np.concatenate([at_nodes[1:-1].ravel(), gradients[:, 1].ravel()])
 
 
@@ -65,7 +60,7 @@ def action_blocks(case, states):
     """The second derivatives of H at every state, shape (N, 2nd, 2nd)."""
     hessians = np.empty((len(states), states[0].size, states[0].size))
     for z, hessian in zip(states, hessians, strict=True):
-        hamiltonian_hessian(z, case.own, case.parameters, hessian)
+        case.problem.hessian(z, case.own, case.parameters, hessian)
     return hessians
 
 
@@ -80,15 +75,15 @@ def action_columns(case, k):
 def action_jacobian(case, unknowns):
     """The derivative of `action_constraints`, shape (ndN, nd (2 N - 1))."""
     _, states = action_states(case, unknowns)
-    size, h = case.start.size, case.duration / case.steps
+    size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
     matrix = np.zeros((case.steps * size, unknowns.size))
     for k, hessian in enumerate(action_blocks(case, states)):
         rows = matrix[size * k : size * (k + 1)]
         left, right, momenta = action_columns(case, k)
         if left is not None:
-            rows[:, left] -= np.eye(size) + h * (1.0 - ABSCISSA) * hessian[size:, :size]
+            rows[:, left] -= np.eye(size) + h * (1.0 - c) * hessian[size:, :size]
         if right is not None:
-            rows[:, right] += np.eye(size) - h * ABSCISSA * hessian[size:, :size]
+            rows[:, right] += np.eye(size) - h * c * hessian[size:, :size]
         rows[:, momenta] -= h * hessian[size:, size:]
     return matrix
 
@@ -100,7 +95,7 @@ def action_hessian(case, unknowns, multipliers):
     needed.
     """
     _, states = action_states(case, unknowns)
-    size, h = case.start.size, case.duration / case.steps
+    size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
     weights = np.reshape(multipliers, (case.steps, *case.start.shape))
     both, alone = states.copy(), states.copy()
     both[:, 1] += weights
@@ -114,12 +109,12 @@ def action_hessian(case, unknowns, multipliers):
         block[size:, :size] = block[:size, size:].T
         left, right, momenta = action_columns(case, k)
         matrix[momenta, momenta] += block[size:, size:]
-        for columns, weight in ((left, 1.0 - ABSCISSA), (right, ABSCISSA)):
+        for columns, weight in ((left, 1.0 - c), (right, c)):
             if columns is None or weight == 0.0:
                 continue
             matrix[columns, momenta] += weight * block[:size, size:]
             matrix[momenta, columns] += weight * block[size:, :size]
-            for others, other_weight in ((left, 1.0 - ABSCISSA), (right, ABSCISSA)):
+            for others, other_weight in ((left, 1.0 - c), (right, c)):
                 if others is not None:
                     matrix[columns, others] += weight * other_weight * block[:size, :size]
     return matrix
@@ -128,6 +123,6 @@ def action_hessian(case, unknowns, multipliers):
 def action_path(case, unknowns):
     """The states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
     positions, states = action_states(case, unknowns)
-    slopes = case.duration / case.steps * action_gradients(case, states)[:, 0]
-    momenta = np.concatenate([states[:1, 1] + (1.0 - ABSCISSA) * slopes[:1], states[:, 1] - ABSCISSA * slopes])
+    slopes, c = case.duration / case.steps * action_gradients(case, states)[:, 0], case.problem.abscissa
+    momenta = np.concatenate([states[:1, 1] + (1.0 - c) * slopes[:1], states[:, 1] - c * slopes])
     return np.stack([positions, momenta], axis=1)

@@ -9,14 +9,6 @@ matrix. Source: Nocedal and Wright (2006), Numerical optimization, algorithms 7.
 
 import numpy as np
 
-from codegen.runtime.stand_ins.example_pairs import (
-    BLOCKS,
-    domain_margin,
-    guide,
-    hamiltonian_gradient,
-    momentum_matrix,
-)
-
 INTERVALS = 20  # least number of intervals of the path: half as many mislead where particles pass closely
 BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # how far first paths are bent aside: particles may meet on the guessed one
 DESCENTS = 300  # iterations at most
@@ -33,13 +25,13 @@ def action_of(case, positions):
     The action is infinite, and the rest None, where a path leaves the domain or G has no inverse.
     """
     count, (n, d) = len(positions) - 1, case.start.shape
-    h, size = case.duration / count, n if BLOCKS == 1 else n * d
+    h, size = case.duration / count, n if case.problem.blocks == 1 else n * d
     states, matrices = np.zeros((count, 2, n, d)), np.empty((count, size, size))
     states[:, 0] = 0.5 * (positions[:-1] + positions[1:])
-    if not np.isfinite(states).all() or not all(domain_margin(z) > 0.0 for z in states):
+    if not np.isfinite(states).all() or not all(case.problem.domain_margin(z) > 0.0 for z in states):
         return np.inf, None, None, None
     for z, matrix in zip(states, matrices, strict=True):
-        momentum_matrix(z, case.own, case.parameters, matrix)
+        case.problem.momentum_matrix(z, case.own, case.parameters, matrix)
     try:
         inverses = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
@@ -51,7 +43,7 @@ def action_of(case, positions):
         return np.inf, None, None, None
     slopes, gradient = np.empty_like(states), np.zeros_like(positions)
     for z, slope in zip(states, slopes, strict=True):
-        hamiltonian_gradient(z, case.own, case.parameters, slope)
+        case.problem.gradient(z, case.own, case.parameters, slope)
     gradient[:-1] -= states[:, 1] + 0.5 * h * slopes[:, 0]
     gradient[1:] += states[:, 1] - 0.5 * h * slopes[:, 0]
     missed = np.where(case.sigma > 0.0, 1.0, 0.0)[:, None] * (positions[-1] - case.target)
@@ -107,14 +99,14 @@ def bent_path(case, count, bend):
     """Positions (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
     positions, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
-        guide(case.start, case.target, k / count, positions[k])
+        case.problem.guide(case.start, case.target, k / count, positions[k])
     aside = (case.target - case.start) @ (np.tri(d, d, -1) - np.tri(d, d, -1).T)  # a quarter of a turn in the plane
     return positions + bend * np.sin(np.pi * np.linspace(0.0, 1.0, count + 1))[:, None, None] * aside
 
 
 def path_intervals(case):
     """The number of intervals of a path, zero where its matrices were too large to work with."""
-    size = case.start.shape[0] if BLOCKS == 1 else case.start.size
+    size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     most = MOST_ENTRIES // size**2
     return min(max(INTERVALS, case.steps), most) if most >= INTERVALS else 0
 
@@ -130,7 +122,7 @@ def momenta_of_least_action(case):
     if momenta is None:
         return np.full(case.start.shape, np.nan)
     state, slope = np.stack([0.5 * (positions[0] + positions[1]), momenta[0]]), np.empty((2, *case.start.shape))
-    hamiltonian_gradient(state, case.own, case.parameters, slope)
+    case.problem.gradient(state, case.own, case.parameters, slope)
     return momenta[0] + 0.5 * case.duration / count * slope[0]
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.particles.pair_algebra import largest, solve_cholesky
-from codegen.runtime.particles.pair_trajectory import follow
+from codegen.runtime.particles.trajectory import follow
 
 BROYDEN_STEPS = 40  # iterations, each of which keeps two vectors
 PATIENCE = 6  # iterations after which the residual must have halved
 ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fill_end_residual(state, target, sigma, residual):
     """Fill `residual`, shape (nd,), with q_N + sigma^2 p_N - target; return its largest entry and its 2-norm."""
     size, total, k = 0.0, 0.0, 0
@@ -28,7 +28,7 @@ def fill_end_residual(state, target, sigma, residual):
     return size, np.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def approximate_inverse(factor, left, right, values, change):
     """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`.
 
@@ -45,8 +45,8 @@ def approximate_inverse(factor, left, right, values, change):
             change[k] += left[c, k] * product
 
 
-@njit(cache=True, error_model="numpy")
-def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, points):
+@njit(cache=True, error_model="numpy", nogil=True)
+def broyden_steps(pairs, h, own, parameters, target, sigma, factor, tolerance, path, points):
     """Improve path[0, 1], shape (n, d), as long as the residual falls; return how many steps were made.
 
     `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
@@ -65,7 +65,7 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
             step[k] = -step[k]
             momenta[k] += step[k]
         made, waited, is_kept = made + 1, waited + 1, False
-        if follow(h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
+        if follow(pairs, h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
             break
         error, norm = fill_end_residual(path[-1], target, sigma, residual)
         if not norm <= 2.0 * start:
@@ -89,5 +89,5 @@ def broyden_steps(h, own, parameters, target, sigma, factor, tolerance, path, po
     if not is_kept:
         for k in range(size):  # an assignment of arrays has numba compile text for errors: a tenth of all time
             momenta[k] = kept[k]
-        follow(h, own, parameters, path, points, 0.0)
+        follow(pairs, h, own, parameters, path, points, 0.0)
     return made

@@ -7,20 +7,15 @@ below the tolerance, or below what rounding makes of it, counts as a solution. A
 (N + 1, 2, n, d), and `points`, shape (N POINTS, 2, n, d), from what is in them, and `log`, see `shoot`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from codegen.runtime.stand_ins.example_pairs import (
-    BLOCKS,
-    POINTS,
-    QUADRATIC,
-    domain_margin,
-    guide,
-    momentum_matrix,
-)
+from codegen.runtime.packing import packed_operations
+from codegen.runtime.particles.least_action import momenta_of_least_action, path_intervals
 from codegen.runtime.particles.pair_algebra import cholesky, solve_cholesky
-from codegen.runtime.particles.pair_least_action import momenta_of_least_action, path_intervals
-from codegen.runtime.particles.pair_shooting import all_states, preconditioner, shoot
-from codegen.runtime.particles.pair_trajectory import cost_and_energies
+from codegen.runtime.particles.shooting import all_states, preconditioner, shoot
+from codegen.runtime.particles.trajectory import cost_and_energies
 
 OUTCOMES = {
     1: "solved",
@@ -37,16 +32,16 @@ MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt suc
 LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
 
 
-def momenta_of(start, velocity, own, parameters):
-    """The momenta, shape (n, d), that move particles at rest at given velocities: H_pp^-1 velocity."""
-    state = np.stack([start, np.zeros_like(start)])
-    size = start.shape[0] if BLOCKS == 1 else start.size
+def momenta_of(case, positions, velocity):
+    """Return the momenta (n, d) that move particles at given positions at given velocities: H_pp^-1 velocity."""
+    state = np.stack([positions, np.zeros_like(positions)])
+    size = positions.shape[0] if case.problem.blocks == 1 else positions.size
     matrix = np.empty((size, size))
-    momentum_matrix(state, own, parameters, matrix)
+    case.problem.momentum_matrix(state, case.own, case.parameters, matrix)
     right = velocity.reshape(size, -1).copy()
     if cholesky(matrix):
         solve_cholesky(matrix, right)
-    return right.reshape(start.shape)
+    return right.reshape(positions.shape)
 
 
 def straight_momenta(case, factor, target):
@@ -58,13 +53,17 @@ def straight_momenta(case, factor, target):
     return moved
 
 
-def guessed_path(start, target, steps, duration, own, parameters):
-    """States (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h."""
-    path = np.zeros((steps + 1, 2, *start.shape))
+def guessed_path(case, steps=None):
+    """Return states (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h.
+
+    N is the number of steps of the case, or another one.
+    """
+    steps = case.steps if steps is None else steps
+    path = np.zeros((steps + 1, 2, *case.start.shape))
     for k in range(steps + 1):
-        guide(start, target, k / steps, path[k, 0])
+        case.problem.guide(case.start, case.target, k / steps, path[k, 0])
     for k in range(steps):
-        path[k, 1] = momenta_of(path[k, 0], (path[k + 1, 0] - path[k, 0]) * steps / duration, own, parameters)
+        path[k, 1] = momenta_of(case, path[k, 0], (path[k + 1, 0] - path[k, 0]) * steps / case.duration)
     path[steps, 1] = path[steps - 1, 1]
     return path
 
@@ -74,7 +73,7 @@ def run_cascade(case, method, guess):
     (path, points), factor = allocate_path(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
-    cascade = ATTEMPTS[method] if guess is None else (("shooting from the given momenta", from_guess),)
+    cascade = attempts_of(case, method) if guess is None else (("shooting from the given momenta", from_guess),)
     for name, attempt in cascade:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
@@ -83,7 +82,7 @@ def run_cascade(case, method, guess):
         attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
         if outcome > 0:
             break
-    if QUADRATIC:
+    if case.problem.quadratic:
         doubtful = outcome > 0 and guess is None and attempt is not from_least_action
         if doubtful and misses_by_far(case, path[-1, 0]):
             made, found, note = by_less_action(case, factor, path, points, log)
@@ -93,44 +92,39 @@ def run_cascade(case, method, guess):
     return outcome, path, points, iterations, tangents, residual, tuple(attempts)
 
 
-if QUADRATIC:
+def by_less_action(case, factor, path, points, log):
+    """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
 
-    def by_less_action(case, factor, path, points, log):
-        """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
-
-        With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
-        positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
-        """
-        other, other_points = allocate_path(case)
-        log[:] = 0.0
-        outcome, made, residual = from_least_action(case, factor, other, other_points, log)
-        if outcome <= 0:
-            return made, None, f"{OUTCOMES[outcome]}, {made} iterations"
-        energy, h = np.empty(case.steps + 1), case.duration / case.steps
-        costs = [
-            penalised(case, cost_and_energies(h, case.own, case.parameters, *found, energy), found[0][-1, 0])
-            for found in ((path, points), (other, other_points))
-        ]
-        if not costs[1] < costs[0]:
-            return made, None, f"solved, {made} iterations, but nothing that costs less"
-        path[:], points[:] = other, other_points
-        return made, residual, f"solved, {made} iterations, residual {residual:.1e}, and it costs less"
-
-
-if QUADRATIC:
-
-    def penalised(case, cost, end):
-        """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
-        free = case.sigma > 0.0
-        missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
-        return 0.5 * (cost + missed.sum())
+    With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
+    positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
+    """
+    other, other_points = allocate_path(case)
+    log[:] = 0.0
+    outcome, made, residual = from_least_action(case, factor, other, other_points, log)
+    if outcome <= 0:
+        return made, None, f"{OUTCOMES[outcome]}, {made} iterations"
+    energy, h = np.empty(case.steps + 1), case.duration / case.steps
+    given = case.problem.pairs, h, case.own, case.parameters
+    costs = [
+        penalised(case, cost_and_energies(*given, *found, case.problem.costs, energy), found[0][-1, 0])
+        for found in ((path, points), (other, other_points))
+    ]
+    if not costs[1] < costs[0]:
+        return made, None, f"solved, {made} iterations, but nothing that costs less"
+    path[:], points[:] = other, other_points
+    return made, residual, f"solved, {made} iterations, residual {residual:.1e}, and it costs less"
 
 
-if QUADRATIC:
+def penalised(case, cost, end):
+    """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
+    free = case.sigma > 0.0
+    missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
+    return 0.5 * (cost + missed.sum())
 
-    def misses_by_far(case, end):
-        """Whether some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
-        return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
+
+def misses_by_far(case, end):
+    """Whether some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
+    return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
 
 
 def shoot_at(case, target, factor, path, points, log):
@@ -154,14 +148,12 @@ def from_rest(case, factor, path, points, log):
     return shoot_at(case, case.target, factor, path, points, log)
 
 
-if QUADRATIC:
-
-    def from_least_action(case, factor, path, points, log):
-        """Shoot from the momenta at the start of a path of least action."""
-        path[0, 1] = momenta_of_least_action(case)
-        if not np.isfinite(path[0, 1]).all():
-            return -6, 0, np.inf
-        return shoot_at(case, case.target, factor, path, points, log)
+def from_least_action(case, factor, path, points, log):
+    """Shoot from the momenta at the start of a path of least action."""
+    path[0, 1] = momenta_of_least_action(case)
+    if not np.isfinite(path[0, 1]).all():
+        return -6, 0, np.inf
+    return shoot_at(case, case.target, factor, path, points, log)
 
 
 def by_continuation(case, factor, path, points, log):
@@ -172,7 +164,7 @@ def by_continuation(case, factor, path, points, log):
     while done < 1.0 and part >= LEAST_PART:
         wanted = min(1.0, done + part)
         target = np.empty_like(case.target)
-        guide(case.start, case.target, wanted, target)
+        case.problem.guide(case.start, case.target, wanted, target)
         if len(known) > 1:
             (s0, p0), (s1, p1) = known[-2:]
             path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
@@ -195,7 +187,7 @@ def allocate_path(case, start_momenta=None):
     """A `path` and `points` for the steps of a case, with its points at the start and given momenta, shape (n, d)."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
-    return path, np.zeros((case.steps * POINTS, *path.shape[1:]))
+    return path, np.zeros((case.steps * case.problem.points, *path.shape[1:]))
 
 
 def by_steps(case, factor, path, points, log):
@@ -208,11 +200,9 @@ def by_steps(case, factor, path, points, log):
     for multiple in MORE_STEPS:
         finer = case._replace(steps=multiple * case.steps)
         fine_path, fine_points = allocate_path(finer)
-        if QUADRATIC:
-            attempt = from_least_action if path_intervals(finer) else by_continuation
-            outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
-        else:
-            outcome, made, residual = by_continuation(finer, factor, fine_path, fine_points, log)
+        is_sought = case.problem.quadratic and path_intervals(finer)
+        attempt = from_least_action if is_sought else by_continuation
+        outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             break
@@ -241,35 +231,77 @@ def by_steps(case, factor, path, points, log):
 
 def on_all_states(case, factor, path, points, log):
     """Newton's method on all states from the guessed path."""
-    path[:] = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    path[:] = guessed_path(case)
     return all_states(case, factor, path, points, log)
 
 
-if QUADRATIC:
-    SHOOTING = [
-        ("shooting from the momenta of the straight way", from_velocity),
-        ("shooting from the momenta of a path of least action", from_least_action),
-        ("shooting from rest", from_rest),
-        ("continuation in the target", by_continuation),
-    ]
-else:
-    SHOOTING = [
-        ("shooting from the momenta of the straight way", from_velocity),
-        ("shooting from rest", from_rest),
-        ("continuation in the target", by_continuation),
-    ]
+LEAST_ACTION = ("shooting from the momenta of a path of least action", from_least_action)
+SHOOTING = (
+    ("shooting from the momenta of the straight way", from_velocity),
+    LEAST_ACTION,
+    ("shooting from rest", from_rest),
+    ("continuation in the target", by_continuation),
+)
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
 LAST = (("continuation in the number of steps", by_steps),)
-ATTEMPTS = {
-    "stepping": (*SHOOTING, *ALL_STATES, *LAST),
-    "full": (*ALL_STATES, *SHOOTING, *LAST),
-    "action": (*ALL_STATES, *SHOOTING, *LAST),
-}
 
 
-def described(case, method, guess=None):
-    """The fields of a Solution."""
-    outcome, path, points, iterations, tangents, residual, attempts = run_cascade(case, method, guess)
+def attempts_of(case, method):
+    """Return the attempts of a method, in their order; a path of least action needs kinetic energy alone."""
+    shooting = tuple(attempt for attempt in SHOOTING if attempt is not LEAST_ACTION or case.problem.quadratic)
+    first = (*shooting, *ALL_STATES) if method == "stepping" else (*ALL_STATES, *shooting)
+    return (*first, *LAST)
+
+
+class Solution(NamedTuple):
+    """A motion that connects points.
+
+    Attributes
+    ----------
+    status, message : str
+        "solved" or "not connected", and a sentence that says what was tried, with a remedy.
+    cost : float
+        The sum of 2 h H at the scheme's points.
+    residual : float
+        The largest error of an equation.
+    iterations, tangents : int
+        Secant and Newton steps, and linearised trajectories, of all attempts.
+    attempts : tuple of str
+        A line for each attempt.
+    t : array (N + 1,)
+        Times of the nodes.
+    q, p : array (N + 1, n, d)
+        Positions and momenta.
+    energy : array (N + 1,)
+        H.
+    margin : float
+        The least value along the path of what the domain demands to be positive.
+    """
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    iterations: int
+    tangents: int
+    attempts: tuple
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    energy: np.ndarray
+    margin: float
+
+
+@packed_operations()
+def solve_case(case, guess=None, method=None):
+    """Connect the points of a case, from the momenta `guess` (n, d), if they are given; return a Solution.
+
+    `method` says in which order attempts are made, by default that of the module.
+
+    Never raises when the numerics fail.
+    """
+    found = run_cascade(case, method or case.problem.metadata["method"], guess)
+    outcome, path, points, iterations, tangents, residual, attempts = found
     status = "solved" if outcome > 0 else "not connected"
     message = (
         attempts[-1]
@@ -281,8 +313,9 @@ def described(case, method, guess=None):
     finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
     cost, energy = np.nan, np.full(case.steps + 1, np.nan)
     if finite:
-        cost = cost_and_energies(h, case.own, case.parameters, path, points, energy)
-    margin = min(domain_margin(z) for z in path) if finite else np.nan
+        given = case.problem.pairs, h, case.own, case.parameters, path, points
+        cost = cost_and_energies(*given, case.problem.costs, energy)
+    margin = min(case.problem.domain_margin(z) for z in path) if finite else np.nan
     t = h * np.arange(case.steps + 1)
     q, p = path[:, 0].copy(), path[:, 1].copy()
-    return status, message, cost, residual, iterations, tangents, attempts, t, q, p, energy, margin
+    return Solution(status, message, cost, residual, iterations, tangents, attempts, t, q, p, energy, margin)

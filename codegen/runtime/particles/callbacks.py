@@ -2,25 +2,23 @@
 
 import numpy as np
 
-from codegen.runtime.stand_ins.example_pairs import POINTS
-from codegen.runtime.particles.pair_curvature import curvature_at
-from codegen.runtime.particles.pair_cascade import guessed_path, momenta_of
-from codegen.runtime.particles.pair_runge_kutta import advance_directions
-from codegen.runtime.particles.pair_shooting import Linearised, end_residual
-from codegen.runtime.particles.pair_trajectory import defects, discrete_cost, follow
+from codegen.runtime.particles.cascade import guessed_path, momenta_of
+from codegen.runtime.particles.shooting import Linearised, end_residual
+from codegen.runtime.particles.trajectory import defects, discrete_cost, follow
 
 
 def first_momenta(case):
     """The momenta of the straight way, shape (n, d)."""
-    return momenta_of(case.start, (case.target - case.start) / case.duration, case.own, case.parameters)
+    return momenta_of(case, case.start, (case.target - case.start) / case.duration)
 
 
 def trajectory(case, momenta):
     """The outcome of all steps, the states, shape (N + 1, 2, n, d), and the points at which H is evaluated."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[0, 0], path[0, 1] = case.start, np.reshape(momenta, case.start.shape)
-    points = np.zeros((case.steps * POINTS, *path.shape[1:]))
-    return follow(case.duration / case.steps, case.own, case.parameters, path, points), path, points
+    points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
+    outcome = follow(case.problem.pairs, case.duration / case.steps, case.own, case.parameters, path, points, 0.0)
+    return outcome, path, points
 
 
 def residual(case, momenta):
@@ -39,15 +37,17 @@ def jacobian(case, momenta):
 
 def path_cost(case, path):
     """The discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
-    points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
-    defects(case.duration / case.steps, case.own, case.parameters, path, points, errors)
-    return discrete_cost(case.duration / case.steps, case.own, case.parameters, points)
+    points, errors = np.zeros((case.steps * case.problem.points, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    h, pairs = case.duration / case.steps, case.problem.pairs
+    defects(pairs, h, case.own, case.parameters, np.array(path, dtype=float), points, errors)
+    return discrete_cost(pairs, h, case.own, case.parameters, points, case.problem.costs)
 
 
 def path_errors(case, path):
     """Each step from a state minus the next state, shape (N, 2, n, d), and the residual of the end, shape (nd,)."""
-    points, errors = np.zeros((case.steps * POINTS, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
-    if defects(case.duration / case.steps, case.own, case.parameters, path, points, errors) < 0:
+    points, errors = np.zeros((case.steps * case.problem.points, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    h, path = case.duration / case.steps, np.array(path, dtype=float)
+    if defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors) < 0:
         errors[:] = np.nan
     return errors, end_residual(path[-1], case.target, case.sigma)
 
@@ -65,7 +65,7 @@ def path_of(case, unknowns):
 
 def first_unknowns(case):
     """Inner positions and all momenta on the guessed path, shape (2ndN,)."""
-    path = guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
 
@@ -80,15 +80,15 @@ def all_equations(case, unknowns):
 def all_equations_jacobian(case, unknowns):
     """The derivative of `all_equations`, shape (2ndN, 2ndN)."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
-    points, errors = np.zeros((steps * POINTS, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
+    points, errors = np.zeros((steps * case.problem.points, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
     h = case.duration / steps
-    defects(h, case.own, case.parameters, path, points, errors)
-    curvature = curvature_at(points, case.own, case.parameters)
+    defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
+    linear = Linearised(case, points, None)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
     after, variance = np.empty((2 * size, 2 * size)), np.repeat(case.sigma**2, case.start.shape[1])
     for k in range(steps):
         rows = slice(2 * size * k, 2 * size * (k + 1))
-        advance_directions(curvature, points, k * POINTS, h, case.own, case.parameters, np.eye(2 * size), after)
+        linear.advance(k, np.eye(2 * size), after)
         momenta = slice(inner + size * k, inner + size * (k + 1))
         later = slice(momenta.stop, momenta.stop + size)
         matrix[rows, momenta] += after[:, size:]

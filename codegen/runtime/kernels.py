@@ -1,0 +1,174 @@
+"""Functions of generated modules that compiled code calls by their address, and how it calls them.
+
+A kernel reads and fills arrays by pointers to their first entries; its other arguments are numbers. What is common to
+all problems calls it by an integer, the address, which does not take part in numba's cache on disk.
+"""
+
+import ctypes
+import inspect
+from collections import Counter
+from functools import cached_property
+
+import numpy as np
+from llvmlite import ir
+from numba import cfunc, config, njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from codegen.runtime.arguments import with_counts
+from codegen.runtime.packing import packed_operations
+
+REALS = types.CPointer(types.float64)
+NUMBERS = {
+    "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,
+}  # fmt: skip
+"""Arguments that are numbers, by name; all others are pointers to floating-point numbers."""
+
+ONLY_COMPILED = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that only compiled functions call: numba leaves out the entries by which Python and C call them."""
+
+
+class Kernel:
+    """A function that fills arrays, which is compiled when its address is first asked for.
+
+    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter. Called
+    from Python, a kernel takes arrays of numpy, and no numbers of particles and of columns.
+    """
+
+    returns, options = types.void, {}
+
+    def __init__(self, function, is_interpreted=False):
+        self.function, self.is_interpreted = function, is_interpreted
+        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+        self.names = tuple(inspect.signature(function).parameters)
+        self.kinds = [NUMBERS.get(name, REALS) for name in self.names]
+
+    @cached_property
+    def compiled(self):
+        """The compiled function, or the callback; what has the address must be kept."""
+        if self.is_interpreted or config.DISABLE_JIT:
+            returns = _CTYPES.get(self.returns)
+            return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
+        with packed_operations():
+            return cfunc(self.returns(*self.kinds), cache=True, error_model="numpy", **self.options)(self.function)
+
+    @cached_property
+    def address(self):
+        """The address of the function."""
+        found = self.compiled
+        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    @cached_property
+    def inlined(self):
+        """The function for compiled functions of the same module, which it becomes part of."""
+        return njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)(self.function)
+
+    @property
+    def stats(self):
+        """Where numba keeps machine code of the function, and how often it was read from there or made."""
+        made, read = Counter(), Counter()
+        if hasattr(self.__dict__.get("compiled"), "cache_hits"):
+            (read if self.compiled.cache_hits else made)[self.returns(*self.kinds)] += 1
+        return self._stats._replace(cache_hits=read, cache_misses=made)
+
+    @cached_property
+    def _stats(self):
+        """What numba says of a function that Python calls, of which nothing is compiled: it is kept in the same place."""
+        return njit(cache=not self.is_interpreted)(self.function).stats
+
+    @cached_property
+    def _called(self):
+        """The function for calls from Python."""
+        kinds = [ctypes.c_void_p if kind is REALS else _CTYPES[kind] for kind in self.kinds]
+        return ctypes.CFUNCTYPE(_CTYPES.get(self.returns), *kinds)(self.address)
+
+    def __call__(self, *values):
+        """Call the function with arrays and numbers; ValueError for an array of other than floating-point numbers."""
+        given, copies = with_counts(self.names, values), []
+        for i, value in enumerate(given):
+            if isinstance(value, np.ndarray):
+                if value.dtype != np.float64:
+                    raise ValueError(f"{self.names[i]} is an array of {value.dtype}, expected float64")
+                if not value.flags.c_contiguous:
+                    copies.append((value, value.copy()))
+                    value = copies[-1][1]
+                given[i] = value.ctypes.data
+        result = self._called(*given)
+        for value, copy in copies:
+            value[...] = copy  # which it may have filled
+        return result
+
+    def _interpreted(self, *values):
+        """Call the function of Python with numbers that divide by zero as those of machine code do.
+
+        A function that does not make arrays of its pointers gets arrays, whose length is not known here.
+        """
+        makes_arrays = "carray" in self.function.__code__.co_names
+        numbers = (np.float64(value) if isinstance(value, float) else value for value in values)
+        if makes_arrays:
+            return self.function(*numbers)
+        return self.function(*(np.ctypeslib.as_array(v, (LONG,)) if isinstance(v, Reals) else v for v in numbers))
+
+
+class Value(Kernel):
+    """A function that returns a number."""
+
+    returns = types.float64
+
+
+class Contracted(Kernel):
+    """A function in which products may be added without being rounded before."""
+
+    options = {"fastmath": {"contract"}}
+
+
+class Reals(ctypes.POINTER(ctypes.c_double)):
+    """A pointer to numbers, which the interpreter reads as numbers of numpy's type."""
+
+    _type_ = ctypes.c_double
+
+    def __getitem__(self, index):
+        """Return a number."""
+        return np.float64(super().__getitem__(index))
+
+
+LONG = 1 << 24
+"""Entries of an array of which only the beginning is there."""
+_CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals}
+
+
+@intrinsic
+def call(typingctx, address, values):
+    """Call the Kernel at an address with a tuple of numbers and addresses of arrays."""
+    return _calling(types.void, address, values)
+
+
+@intrinsic
+def call_value(typingctx, address, values):
+    """Call the Value at an address with a tuple of numbers and addresses of arrays; return what it returns."""
+    return _calling(types.float64, address, values)
+
+
+def _calling(returned, address, values):
+    """Return what an intrinsic returns to call the address that is its first argument."""
+    kinds = [ir.DoubleType() if isinstance(kind, types.Float) else ir.IntType(64) for kind in values.types]
+    # A compiled function that returns nothing returns an empty pointer.
+    result = ir.DoubleType() if returned is types.float64 else ir.IntType(8).as_pointer()
+
+    def generate(context, builder, _, given):
+        function = ir.FunctionType(result, kinds).as_pointer()
+        found = builder.call(builder.inttoptr(given[0], function), cgutils.unpack_tuple(builder, given[1]))
+        return found if returned is types.float64 else context.get_dummy_value()
+
+    return returned(address, values), generate
+
+
+@intrinsic
+def data_of(typingctx, array):
+    """Return the address of the first number of an array, without counting a reference."""
+
+    def generate(context, builder, signature, values):
+        data = context.make_array(signature.args[0])(context, builder, values[0]).data
+        return builder.ptrtoint(data, ir.IntType(64))
+
+    return types.int64(array), generate
