@@ -122,6 +122,7 @@ class SimulateModule(Protocol):
     solve: Callable[..., SimulateSolution]
     make_grid: Callable[..., StepGrid]
     energy: Callable[[Vector, float, Vector], float]
+    step: Callable[[StepGrid, Vector, float], Vector]
     path_residual: Callable[[StepGrid, Matrix], float]
 
 

@@ -155,9 +155,9 @@ class ControlModule(Module):
 class SimulateModule(Module):
     """A module that solves an initial value problem.
 
-    `public` are names for users, and `record` the fields of the StepProblem with their code. Where all steps are made by
-    one loop, `explicit_sizes` holds the numbers of a state, of stages, of the parts of a step and of
-    the lengths of each, as code.
+    `public` are names for users, and `record` the fields of the StepProblem with their code. Where all steps are made
+    by one loop, `explicit_sizes` holds the numbers of a state, of stages, of the parts of a step and of the lengths of
+    each, as code.
     `duration` and `start_values` are code in the arguments; `table_arguments` has the name of the argument that takes
     other numbers for tables, where there are any; `start` is the initial state (q, p) as code that reads
     the arguments and the targets of `start_values`, whose comments are the names of the prescribed quantities.

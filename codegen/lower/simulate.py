@@ -60,7 +60,9 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         sizes=(),
         public=_public(program, bool(ranged)),
         record=_record(program, derivatives, tables=bool(tables), ranged=bool(ranged)),
-        explicit_sizes=() if program.unknowns or ranged else (f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}",),
+        explicit_sizes=()
+        if program.unknowns or ranged
+        else (f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}",),
         arguments=arguments_of(model),
         table_arguments=table_arguments(tables),
         steps=model.steps,
@@ -180,7 +182,11 @@ def _constants(program: StepProgram) -> list[Line]:
     if program.fractions:
         rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
         lines += [
-            Line("FRACTIONS", f"np.array([{', '.join(rows)}])", "lengths of the steps of the base scheme that make up one step, relative to it"),
+            Line(
+                "FRACTIONS",
+                f"np.array([{', '.join(rows)}])",
+                "lengths of the steps of the base scheme that make up one step, relative to it",
+            ),
         ]
     return lines
 

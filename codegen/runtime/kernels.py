@@ -8,9 +8,10 @@ import ctypes
 import inspect
 from collections import Counter
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import cfunc, config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -24,18 +25,19 @@ NUMBERS = {
 }  # fmt: skip
 """Arguments that are numbers, by name; all others are pointers to floating-point numbers."""
 
-ONLY_COMPILED = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Options of functions that only compiled functions call: numba leaves out the entries by which Python and C call them."""
+ONLY_COMPILED: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that only compiled functions call: numba leaves out entries by which Python and C call them."""
 
 
 class Kernel:
     """A function that fills arrays, which is compiled when its address is first asked for.
 
-    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter. Called
-    from Python, a kernel takes arrays of numpy, and no numbers of particles and of columns.
+    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter.
+    Called from Python, a kernel takes arrays of numpy, and no numbers of particles and of columns.
     """
 
-    returns, options = types.void, {}
+    returns: ClassVar[Any] = types.void
+    options: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, function, is_interpreted=False):
         self.function, self.is_interpreted = function, is_interpreted
@@ -73,7 +75,7 @@ class Kernel:
 
     @cached_property
     def _stats(self):
-        """What numba says of a function that Python calls, of which nothing is compiled: it is kept in the same place."""
+        """What numba says of a function that Python would call, whose machine code it would keep in the same place."""
         return njit(cache=not self.is_interpreted)(self.function).stats
 
     @cached_property
@@ -113,16 +115,16 @@ class Kernel:
 class Value(Kernel):
     """A function that returns a number."""
 
-    returns = types.float64
+    returns: ClassVar[Any] = types.float64
 
 
 class Contracted(Kernel):
     """A function in which products may be added without being rounded before."""
 
-    options = {"fastmath": {"contract"}}
+    options: ClassVar[dict[str, Any]] = {"fastmath": {"contract"}}
 
 
-class Reals(ctypes.POINTER(ctypes.c_double)):
+class Reals(ctypes.POINTER(ctypes.c_double)):  # type: ignore[misc]
     """A pointer to numbers, which the interpreter reads as numbers of numpy's type."""
 
     _type_ = ctypes.c_double

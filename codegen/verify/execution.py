@@ -44,9 +44,10 @@ class Text:
                 self._parts |= {part.id: node for part in named}
 
     def _import(self, node: ast.ImportFrom) -> None:
-        """Take in the functions that loops over pairs import from the runtime, as if they were the text's own."""
+        """Take in the functions that kernels import from the runtime, as if they were the text's own."""
         module = str(node.module)
-        if not module.startswith("codegen.runtime.particles.") and module != "codegen.runtime.inner_number":
+        own = "codegen.runtime.particles.", "codegen.runtime.tabulated.", "codegen.runtime.inner_number"
+        if not module.startswith(own):
             self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
             return
         *folders, name = module.split(".")[1:]
@@ -54,6 +55,8 @@ class Text:
         for part in ast.parse(file.read_text(encoding="utf-8")).body:
             if isinstance(part, ast.FunctionDef):
                 self._parts.setdefault(part.name, part)
+            elif isinstance(part, ast.ImportFrom) and str(part.module).startswith("codegen.runtime.tabulated."):
+                self._import(part)
             elif isinstance(part, ast.Assign):
                 targets = (t for target in part.targets for t in ast.walk(target) if isinstance(t, ast.Name))
                 for target in targets:

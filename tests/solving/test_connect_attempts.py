@@ -53,9 +53,7 @@ def test_implicit_steps_begin_at_points_of_a_nearby_trajectory(module):
     made_by = {}
     for near in (0.0, 1e-15, 1e-6):
         other, known = path.copy(), made.trajectory(case, first)[2]
-        made_by[near] = follow(
-            made.problem.pairs, case.duration / 4, case.own, case.parameters, other, known, near
-        )
+        made_by[near] = follow(made.problem.pairs, case.duration / 4, case.own, case.parameters, other, known, near)
         np.testing.assert_allclose(other, path, rtol=0, atol=1e-13 if near < 1e-6 else 1e-5)
         np.testing.assert_allclose(known, points, rtol=0, atol=1e-13 if near < 1e-6 else 1e-5)
     assert 4 <= made_by[1e-6] < made_by[1e-15] < made_by[0.0]

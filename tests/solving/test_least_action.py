@@ -34,7 +34,10 @@ def test_the_gradient_of_the_action(made, bent):
             for a in range(2):
                 step = np.zeros_like(positions)
                 step[k, i, a] = 1e-5
-                change = least_action.action_of(case, positions + step)[0] - least_action.action_of(case, positions - step)[0]
+                change = (
+                    least_action.action_of(case, positions + step)[0]
+                    - least_action.action_of(case, positions - step)[0]
+                )
                 expected = 0.0 if k == 4 and SIGMA[i] == 0.0 else change / 2e-5
                 assert gradient[k, i, a] == pytest.approx(expected, abs=2e-8)
 

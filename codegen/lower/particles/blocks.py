@@ -16,9 +16,10 @@ from codegen.lower.kernels import Line
 class BlockLoop:
     """A function that adds up what all particles j contribute to each point m of a block.
 
-    `views` make arrays of pointers. `head` comes first; for each block `before` for each point m of it; `inputs` for each particle j, then for each m
-    `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose code is `over_points` where it is
-    not needed always. Blocks divide the points from `begin` to `end`, which are code.
+    `views` make arrays of pointers. `head` comes first; for each block `before` for each point m of it; `inputs` for
+    each particle j, then for each m `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose
+    code is `over_points` where it is not needed always. Blocks divide the points from `begin` to `end`, which are
+    code.
     """
 
     name: str

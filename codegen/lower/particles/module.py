@@ -77,7 +77,7 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         metadata=tuple(metadata(program, derivatives, all_loops)),
         constants=tuple(constants),
         public=_public(program, derivatives, loops),
-        record=_record(program, derivatives, [visit.name for visit in (*loops, *around, *gathered, *carried)]),
+        record=_record(program, derivatives, _names(loops, around, gathered, carried)),
         gathered_loops=gathered,
         threaded=(views((*STATE, "gradient"), model),) if model.parallel else (),
         tracer_loops=carried,
@@ -104,7 +104,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         metadata=tuple(metadata(program, derivatives, loops)),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         public=("OWN", "START", "energy", "make_grid", "metadata", "path_residual", "problem", "solve", "step"),
-        record=_record(program, derivatives, [visit.name for visit in (*loops, *around)]),
+        record=_record(program, derivatives, _names(loops, around)),
         own=tuple(Argument(name, "") for name in model.own),
         start=model.start,
         own_values=model.own_values,
@@ -161,9 +161,12 @@ def _floats(values: Iterable[Rational]) -> str:
     return f"({', '.join(repr(float(v)) for v in values)},)"
 
 
-def _public(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[PairLoop]
-) -> tuple[str, ...]:
+def _names(*groups: Sequence[PairLoop] | Sequence[ParticleLoop] | Sequence[BlockLoop]) -> list[str]:
+    """The names of loops."""
+    return [visit.name for group in groups for visit in group]
+
+
+def _public(program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[PairLoop]) -> tuple[str, ...]:
     """Names for users of a module that connects points."""
     names = (
         "Linearised all_equations all_equations_jacobian all_states domain_margin end_residual first_momenta "

@@ -50,7 +50,8 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
         ParticleLoop(
             "domain_margin",
             "The least value of what must be positive wherever a particle of `z`, shape (2, n, d), is.",
-            signature(("z",)), "@Value", views(("z",), model) if domain else (), (Line("margin", "np.inf"),), ("for i in range(z.shape[1]):",) if domain else (),
+            signature(("z",)), "@Value", views(("z",), model) if domain else (),
+            (Line("margin", "np.inf"),), ("for i in range(z.shape[1]):",) if domain else (),
             tuple(Line("margin", f"min(margin, {code})") for code in domain), ("margin",),
         )
     )  # fmt: skip

@@ -1,8 +1,8 @@
 """The discrete action as a minimisation: positions q_1 ... q_N-1 and one momentum P_k on each interval.
 
-Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1 with c = `abscissa`.
-Unknowns are one vector: inner positions, then momenta. At a minimum the multipliers are 2 P_k, and the conditions for
-the positions are the scheme's equations for momenta.
+Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1; c is the
+abscissa. Unknowns are one vector: inner positions, then momenta. At a minimum the multipliers are 2 P_k, and the
+conditions for the positions are the scheme's equations for momenta.
 """
 
 import numpy as np

@@ -37,7 +37,10 @@ def jacobian(case, momenta):
 
 def path_cost(case, path):
     """The discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
-    points, errors = np.zeros((case.steps * case.problem.points, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    points, errors = (
+        np.zeros((case.steps * case.problem.points, *path.shape[1:])),
+        np.zeros((case.steps, *path.shape[1:])),
+    )
     h, pairs = case.duration / case.steps, case.problem.pairs
     defects(pairs, h, case.own, case.parameters, np.array(path, dtype=float), points, errors)
     return discrete_cost(pairs, h, case.own, case.parameters, points, case.problem.costs)
@@ -45,7 +48,10 @@ def path_cost(case, path):
 
 def path_errors(case, path):
     """Each step from a state minus the next state, shape (N, 2, n, d), and the residual of the end, shape (nd,)."""
-    points, errors = np.zeros((case.steps * case.problem.points, *path.shape[1:])), np.zeros((case.steps, *path.shape[1:]))
+    points, errors = (
+        np.zeros((case.steps * case.problem.points, *path.shape[1:])),
+        np.zeros((case.steps, *path.shape[1:])),
+    )
     h, path = case.duration / case.steps, np.array(path, dtype=float)
     if defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors) < 0:
         errors[:] = np.nan

@@ -284,7 +284,7 @@ class Solution(NamedTuple):
     residual: float
     iterations: int
     tangents: int
-    attempts: tuple
+    attempts: tuple[str, ...]
     t: np.ndarray
     q: np.ndarray
     p: np.ndarray

@@ -23,7 +23,7 @@ class Case(NamedTuple):
 
 
 def checked_case(problem, start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations):
-    """Return a Case, whose fields give the shapes; ValueError names the points, or the argument, that are unusable and why."""
+    """Return a Case, whose fields give the shapes; ValueError names the points, or the argument, that are unusable."""
     start, target = np.array(start, dtype=float), np.array(target, dtype=float)
     if start.ndim != 2 or start.shape[1] != problem.dimension or start.shape[0] < 1:
         raise ValueError(f"start has shape {start.shape}, expected (n, {problem.dimension}) with at least one point")

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kernels import data_of
 from codegen.runtime.addresses import reals_at
 from codegen.runtime.kernels import data_of
 from codegen.runtime.packing import packed_operations
@@ -33,7 +32,7 @@ class Grid(NamedTuple):
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, own):
-    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive.
+    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or a number is not positive.
 
     `own` holds a value, or values (n,), of each own parameter.
     """
@@ -114,9 +113,7 @@ def follow_motion(grid, every=1):
     every, size, pairs = min(checked_count("every", every), steps), start.size, problem.pairs
     path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
-    made, rows, iterations, outcome = follow_particles(
-        pairs, start, steps, h, own, parameters, every, path, before
-    )
+    made, rows, iterations, outcome = follow_particles(pairs, start, steps, h, own, parameters, every, path, before)
     t, energy = h * np.minimum(every * np.arange(rows), made), np.empty(rows)
     energies_of(pairs, path, own, parameters, start.shape, energy)
     measured = rows if outcome == 0 else 1 + made // every

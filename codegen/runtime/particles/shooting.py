@@ -287,7 +287,11 @@ def all_states(case, factor, path, points, log):
         for _ in range(HALVINGS):
             trial_path[:] = path + length * shifts.reshape(path.shape)
             inside = all(case.problem.domain_margin(z) > 0.0 for z in trial_path)
-            if inside and defects(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, trial_errors) >= 0:
+            if (
+                inside
+                and defects(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, trial_errors)
+                >= 0
+            ):
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.hypot(np.linalg.norm(trial_errors), np.linalg.norm(trial)) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True

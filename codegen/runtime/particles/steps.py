@@ -1,10 +1,11 @@
 """One step of particles that interact in pairs, and its derivative.
 
-A composition method takes the field F = (H_p, -H_q) of each substep at one point between its ends, z1 = z0 + f h F(q, p)
-at q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1. Implicit substeps are iterated as they stand, which contracts by about
-h |H''|; where that is slow, Newton's method takes over with the generated second derivatives, whose matrix is factored
-anew only when the factors at hand no longer serve. Where H is separable and a and b are zero or one, positions and
-momenta take turns. An explicit Runge-Kutta method is k_i = F(z0 + h sum_j a_ij k_j), z1 = z0 + h sum_i b_i k_i.
+A composition method takes the field F = (H_p, -H_q) of each substep at one point between its ends: z1 = z0 + f h F(q,
+p) with q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1. Implicit substeps are iterated as they stand, which contracts by
+about h |H''|; where that is slow, Newton's method takes over with the generated second derivatives, whose matrix is
+factored anew only when the factors at hand no longer serve. Where H is separable and a and b are zero or one,
+positions and momenta take turns. An explicit Runge-Kutta method is k_i = F(z0 + h sum_j a_ij k_j), z1 = z0 + h sum_i
+b_i k_i.
 
 States have shape (2, n, d), own parameters (n, k).
 """
@@ -12,7 +13,7 @@ States have shape (2, n, d), own parameters (n, k).
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit
+from numba import carray, njit  # type: ignore[attr-defined]
 
 from codegen.runtime.addresses import reals_at
 from codegen.runtime.kernels import call, data_of

@@ -2,8 +2,8 @@
 
 They make the steps that the particles make. A substep of a composition method is x1 = x0 + f h V(x) at
 x = (1 - a) x0 + a x1, where V belongs to the particles' position at which their field was evaluated; its inverse is a
-substep of length -f h with 1 - a in place of a. An explicit Runge-Kutta method has V_i = V(x0 + h sum_j a_ij V_j) at the
-particles' stage i, and x1 = x0 + h sum_i b_i V_i; its inverse solves this equation for x0. Equations are solved by
+substep of length -f h with 1 - a in place of a. An explicit Runge-Kutta method has V_i = V(x0 + h sum_j a_ij V_j) at
+the particles' stage i, and x1 = x0 + h sum_i b_i V_i; its inverse solves this equation for x0. Equations are solved by
 Newton's method with the exact derivative.
 
 Positions, velocities and their changes of a block have shape (d block,), coordinate after coordinate, with those of all
@@ -13,7 +13,7 @@ points in each. A matrix of each point, d rows of c columns, is kept in the same
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit
+from numba import carray, njit  # type: ignore[attr-defined]
 
 from codegen.runtime.addresses import reals_at
 from codegen.runtime.kernels import call, data_of

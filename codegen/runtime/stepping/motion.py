@@ -69,7 +69,7 @@ class Solution(NamedTuple):
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, tables=None):
-    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive.
+    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or a number is not positive.
 
     `tables` maps names of tables to other numbers, on as many breakpoints.
     """
@@ -104,6 +104,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     Parameters
     ----------
     grid : Grid
+        Steps, their length, parameters, the initial state and the problem.
     every : int
         Every so many states are stored, beside the first and the last.
     tolerance : float
@@ -128,9 +129,7 @@ def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
     t, energy = h * np.minimum(every * np.arange(rows), made), np.empty(rows)
     energies(problem.energy.address, path, t, parameters, energy)
     measured = rows if outcome == 0 else 1 + made // every
-    residual = largest_residual(
-        problem.scheme, memory, before, path, measured, made, h, parameters, *accuracy, every
-    )
+    residual = largest_residual(problem.scheme, memory, before, path, measured, made, h, parameters, *accuracy, every)
     status, message = describe(grid, made, iterations, outcome)
     if outcome == LEFT_TABLE:
         message = message.format(range_left(grid, path[rows - 1], made * h))
@@ -191,7 +190,15 @@ def _made(grid, state, t):
     problem, interval = grid.problem, np.empty(grid.problem.stages + grid.problem.state)
     inputs, accuracy = np.empty((len(problem.ranges), 2)), (grid.tolerance, grid.max_iterations)
     outcome = make_step(
-        problem.scheme, memory_for(problem.scheme), state, float(t), grid.h, grid.parameters, *accuracy, interval, inputs
+        problem.scheme,
+        memory_for(problem.scheme),
+        state,
+        float(t),
+        grid.h,
+        grid.parameters,
+        *accuracy,
+        interval,
+        inputs,
     )
     return outcome, interval, inputs
 

@@ -15,8 +15,8 @@ from codegen.runtime.stepping.steps import Scheme, follow, memory_for
 class StepProblem:
     """An initial value problem: the kernels of one step, and names and numbers.
 
-    A step is made up of one part, or of several steps of another scheme, and each part of as many lengths as `fractions`
-    has columns. All kernels take the state at the start of a part, the time there, and the lengths.
+    A step is made up of one part, or of several steps of another scheme, and each part of as many lengths as
+    `fractions` has columns. All kernels take the state at the start of a part, the time there, and the lengths.
 
     Attributes
     ----------

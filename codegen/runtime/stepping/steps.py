@@ -3,10 +3,10 @@
 Implicit steps are solved by Newton's method, whose first correction is exact where the equations are linear.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, njit
+from numba import carray, njit  # type: ignore[attr-defined]
 
 from codegen.runtime.addresses import ahead, integers_at, reals_at
 from codegen.runtime.kernels import ONLY_COMPILED, call, call_value, data_of
@@ -17,7 +17,7 @@ LEAST = 1e-300  # numbers below it are so close to the least ones that they have
 ROUNDING = 1e-8  # corrections below this part of all unknowns are rounding errors once they no longer shrink
 TABLE_MARGIN = 1e-8  # parts of the range of a table by which an input may be outside, which is rounding
 
-INLINED = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
+INLINED: Any = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
 
 
 class Scheme(NamedTuple):
@@ -49,9 +49,9 @@ class Scheme(NamedTuple):
 class Work(NamedTuple):
     """Addresses of the arrays of a step, which the caller keeps.
 
-    `lengths` (parts, lengths) are those of all parts, `now` (state,) is the state before a step, `here` that at the start of a part, `interval`
-    (stages + state,) holds the inner stages and the state at its end, `seen` (inputs, 2) inputs of tables. Of Newton's
-    method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last corrections.
+    `lengths` (parts, lengths) are those of all parts, `now` (state,) is the state before a step, `here` that at the
+    start of a part, `interval` (stages + state,) holds the inner stages and the state at its end, `seen` (inputs, 2)
+    inputs of tables. Of Newton's method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last corrections.
     """
 
     lengths: int
@@ -310,7 +310,8 @@ def follow_explicitly(
 def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval, seen):
     """Make one step from a state (state,); return the iterations, or why it failed.
 
-    `interval` (stages + state,) takes the inner stages and the end of the last part, `seen` (inputs, 2) inputs of tables.
+    `interval` (stages + state,) takes the inner stages and the end of the last part, `seen` (inputs, 2) those of
+    tables.
     """
     parameters_at = parameters.ctypes.data
     work = work_in(scheme, memory, h, parameters_at)
@@ -339,7 +340,7 @@ def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interva
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, tolerance, most, every):
-    """Return the max-norm of the scheme's equations over the steps from `before` to rows 1, 2, ... of `path` (M, state).
+    """Return the max-norm of the scheme's equations over steps from `before` to rows 1, 2, ... of `path` (M, state).
 
     Inner stages, and states between the parts of a step, are not stored: they are computed anew from the state before.
     """
