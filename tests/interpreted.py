@@ -13,8 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import carray  # noqa: F401  what modules import
+
 from codegen.author.problem import Control, Phases
 from codegen.compiler import build
+from codegen.runtime import kernels
 from codegen.runtime.search import problem
 
 
@@ -35,7 +38,8 @@ def _code(text: str, name: str) -> types.CodeType:
 
 _REPLACED = {
     "import math\n": "from interpreted import silent_math as math\n",
-    "\nfrom numba import carray, njit": "\nfrom numba import carray\nfrom interpreted import njit",
+    "\nfrom numba import ": "\nfrom interpreted import ",
+    "\nfrom codegen.runtime.kernels import ": "\nfrom interpreted import ",
     "import ControlProblem, Loop": "import ControlProblem\nfrom interpreted import Loop",
     "import ControlProblem, DataDerivatives, Loop": (
         "import ControlProblem, DataDerivatives\nfrom interpreted import Loop"
@@ -57,6 +61,19 @@ class Loop(problem.Loop):
                     return np.nan
 
         super().__init__(quiet, is_interpreted=True)
+
+
+def Kernel(function):
+    """A kernel that fills arrays, by the interpreter."""
+    return kernels.Kernel(function, True)
+
+
+def Value(function):
+    """A kernel that returns a number, by the interpreter."""
+    return kernels.Value(function, True)
+
+
+Contracted = Kernel
 
 
 @contextmanager
