@@ -65,15 +65,16 @@ class BestIterate:
         self.was_late, self.is_exhausted = limit <= 0.0, False
         self.best: Any = None
 
-    def iterations_per_call(self, most: int, affordable: int) -> int:
+    def iterations_per_call(self, done: int, most: int, affordable: int) -> int:
         """Return after how many iterations the compiled search, which is about to be called, is to return.
 
-        Where the time is up, it only looks whether it has come to an end.
+        Where time or iterations are used up, it only looks whether it has come to an end.
         """
         self._called = now = self._clock()
+        self._count_up_to(done)
         if self.beginning is None:
             self.beginning = now - self._begin
-        count = min(most, affordable, max(1.0, self._most - self.count))
+        count = min(most, affordable, max(0.0, self._most - self.count))
         if self.limit < math.inf:
             left = self._end - now
             count = min(count, 1.0 + PART * left // max(self._iteration, SHORTEST)) if left >= 0.0 else 0
@@ -86,11 +87,9 @@ class BestIterate:
         """
         self._returned = self._clock()
         work = search.work
-        before, self._before = self._before, int(work.integers[ITERATIONS])
-        done = self._before - before if self._before >= before else self._before  # of another search
+        done = self._count_up_to(int(work.integers[ITERATIONS]))
         if done:
             self._iteration = (self._returned - self._called) / done
-        self._iterations += done
         self._is_asked_by_restoration, self._is_over = False, len(rows) > done
         if self.limit < math.inf and not search.grid.sizes.size:
             cost, residual = work.reals[COST], work.reals[RESIDUAL]
@@ -122,6 +121,12 @@ class BestIterate:
             self.was_late = True
             return True
         return False
+
+    def _count_up_to(self, done: int) -> int:
+        """Count the iterations of a search that has made so many; return how many there were since it was looked at."""
+        new = done - self._before if done >= self._before else done  # fewer are those of another search
+        self._iterations, self._before = self._iterations + new, done
+        return new
 
     @property
     def count(self) -> int:

@@ -189,7 +189,7 @@ def test_with_a_deadline_a_search_returns_ever_more_often():
     now, counts = 0.0, []
     log, search = BestIterate(100.0, 1e-4, lambda: now, expected=10.0), search_on(carried().make_grid(STEPS))
     while not log.is_late():
-        counts.append(log.iterations_per_call(100, 1000))
+        counts.append(log.iterations_per_call(sum(counts), 100, 1000))
         search.work.integers[descent.ITERATIONS] += counts[-1]
         now += 2.0 * counts[-1]  # quicker than was expected
         log.extend(search, np.zeros((counts[-1], 6)))
@@ -197,7 +197,7 @@ def test_with_a_deadline_a_search_returns_ever_more_often():
     assert counts[-1] == 1
     assert counts[1:] == sorted(counts[1:], reverse=True)
     assert 100.0 < now <= 102.0
-    assert BestIterate(np.inf, 1e-4).iterations_per_call(100, 1000) == 100
+    assert BestIterate(np.inf, 1e-4).iterations_per_call(0, 100, 1000) == 100
 
 
 def of(cost, residual):

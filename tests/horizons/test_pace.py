@@ -144,7 +144,7 @@ def test_what_an_iteration_and_the_end_took_is_measured():
     log = BestIterate(20.0, 1.0, lambda: now)
     assert log.rest(1.0) is None
     now = 2.0
-    log.iterations_per_call(10, 10)
+    log.iterations_per_call(0, 10, 10)
     assert log.beginning == 2.0
     assert log.rest(3.0) is None  # no iterate has come of it yet
     now = 8.0
@@ -155,7 +155,7 @@ def test_what_an_iteration_and_the_end_took_is_measured():
     now = 9.0
     assert not log.is_late()  # a restoration asks, too
     now = 10.0
-    log.iterations_per_call(10, 10)
+    log.iterations_per_call(3, 10, 10)
     now = 21.0
     search.work.integers[descent.ITERATIONS] = 4
     log.extend(search, np.zeros((1, 6)))

@@ -12,7 +12,7 @@ class Log:
             raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
         self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
 
-    def iterations_per_call(self, most, affordable):
+    def iterations_per_call(self, _done, most, affordable):
         """Return how many iterations the compiled search may make before it returns: one if someone watches."""
         if self.watch is not None:
             return 1

@@ -72,8 +72,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
 def run(search, tolerance, max_iterations, log):
     """Call the compiled search once, and log its iterates; return the number of its status, and "time limit" if late."""
     grid, work = search.grid, search.work
-    most = log.iterations_per_call(work.log.shape[0] - 1, WORK_PER_CALL // max(1, grid.is_multiplier.size))
-    before = int(work.integers[descent.ITERATIONS])
+    before, affordable = int(work.integers[descent.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
+    most = log.iterations_per_call(before, work.log.shape[0] - 1, affordable)
     while True:
         status = descent.descend(
             *search.arguments, tolerance, max_iterations, most, work.reals, work.integers, work.vectors, work.barriers,
