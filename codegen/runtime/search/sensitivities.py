@@ -20,7 +20,8 @@ from codegen.runtime.search.grid import NONE, free_unknowns, plain_grid, views
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, filled_entries
 from codegen.runtime.search.parts import fill, interval_parts
 from codegen.runtime.search.point import evaluate
-from codegen.runtime.search.solve import scaled_grid, scaled_unknowns
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import scaled_unknowns
 
 # Curvatures, in multiples of scaling factors, that hold an unknown, and shifts of equations: the first pair that does
 # is taken. Refinement corrects what they change. Larger curvatures would hide that active bounds contradict equations.
