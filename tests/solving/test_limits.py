@@ -118,7 +118,7 @@ def test_what_has_no_iterates_to_be_shown_is_refused(interpreted):
     """By the table of drivers, before anything is solved; so is a limit of iterations that a module does not have."""
     with pytest.raises(ArgumentError, match="--watch does not apply to a simulate problem, only to optimisation;"):
         solving.solve(interpreted("pendulum"), steps=2, watch=print)
-    with pytest.raises(ArgumentError, match="driver slsqp takes no --watch for a control problem; .* newton"):
+    with pytest.raises(ArgumentError, match=r"driver slsqp takes no --watch for a control problem; .* newton"):
         solving.solve(interpreted("cart_pole"), "slsqp", steps=2, watch=print)
     with pytest.raises(ArgumentError, match="--max-iterations of particles"):
         solving.solve(interpreted("lennard_jones"), steps=2, max_iterations=3)
