@@ -7,10 +7,10 @@ from codegen import Control, control, controls, free_parameter, parameter, state
 FIRST, SECOND = 2e-5, 1e-5  # rates of the reactions, 1/s
 
 
-def reactions() -> Control:
+def reactions(scale: float | None = None) -> Control:
     """A becomes B, and B becomes C, in seconds: from rates of zero nothing is seen of the second one.
 
-    What is followed is the closed form for two rates.
+    What is followed is the closed form for two rates. `scale` is a typical size of both, if it is to be stated.
     """
     a, b, c = states("a b c")
     p, q = free_parameter("p", 0, lower=0), free_parameter("q", 0, lower=0)
@@ -22,6 +22,7 @@ def reactions() -> Control:
         cost=(a - exp(-FIRST * t)) ** 2 + (b - fed) ** 2 + (c - made) ** 2,
         duration=1e5,
         start={a: 1, b: 0, c: 0},
+        scale={} if scale is None else {p: scale, q: scale},
         steps=20,
     )
 

@@ -21,36 +21,77 @@ def module_of(problem: Control | Phases):
     return as_machine_code(text_of(problem))
 
 
-def test_rates_that_do_not_matter_at_the_guess_are_found():
+def take_off() -> Control:
+    """Take an aircraft off and land it. IPOPT 3.14 takes 16 iterations by midpoint."""
+    x, y, q, vx, vy, w = states("x y q vx vy w")
+    u, s = controls("u s")
+    rates = {
+        **{x: vx, y: vy, q: w},
+        **{vx: -u * sin(q) + s * cos(q) / 10, vy: u * cos(q) + s * sin(q) / 10 - 1, w: s},
+    }
+    return Control(
+        dynamics=rates,
+        cost=u**2 + s**2,
+        duration=3,
+        start=dict.fromkeys(rates, 0),
+        end=dict.fromkeys(rates, 0) | {x: 1},
+        bounds={u: (0, 3), s: (-20, 20)},
+        guess={u: 1},
+        steps=50,
+    )
+
+
+@pytest.mark.parametrize("scheme", ["rk4", "gauss-4", "hermite-simpson"])
+def test_schemes_with_stages_take_no_more_iterations(scheme):
+    """Equations of stages had a residual, and with it a size, of h a_ij f: 54, 174 and 52 iterations."""
+    solution = as_machine_code(text_of(take_off(), scheme=scheme)).solve(50)
+    assert solution.status == "solved", solution.message
+    assert solution.iterations <= 1.5 * 16
+
+
+def factors_by_name(module, steps: int) -> dict[str, float]:
+    """The scaling factors of unknowns of a node and an interval, by their names."""
+    grid = time_grid(module, steps)
+    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    return dict(zip([*module.metadata["node"], *module.metadata["interval"]], scaled.sizes, strict=False))
+
+
+@pytest.mark.parametrize("controls_on", ["interval", "stages"])
+@pytest.mark.parametrize("scheme", ["rk4", "gauss-4", "hermite-simpson"])
+def test_stages_have_the_factors_of_their_states(scheme, controls_on):
+    """And equations of stages those of the state's step: as by midpoint, whatever the number of intervals."""
+    midpoint = as_machine_code(text_of(spiral()))
+    module = as_machine_code(text_of(spiral(), scheme=scheme, controls=controls_on))
+    for steps in (12, 30, 100, 300):
+        expected, factors = factors_by_name(midpoint, steps), factors_by_name(module, steps)
+        assert len(set(expected.values())) > 5, "the problem is chosen for them"
+        assert len(factors) > len(expected)
+        for name, factor in factors.items():
+            assert factor == pytest.approx(expected[name.partition("_stage")[0]]), (name, steps)
+
+
+def test_rates_that_do_not_matter_at_the_guess_are_told_by_their_scale():
+    """The second rate has no effect there, and its factor is one; the closed form has 2e-5 and 1e-5."""
     module = module_of(reactions())
     grid = module.make_grid(20)
-    scaled = module.scaled_grid(grid, module.initial_guess(grid))
-    assert scaled.sizes[-2:] == pytest.approx([1e-6, 1e-6])
-    solution = module.solve(20)
+    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes[-2:] == pytest.approx([1e-6, 1.0])
+    slow, quick = module.solve(20), module_of(reactions(1e-5)).solve(20)
+    for solution in (slow, quick):
+        assert solution.status == "solved", solution.message
+        assert solution.unknowns[-2:] == pytest.approx([FIRST, SECOND], rel=1e-2)
+    assert quick.iterations < 60
+
+
+def test_rates_that_are_flat_at_the_guess():
+    """While there is much food, exp(-25) of the proteins is made. The published optimum is 32.41 in all units."""
+    solution = of_problem(yeast(1e6)).solve(40)
     assert solution.status == "solved", solution.message
-    assert solution.iterations < 60
-    assert solution.unknowns[-2:] == pytest.approx([FIRST, SECOND], rel=1e-2)
+    assert -solution.cost == pytest.approx(32.41, rel=1e-3)
 
 
-@pytest.mark.parametrize(("unit", "size"), [(1.0, 1.0), (1e6, 1e-6)])
-def test_rates_that_are_flat_at_the_guess_are_looked_at_where_there_is_less_of_all(interpreted, unit, size):
-    """By their rates at the guess proteins had the size 1e-9, in parts of which a search led nowhere."""
-    module = of_problem(yeast(unit))
-    grid = module.make_grid(40)
-    scaled = module.scaled_grid(grid, module.initial_guess(grid))
-    nodes, _ = module.views(grid, scaled.sizes if scaled.sizes.size else np.ones_like(module.initial_guess(grid)))
-    expected = np.tile([size, size, 1.0, 1.0, 1.0], (41, 1))
-    assert nodes[0, :, :5] == pytest.approx(expected)
-
-
-def test_a_slack_has_the_size_of_its_condition_beside_the_guess():
+def test_a_slack_of_a_condition_without_derivatives_at_the_guess():
     """Where the squares of thrusts vanish with all their derivatives."""
     module = module_of(thrust())
-    grid = module.make_grid(30)
-    scaled = module.scaled_grid(grid, module.initial_guess(grid))
-    slack = (module.kinds_of(30) == module.STRIDE - 1).argmax()
-    assert module.metadata["interval"][-1].startswith("s_")
-    assert scaled.sizes[slack] >= 1e6
     solution = module.solve(30)
     assert solution.status == "solved", solution.message
     # With acceleration 5 m/s^2 over the time s, d = 5 s (30 - s), and twice the momentum is the integral.
@@ -131,7 +172,7 @@ def test_an_angle_is_one_radian_at_most(choices):
     angles = [i for i, name in enumerate((*module.metadata["node"], *module.metadata["interval"])) if name[0] == "a"]
     assert angles
     assert scaled.sizes[angles] == pytest.approx(1.0)
-    assert set(module.metadata["angles"].values()) == {0.5}
+    assert module.metadata["angles"]["a"] == 0.5
 
 
 def test_a_guess_out_of_bounds_does_not_tell_sizes():
@@ -154,25 +195,6 @@ def test_a_bound_beside_the_guess_does_not_tell_sizes_either():
     module = as_machine_code(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
     grid = module.make_grid(20)
     assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
-
-
-def test_a_search_that_goes_on_and_on_in_parts_of_sizes_leaves_iterations_for_others():
-    module = module_of(thrust())
-    minimise, limits = module.minimise, []
-
-    def never_ends(grid, unknowns, tolerance, limit, *others):
-        limits.append(limit)
-        if grid.sizes.size:
-            return "iteration limit", module.evaluate(grid, unknowns), limit
-        return minimise(grid, unknowns, tolerance, limit, *others)
-
-    module.minimise = never_ends
-    solution = module.solve(5, max_iterations=3000)
-    assert limits == [1000, 2000]
-    assert solution.iterations > 1000
-    limits.clear()
-    assert module.solve(5, max_iterations=20).iterations == 20
-    assert limits == [20]
 
 
 def climb() -> Control:

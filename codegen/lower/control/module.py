@@ -307,5 +307,5 @@ def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[
         "termination",
         "messages",
         *(("unscaled_solve",) if derivatives.linear_quadratic
-          else ("derivative_magnitudes", "measured_sizes", "scaling_factors", "scaled_solve")),
+          else ("scaling", "scaled_solve")),
     )  # fmt: skip

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import sympy
-from sympy import Symbol, cos, sin
+from sympy import cos, sin
 
 from codegen import schemes
 from codegen.derive import ControlDerivatives
@@ -84,32 +84,34 @@ def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[s
         ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
         ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
         *((("units", repr(dict(model.units))),) if model.units else ()),
-        *((("scale", repr(_by_unknown(program, dict(model.scales)))),) if model.scales else ()),
-        *((("angles", repr(angles)),) if (angles := _by_unknown(program, _angles(model))) else ()),
+        *((("stages", repr(stages)),) if (stages := _stages(program)) else ()),
+        *((("scale", repr({x.name: size for x, size in model.scales})),) if model.scales else ()),
+        *((("angles", repr(angles)),) if (angles := _angles(model)) else ()),
         *((("stage_abscissae", repr(_stage_abscissae(program))),) if program.controlled == "stages" else ()),
         *(_of_phases(program) if program.phases else ()),
     ]
 
 
-def _by_unknown(program: ControlProgram, sizes: Mapping[Symbol, float]) -> dict[str, float]:
-    """Sizes of quantities by the names of their unknowns: at stages and other inner points as well as themselves."""
-    by_name = {symbol.name: size for symbol, size in sizes.items()}
-    own = {symbol.name for symbol in (*program.model.coordinates, *program.model.rates, *program.model.controls)}
-    inner = [u.name for u in (*program.interval, *program.controls) if not u.multiplier and u.name not in own]
-    return by_name | {name: by_name[of] for name in inner if (of := name.rpartition("_")[0]) in by_name}
+def _stages(program: ControlProgram) -> dict[str, str]:
+    """Names at stages, of states, controls and multipliers, with the names of the same quantity at nodes."""
+    model = program.model
+    quantities = {s.name for s in (*model.coordinates, *model.rates, *model.controls)}
+    quantities |= {f"{prefix}_{name}" for name in quantities for prefix in ("mu", "lambda")}
+    names = [u.name for u in (*program.interval, *program.controls)]
+    return {name: of for name in names if name not in quantities and (of := name.rpartition("_stage")[0]) in quantities}
 
 
-def _angles(model: Model) -> dict[Symbol, float]:
-    """What one radian is of coordinates and controls that are arguments of sines and cosines."""
-    found: dict[Symbol, float] = {}
+def _angles(model: Model) -> dict[str, float]:
+    """What one radian is of coordinates and controls that are arguments of sines and cosines, by name."""
+    found: dict[str, float] = {}
     for part in model.phases or (model,):
         written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))
         for call in set().union(*(expression.atoms(sin, cos) for expression in written)):
             for symbol in call.args[0].free_symbols & {*part.coordinates, *part.controls}:
                 slope = call.args[0].diff(symbol)
                 if slope.is_number and slope != 0:
-                    found[symbol] = min(found.get(symbol, math.inf), abs(1.0 / float(slope)))
-    return dict(sorted(found.items(), key=lambda pair: pair[0].name))
+                    found[symbol.name] = min(found.get(symbol.name, math.inf), abs(1.0 / float(slope)))
+    return dict(sorted(found.items()))
 
 
 def _stage_abscissae(program: ControlProgram) -> tuple[float, ...]:

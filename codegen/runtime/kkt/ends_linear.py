@@ -16,8 +16,8 @@ def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, 
 if SCALED:
 
     @njit(error_model="numpy")
-    def note_ends(unknowns, body, steps, h, parameters, tables):
-        """Put derivatives of the ends' own shares into `tables` (3, KINDS, KINDS): there are none."""
+    def add_end_entries(unknowns, body, steps, h, parameters, terms, effect, curvature):
+        """Add derivatives of the ends' own shares to the tables of `scaling`: there are none."""
 
     @njit(error_model="numpy", inline="always")
     def multiply_ends(unknowns, body, steps, h, parameters, vector, product):

@@ -10,7 +10,7 @@ from codegen.runtime.stand_ins.example import (
     START_HESSIAN_COLUMNS, START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import global_index, root_index
-from codegen.runtime.optimise.derivative_magnitudes import add_entry
+from codegen.runtime.optimise.scaling import add_entry
 
 # Ones on the diagonal that intervals have for unknowns of the start alone, and that its share takes back.
 START_FILLING = np.where(
@@ -65,23 +65,24 @@ def end_unknown(local):
 if SCALED:
 
     @njit(error_model="numpy")
-    def note_ends(unknowns, body, steps, h, parameters, tables):
-        """Put derivatives of the ends' own shares, at `unknowns` (n,), into the `tables` of `sizes`."""
+    def add_end_entries(unknowns, body, steps, h, parameters, terms, effect, curvature):
+        """Add derivatives of the ends' own shares, at `unknowns` (n,), to the tables (KINDS, KINDS) of `scaling`."""
         first = body * (steps * STRIDE + NODE)
         last = first + steps * STRIDE
         entries = zero_vector(START_HESSIAN_ROWS.size)
         start_hessian(unknowns[first : first + NODE], 0.0, parameters[body], entries)
         for j in range(entries.size):
-            value = abs(entries[j] + START_FILLING[j])
-            add_entry(end_kind(START_HESSIAN_ROWS[j]), end_kind(START_HESSIAN_COLUMNS[j]), value, tables)
+            row, column = of_interval(START_HESSIAN_ROWS[j]), of_interval(START_HESSIAN_COLUMNS[j])
+            add_entry(row, column, abs(entries[j] + START_FILLING[j]), terms, effect, curvature)
         entries = zero_vector(END_HESSIAN_ROWS.size)
         end_hessian(unknowns[last : last + NODE], steps * h, parameters[body], entries)
         for j in range(entries.size):
-            add_entry(end_kind(END_HESSIAN_ROWS[j]), end_kind(END_HESSIAN_COLUMNS[j]), abs(entries[j]), tables)
+            row, column = of_interval(END_HESSIAN_ROWS[j]), of_interval(END_HESSIAN_COLUMNS[j])
+            add_entry(row, column, abs(entries[j]), terms, effect, curvature)
 
     @njit(error_model="numpy")
-    def end_kind(local):
-        """The kind of an unknown of an end: of its node, or a shared one."""
+    def of_interval(local):
+        """The number of an end's unknown among those of a node, an interval and the shared ones."""
         return local if local < NODE else STRIDE + local - NODE
 
 

@@ -1,7 +1,7 @@
-"""Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
+"""Solve with scaling factors, which a change of units changes with the numbers of the problem.
 
-What is solved is the same problem in other units, those in which its numbers are of ordinary size (see
-`scaling_factors`); where they are that already, it is solved as it is.
+The same problem is solved in other units, in which its numbers are ordinary (see `scaling`). A problem in ordinary
+numbers is solved as it is.
 """
 
 from functools import lru_cache
@@ -28,94 +28,75 @@ from codegen.runtime.optimise.cascade import minimise
 from codegen.runtime.optimise.active_bounds import bounds_of
 from codegen.runtime.unknowns.point import evaluate, lagrangian
 from codegen.runtime.unknowns.tied import with_tied_values
-from codegen.runtime.optimise.convergence_test import is_solved
 from codegen.runtime.optimise.forward_motion import forward_motion
-from codegen.runtime.optimise.measured_sizes import IS_SLACK
-from codegen.runtime.optimise.scaling_factors import fill_sizes
-from codegen.runtime.optimise.termination import VIOLATED, final_status, unscaled_unknowns
+from codegen.runtime.optimise.scaling import IS_SLACK, KIND, fill_scaling_factors
+from codegen.runtime.optimise.termination import final_status, unscaled_unknowns
 
-# How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
-COARSE, COARSE_COST = 3e3, 3e6
-REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
-WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
 LARGE_CORRECTION = 1e-3  # part of the cost
-# In other sizes it may be solved, for which iterations beyond a number are kept.
-FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
-LONG = 1000
 if FORWARD:
+    FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
     SLOW = 150  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
     FROM_MOTION = 300  # for that one
 STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
-NOTHING = 1e-14  # what is below it, in parts of the size that it was given, is zero but for rounding
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+    """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
 
-    `scaled` is the grid with the sizes in parts of which the search began.
+    `scaled` is the grid with the scaling factors.
     """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
-        grid = with_sizes(grid, known)
-    scaled, start, limit = grid, scaled_unknowns(grid, unknowns), max_iterations
+        grid = with_scaling_factors(grid, known)
     if grid.sizes.size:
-        known, limit = None, min(max_iterations, LONG)
+        known = None
     if FORWARD and not warm:
-        found = search_forward(grid, unknowns, tolerance, limit, max_iterations, scaling, log, known)
-        status, scaled, start, point, iterations = found
-        grid = scaled
+        found = search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known)
+        status, grid, point, iterations = found
     else:
-        status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
-    if grid.sizes.size and status == "solved":
-        status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
-        iterations += further
-    status = verdict(scaled, grid, unknowns, point, status)
-    if grid.sizes.size and status in FAILED and iterations < max_iterations:
-        # Sizes come from the guess, and may be far from those of the solution.
-        grid = plain_grid(grid)
-        status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
-        iterations += further
-        status = verdict(scaled, grid, unknowns, point, status)
+        start = scaled_unknowns(grid, unknowns)
+        status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log, known)
+    status = verdict(grid, unknowns, point, status)
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
-    return status, message, own._replace(cost=cost), iterations, scaled
+    return status, message, own._replace(cost=cost), iterations, grid
 
 
 if FORWARD:
 
-    def search_forward(grid, unknowns, tolerance, limit, max_iterations, scaling, log, known):
-        """(status, grid, start, point, iterations) of a search that begins anew at a motion if it takes long or fails.
+    def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known):
+        """(status, grid, point, iterations) of a search that begins anew at a motion if it takes long or fails.
 
-        That is the one under the controls of the guess `unknowns` (n,), with the sizes that things have there. Where no
-        optimum is found from it either, the first search goes on, from its beginning and up to its own `limit`.
+        The motion is the one under the controls of the guess `unknowns` (n,). It is another guess, with scaling factors
+        of its own. If no optimum is found from there either, the first search goes on, from its beginning.
         """
         start = scaled_unknowns(grid, unknowns)
-        status, point, total = minimise(grid, start, tolerance, min(limit, SLOW), False, log, known)
+        status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log, known)
         if status not in FAILED or total >= max_iterations:
-            return status, grid, start, point, total
+            return status, grid, point, total
         plain = plain_grid(grid)
         motion = forward_motion(plain, unknowns)
         if motion is not None:
-            there = with_sizes(plain, evaluate(plain, motion)) if scaling == "auto" else plain
+            there = with_scaling_factors(plain, evaluate(plain, motion)) if scaling == "auto" else plain
             begin, left = scaled_unknowns(there, motion), max_iterations - total
             if status == "iteration limit":
                 left = min(left, FROM_MOTION)  # the first search may still get there
             ended, found, iterations = minimise(there, begin, tolerance, left, False, log)
             total += iterations
             if ended in ("solved", "time limit"):
-                return ended, there, begin, found, total
+                return ended, there, found, total
         if status == "iteration limit" and total < max_iterations:
-            left = min(limit, max_iterations - total)
+            left = max_iterations - total
             status, point, iterations = minimise(grid, start, tolerance, left, False, log, known)
             total += iterations
-        return status, grid, start, point, total
+        return status, grid, point, total
 
 
-def verdict(scaled, grid, guess, point, status):
+def verdict(grid, guess, point, status):
     """The status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
 
     Multipliers without limit would make any slope one of rounding. The guess (n,) is in the problem's own units.
@@ -123,8 +104,8 @@ def verdict(scaled, grid, guess, point, status):
     if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
         status = "stalled"
     status = final_status(grid, scaled_unknowns(grid, guess), point, status)
-    holds = grid is scaled and point.residual <= ROUNDED
-    if status == "solved" and not holds and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
+    is_doubtful = status == "solved" and point.residual > ROUNDED
+    if is_doubtful and has_run_away(grid, guess, unscaled_unknowns(grid, point.unknowns)):
         return "unbounded"
     return status
 
@@ -135,48 +116,16 @@ def steepest_cost(grid, point):
     return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
 
 
-def refined(grid, start, point, tolerance, max_iterations, log):
-    """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
-
-    Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
-    """
-    total = 0
-    for _ in range(REFINEMENTS if grid.sizes.size else 0):
-        unknowns = unscaled_unknowns(grid, point.unknowns)
-        # A coordinate that a constraint holds at zero has no size there, not that of its rounding.
-        finer = scaled_grid(plain_grid(grid), np.where(np.abs(point.unknowns) < NOTHING, 0.0, unknowns))
-        if not has_larger_derivatives(finer, grid):
-            break
-        begin = scaled_unknowns(finer, unknowns)
-        same = evaluate(finer, begin)
-        slope = slope_beside_bounds(finer, same)
-        same = same._replace(stationarity=slope, error=max(same.residual, slope))
-        if is_solved(finer, same, tolerance) or same.error <= tolerance:
-            return "solved", finer, begin, same, total
-        bare = np.where(grid.is_multiplier, 0.0, begin)  # multipliers were found by coarse measures
-        status, better, iterations = minimise(finer, bare, tolerance, max_iterations - total, True, log)
-        total += iterations
-        if status != "solved":
-            found = ("solved", grid, start, point) if same.error <= VIOLATED else (status, finer, begin, better)
-            return *found, total
-        grid, start, point = finer, begin, better
-        if not grid.sizes.size:
-            break
-    return "solved", grid, start, point, total
-
-
 def has_run_away(scaled, guess, unknowns):
-    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+    """Whether unknowns are beyond anything the guess spoke of, where any residual is rounding.
 
-    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in the
-    problem's own units, and have to be far apart in these and in parts of the sizes that the grid has from the guess,
-    which may mean little: by those that they have out there nothing would be seen.
+    Guess and unknowns are in the problem's own units, and have to be far apart in these and with the scaling factors of
+    the guess, which may mean little.
     """
     if not is_beyond(scaled, guess, unknowns, 0.0):
         return False
     guess, unknowns = scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns)
-    return is_beyond(scaled, guess, unknowns, 1.0) and evaluate(scaled, unknowns).residual > ROUNDED
+    return is_beyond(scaled, guess, unknowns, 1.0)
 
 
 def is_beyond(grid, guess, unknowns, least):
@@ -185,34 +134,18 @@ def is_beyond(grid, guess, unknowns, least):
     return np.abs(unknowns[is_primal]).max() > RUN_AWAY * max(least, np.abs(guess[is_primal]).max())
 
 
-def slope_beside_bounds(grid, point):
-    """The largest slope that no bound holds, beside multipliers: of bounds the duals are missing."""
-    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
-    if INEQUALITIES:
-        lower, upper = bounds_of(grid)
-        slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
-    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return float(np.abs(slope).max() / max(1.0, mean / WEIGHTY))
-
-
-def has_larger_derivatives(finer, grid):
-    """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
-    large = finer.forces if finer.sizes.size else 1.0
-    return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
-
-
 def scaled_unknowns(grid, unknowns):
     """Unknowns in parts of sizes where the grid has them."""
     return unknowns / grid.sizes if grid.sizes.size else unknowns
 
 
 def scaled_grid(grid, unknowns):
-    """The same grid with the sizes of all unknowns, as `with_sizes` has it; unknowns (n,) are a guess."""
-    return with_sizes(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
+    """The same grid with scaling factors; unknowns (n,) are a guess."""
+    return with_scaling_factors(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
 
 
-def with_sizes(grid, point):
-    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
+def with_scaling_factors(grid, point):
+    """The same grid with scaling factors of unknowns and cost, or without if all are one.
 
     The point is that of a guess without its multipliers. Of derivatives at a guess outside its bounds and on them, the
     smaller ones count: outside a model may mean nothing, and the bounds may be far from where a solution is.
@@ -227,7 +160,7 @@ def with_sizes(grid, point):
     slopes = np.abs(point.gradient)
     if INEQUALITIES and (inside != primal).any():
         slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
-    weight, is_scaled = fill_sizes(
+    weight, is_scaled = fill_scaling_factors(
         primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
@@ -274,13 +207,12 @@ if INEQUALITIES:
 
 @lru_cache(maxsize=4)
 def kinds_of(steps):
-    """The kind of every unknown: its index in a node with the interval after it, then the shared ones."""
+    """The quantity (n,) of every unknown, as a number."""
     chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
     if SHARED:
         own, common = np.tile(np.arange(OWN), BODIES), np.arange(OWN, SHARED + COUPLINGS)
-        return np.concatenate([chain, STRIDE + own, STRIDE + common])
-    else:
-        return chain
+        chain = np.concatenate([chain, STRIDE + own, STRIDE + common])
+    return KIND[chain]
 
 
 def unscaled_point(grid, point):
