@@ -1076,8 +1076,8 @@ def apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, 
 
 
 @njit(error_model="numpy")
-def note_ends(unknowns, body, steps, h, parameters, tables):
-    """Put derivatives of the ends' own shares into `tables` (3, KINDS, KINDS): there are none."""
+def add_end_entries(unknowns, body, steps, h, parameters, terms, effect, curvature):
+    """Add derivatives of the ends' own shares to the tables of `scaling`: there are none."""
 
 @njit(error_model="numpy", inline="always")
 def multiply_ends(unknowns, body, steps, h, parameters, vector, product):
@@ -4230,299 +4230,148 @@ def of_body(body):
     return f" of body {body}" if BODIES > 1 else ""
 
 
-# How steep equations and cost are: the largest derivatives by kinds of unknowns, from some intervals and both ends.
+# Scaling factors of unknowns, equations and cost, from one look at the guess.
+#
+# Every quantity (a state at all nodes and stages, a control on all intervals, ...) has one scaling factor. A stage value
+# has the factor of its state, and the equations of all stages have the factor of the state's step. The factors then do
+# not depend on the scheme, nor on the number of intervals.
+#
+# 1. A stated scale is the factor. Otherwise the factor is the largest modulus at the guess, which contains prescribed
+#    values. Two bounds limit that factor. A slack has no factor from its guess.
+# 2. An unknown without a factor has the least factor with which it balances an equation. Each equation of the guess is
+#    linearised and applied to a smooth motion of each quantity. So v = x' has the factor of x divided by the duration.
+#    An angle that is found so has one radian at most. What has no effect has its bound, or one.
+# 3. An equation has the largest sum |J_ij| times the factor of unknown j.
+# 4. The cost is divided by its largest change, of first or second order, when one quantity changes by its factor.
+# 5. Factors are rounded to powers of a million if these leave ordinary numbers, otherwise to powers of a thousand.
+#    Problems in ordinary numbers are then solved as they are.
+#
+# Betts (2010), Practical methods for optimal control, section 4.8, recommends 1 and the same factor for a state and its
+# equation.
 
-SAMPLES = 4  # intervals on which derivatives are looked at
-OUTLYING = 1e6  # derivatives so many times as large as at most samples say more of a poor guess than of a solution
-CANCELLED = 1e-10  # part of the terms of a sum below which it counts as zero
+SAMPLES = 4  # intervals on which derivatives are evaluated
+SMALL, LARGE = -1.5, 2.9  # powers of ten between which numbers are ordinary; none is round, by intention
+LEAST_OF_BOUNDS = 0.3  # part of the larger of two bounds that a factor has at least
+NO_SIZE = 1e-14  # part of the largest number of the guess below which a number is a zero
+CANCELLED = 1e-14  # part of its terms below which a sum is rounding
+LEAST = 1e-150  # what is below, or above its inverse, is no factor
 
-KINDS = STRIDE + SHARED
-# The kind of each unknown of an element, its time in lengths of an interval, and which kinds are multipliers.
-KIND = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
+# The quantity of each unknown of a node and of the interval after it, then of each shared one, as a number.
+NAMES = [*metadata["node"], *metadata["interval"], *[f"shared {i}" for i in range(SHARED)]]
+for i, name in enumerate(metadata["free_parameters"], STRIDE + SHARED - len(metadata["free_parameters"])):
+    NAMES[i] = name
+MULTIPLIES = np.concatenate([LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)])
+PAIRS = [(metadata.get("stages", {}).get(name, name), bool(m)) for name, m in zip(NAMES, MULTIPLIES, strict=True)]
+KIND_NAMES = list(dict.fromkeys(PAIRS))
+KIND = np.array([KIND_NAMES.index(pair) for pair in PAIRS])
+KINDS = len(KIND_NAMES)
+IS_EQUATION = np.array([is_multiplier for _, is_multiplier in KIND_NAMES])
+STATED = np.array([metadata.get("scale", {}).get(name, 0.0) for name, _ in KIND_NAMES])  # zero where there is none
+RADIAN = np.array([metadata.get("angles", {}).get(name, np.inf) for name, _ in KIND_NAMES])  # of what is no angle
+IS_SLACK = np.zeros(KINDS, bool)
+IS_SLACK[KIND] = [metadata["meanings"].get(name, "").startswith("slack of ") for name in NAMES]
+IS_SINGLE = np.zeros(KINDS, bool)  # such as a free duration, which no node equals
+IS_SINGLE[KIND[STRIDE:]] = ~MULTIPLIES[STRIDE:]
+
+# Of the unknowns of an element: the quantity, the time in lengths of the interval, and if inner nodes lack it.
+LOCAL = np.concatenate([np.arange(STRIDE), np.arange(NODE), STRIDE + np.arange(SHARED)])
+LOCAL_KIND = KIND[LOCAL]
 ABSCISSA = np.concatenate([np.zeros(NODE), np.full(STRIDE - NODE, 0.5), np.ones(NODE), np.full(SHARED, 0.5)])
-KIND_IS_MULTIPLIER = np.concatenate(
-    [LOCAL_IS_MULTIPLIER[:STRIDE], LOCAL_IS_MULTIPLIER[ELEMENT:], np.ones(COUPLINGS, bool)]
-)
-IS_AT_ENDS = np.isin(np.arange(KINDS), ONLY_AT_ENDS)  # inner nodes have ones on their diagonal
+IS_AT_ENDS = np.isin(LOCAL, ONLY_AT_ENDS)  # inner nodes have ones on their diagonal
 
 
-@njit(error_model="numpy")
-def add_entry(row, column, value, tables):
-    """Note the modulus of a derivative: of an equation by an unknown, or a curvature of the cost, which add up."""
-    if KIND_IS_MULTIPLIER[row] and KIND_IS_MULTIPLIER[column]:
-        return
-    if KIND_IS_MULTIPLIER[column]:
-        row, column = column, row
-    if KIND_IS_MULTIPLIER[row]:
-        tables[0, row, column] = max(tables[0, row, column], value)
-        tables[1, row, column] = max(tables[1, row, column], value)
-    else:
-        tables[2, row, column] += value
+@njit(cache=True, error_model="numpy")
+def fill_scaling_factors(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, factors):
+    """Fill the `factors` (n,) of all unknowns; return the weight of the cost, and True unless all are one.
 
-
-@njit(error_model="numpy")
-def measure_intervals(unknowns, steps, h, nodes, parameters, tables):
-    """Fill three `tables` (3, KINDS, KINDS) from some intervals.
-
-    The first has the largest derivatives of equations, the second what equations make of motions, constant, linear and
-    quadratic in time, of size one, the third the sums of the cost's curvatures. `unknowns` are (n,), `nodes` (N + 1,),
-    `parameters` (BODIES, P + SHARED).
+    `primal` (n,) is the guess without multipliers, `inside` (n,) the same inside the bounds `lower` and `upper`, which
+    are (n,) or empty. `slopes` (n,) are the moduli of the gradient of the Lagrangian there, the smaller of both.
+    `kinds` (n,) are the numbers of quantities, `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
     """
-    intervals, hessian, moments = steps, zero_vector(HESSIAN_ROWS.size), np.zeros((ELEMENT + SHARED, KINDS, 4))
-    intervals = steps // PHASES
-    stride = max(1, intervals // SAMPLES)
-    steepest = typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters) * OUTLYING
-    for body in range(BODIES):
-        read_shared(unknowns, body, parameters)
-        note_ends(unknowns, body, steps, h, parameters, tables)
-        for k in range(steps):
-            if k % intervals % stride > 0:
-                continue
-            first = body * (steps * STRIDE + NODE) + k * STRIDE
-            t, length = span(nodes, k, h)
-            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
-            if largest_modulus(hessian) > steepest:
-                continue
-            part = nodes[k + 1] - nodes[k]  # of a mean length
-            moments[:] = 0.0
-            for j in range(HESSIAN_ROWS.size):
-                row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
-                if LOCAL_IS_MULTIPLIER[column]:
-                    row, column = column, row
-                if is_lacking(row, k, steps):
-                    continue
-                if not LOCAL_IS_MULTIPLIER[row]:
-                    if not IS_AT_ENDS[KIND[row]]:
-                        add_entry(KIND[row], KIND[column], stride * abs(hessian[j]) / part, tables)
-                elif not LOCAL_IS_MULTIPLIER[column]:
-                    ahead = ABSCISSA[column] - ABSCISSA[row]
-                    moments[row, KIND[column], 0] += hessian[j]
-                    moments[row, KIND[column], 1] += hessian[j] * ahead
-                    moments[row, KIND[column], 2] += hessian[j] * ahead * ahead / 2.0
-                    moments[row, KIND[column], 3] += abs(hessian[j])
-            fold(moments, intervals, part, tables)
-
-
-@njit(error_model="numpy")
-def typical_derivative(unknowns, steps, intervals, stride, h, nodes, parameters):
-    """The median of the largest derivatives on the sampled intervals of the first body; arrays as there.
-
-    Between phases, or across what a straight line passes, a guess may be where exponentials leave all measure: a
-    straight line through a planet's atmosphere made one of four samples 1e18 times as steep as the others.
-    """
-    hessian, largest, count = zero_vector(HESSIAN_ROWS.size), zero_vector(steps), 0
-    read_shared(unknowns, 0, parameters)
-    for k in range(steps):
-        if k % intervals % stride == 0:
-            t, length = span(nodes, k, h)
-            interval_hessian(unknowns[k * STRIDE : k * STRIDE + ELEMENT], t, length, parameters[0], hessian)
-            largest[count] = largest_modulus(hessian)
-            count += 1
-    if count > 2:
-        for i in range(count):  # a sort would take as long to compile as all else here
-            lower = 0
-            for j in range(count):
-                if largest[j] < largest[i] or (largest[j] == largest[i] and j < i):
-                    lower += 1
-            if lower == (count - 1) // 2 and largest[i] > 0.0:
-                return largest[i]
-    return np.inf
-
-
-@njit(error_model="numpy")
-def largest_modulus(entries):
-    """The largest modulus of a vector's entries (n,); NaN where one is none. A loop is soon compiled."""
-    largest = 0.0
-    for i in range(entries.size):
-        if np.isnan(entries[i]):
-            return np.nan
-        largest = max(largest, abs(entries[i]))
-    return largest
-
-
-@njit(error_model="numpy")
-def fold(moments, intervals, part, tables):
-    """Put the moments of one interval's equations into the tables.
-
-    An equation of a node is a sum of two intervals' shares, each as large as what is equated: as a momentum, say.
-    """
-    total = zero_vector(4)
-    for row in range(moments.shape[0]):
-        if not LOCAL_IS_MULTIPLIER[row] or STRIDE <= row < ELEMENT:
-            continue
-        for column in range(KINDS):
-            largest = moments[row, column, 3]
-            for i in range(4):
-                total[i] = moments[row, column, i]
-            if row < NODE:
-                for i in range(4):
-                    total[i] += moments[STRIDE + row, column, i]
-                largest = max(
-                    change(moments[row, column], intervals, part, 1),
-                    change(moments[STRIDE + row, column], intervals, part, 1),
-                )
-            tables[0, KIND[row], column] = max(tables[0, KIND[row], column], largest)
-            tables[1, KIND[row], column] = max(tables[1, KIND[row], column], change(total, intervals, part, 2))
-
-
-@njit(error_model="numpy")
-def change(moments, intervals, part, powers):
-    """What an equation with these moments makes of motions of size one, on an interval that is `part` of a mean one."""
-    largest = abs(moments[0]) if abs(moments[0]) > CANCELLED * moments[3] else 0.0
-    largest = max(largest, abs(moments[1]) * part / intervals)
-    return max(largest, abs(moments[2]) * part**2 / intervals**2) if powers == 2 else largest
-
-
-@njit(error_model="numpy")
-def is_lacking(local, k, steps):
-    """Whether interval k does not have an unknown; a one on the diagonal then stands for it."""
-    phase, within = divmod(k, steps // PHASES)
-    lacks = SWITCH_LACKS[phase - 1] if within == 0 and phase > 0 else PHASE_LACKS[phase]
-    return NODE <= local < STRIDE and lacks[local - NODE]
-
-
-# Sizes of the kinds of unknowns that the guess tells none of: found where they matter in the equations.
-#
-# A coordinate at all nodes, a control on all intervals, ... is a kind each. What is zero at the guess, and unbounded, has
-# a size such that it matters in the equations: each row of their Jacobian at the guess is applied to motions of the known
-# sizes which are constant, linear and quadratic in time, and the unknown balances the result. So v = x' has the size of x
-# divided by the duration. An angle so found is one radian at most: a sine tells no more apart. What has no effect on any
-# equation at the guess, such as the rate of a reaction between substances that are not there yet, or the slack of a
-# condition in squares, is looked at beside it, where all that has a size differs by a part of it. Where a size that was
-# so found is no ordinary number, a rate may be flat at the guess, as those that a substrate inhibits are while there is
-# much of it: then a motion of a tenth of all values tells whether it has to be far larger.
-#
-# Of n unknowns of K kinds, `primal`, `inside`, `lower` and `upper`, which may be empty, and `kinds` are (n,); `size`,
-# `known`, `rest`, `bound` and `between` are (K,), zero where there is none; the tables of derivatives are (3, K, K), and
-# `effect` (K, K) is the second of them.
-
-SMALL, LARGE = -1.5, 2.9  # ordinary sizes are between these powers of ten, which are no round numbers by intention
-LOOSE = 0.3  # a guess below this part of two bounds says little about the size of an unknown
-NEGLIGIBLE = 1e-6  # the same beside the other terms of every equation
-BESIDE = 0.1  # part of all sizes by which unknowns differ from the guess where it says nothing of some
-ROUNDS = 4  # how often they do, each time with the sizes found before
-LESSENED = 0.1  # part of all values at which rates that are flat at the guess may be steep
-FAR_LARGER = 1e3  # times as large are sizes that are found there because the guess is flat, and not by their powers
-
-# Sizes that the problem states, zero where it states none; free parameters are the last of the shared unknowns.
-NAMES = *metadata["node"], *metadata["interval"], *[""] * (SHARED - len(metadata["free_parameters"]))
-NAMES = *NAMES, *metadata["free_parameters"], *[""] * COUPLINGS
-SCALE = metadata.get("scale", {})
-GIVEN = np.array([SCALE.get(name, 0.0) for name in NAMES])
-# One radian of an angle, which is all that a sine tells apart, and infinity for all else.
-RADIAN = np.array([metadata.get("angles", {}).get(name, np.inf) for name in NAMES])
-IS_SLACK = np.array([metadata["meanings"].get(name, "").startswith("slack of ") for name in NAMES])
-
-
-@njit(error_model="numpy")
-def find_sizes(
-    primal, inside, lower, upper, kinds, steps, h, nodes, parameters, rest, bound, between, size
-):  # fmt: skip
-    """Find what has no `size` yet, and return the tables of `measure_intervals` at the guess.
-
-    Each look measures derivatives somewhere: at the guess, inside its bounds, beside it while it says nothing of some,
-    and where all is less while it says something odd. `bound` becomes zero for what has a size of its own.
-    """
-    at_guess, looks_farther, tables = 1, False, np.zeros((3, KINDS, KINDS))
-    if differ(inside, primal):
-        at_guess = 2
-    known, before, where = zero_vector(KINDS), zero_vector(KINDS), primal
-    for look in range(at_guess + ROUNDS + 1):
-        here = np.zeros((3, KINDS, KINDS))
-        measure_intervals(where, steps, h, nodes, parameters, here)  # once in this text: it takes long to compile
-        if look < at_guess:
-            if look == 1:
-                lessen(tables, here)
-            else:
-                tables = here
-            where = inside
-            if look + 1 < at_guess:
-                continue
-            drop_negligible_sizes(size, between, tables[1])
+    size, rest, largest = zero_vector(KINDS), zero_vector(KINDS), 0.0
+    for i in range(kinds.size):
+        largest = max(largest, abs(primal[i]))
+    for i in range(kinds.size):
+        if IS_EQUATION[kinds[i]]:
+            rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
+        elif not IS_SLACK[kinds[i]] and abs(primal[i]) > NO_SIZE * largest:
+            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
+    bound = limit_by_bounds(lower, upper, kinds, size)
+    for j in range(KINDS):
+        if STATED[j] > 0.0:
+            size[j] = STATED[j]
+    terms, effect, curvature = zero_matrix(KINDS, KINDS), zero_matrix(KINDS, KINDS), zero_matrix(KINDS, KINDS)
+    measure_derivatives(primal, steps, h, nodes, parameters, terms, effect, curvature)
+    moved = False
+    for i in range(primal.size):
+        moved = moved or inside[i] != primal[i]
+    if moved:  # outside its bounds a model may mean nothing, and at a bound it may be far from a solution
+        others = zero_matrix(KINDS, KINDS), zero_matrix(KINDS, KINDS), zero_matrix(KINDS, KINDS)
+        measure_derivatives(inside, steps, h, nodes, parameters, *others)
+        lessen(terms, others[0])
+        lessen(effect, others[1])
+        lessen(curvature, others[2])
+    balance(size, rest, effect)
+    for j in range(KINDS):
+        size[j] = max(size[j], bound[j])
+    for i in range(KINDS):
+        if IS_EQUATION[i]:
+            size[i] = 0.0
             for j in range(KINDS):
-                if GIVEN[j] > 0.0:
-                    size[j] = GIVEN[j]
-                known[j] = size[j] if size[j] > 0.0 else 0.0
-                bound[j] = 0.0 if known[j] > 0.0 else bound[j]
-            here = tables
-        elif not is_finite(here[1]):
-            break
-        if looks_farther:
-            for j in range(KINDS):
-                before[j] = size[j]
-                size[j] = known[j]
-        balance_sizes(size, rest, here[1])
-        limit_angles(size, known)
-        if looks_farther:
-            for j in range(KINDS):
-                size[j] = size[j] if size[j] > FAR_LARGER * before[j] else before[j]
-            break
-        if lacks_sizes(size, bound) and look < at_guess + ROUNDS - 1:
-            where = displaced(inside, lower, upper, kinds, size)
-        elif has_odd_sizes(size, known):
-            where, looks_farther = with_lessened_values(inside, lower, upper, kinds), True
-        else:
-            break
-    return tables
+                if not IS_EQUATION[j]:
+                    size[i] = max(size[i], terms[i, j] * size[j])
+            if size[i] == 0.0:
+                size[i] = rest[i]
+    digits = digits_of(size)
+    slope, curved = change_of_cost(slopes, kinds, size, curvature)
+    is_steep = slope >= curved  # then first steps follow the slope, and could throw unknowns onto bounds
+    weight = 1.0 / rounded(max(slope, curved), digits if is_steep else 6.0, is_steep)
+    is_scaled = weight != 1.0
+    for j in range(KINDS):
+        if not STATED[j] > 0.0:
+            size[j] = rounded(size[j], digits, IS_SINGLE[j])
+        is_scaled = is_scaled or size[j] != 1.0
+        if IS_EQUATION[j]:
+            size[j] = 1.0 / (size[j] * weight)
+    for i in range(kinds.size):
+        factors[i] = size[kinds[i]]
+    return weight, is_scaled
 
 
 @njit(error_model="numpy")
-def fit_bounds(lower, upper, kinds, size):
-    """Make sizes fit the largest finite bound, where there is one on either side: no less than a part of it.
-
-    Return the largest of other bounds, where there are no such: the least sizes of what has none otherwise; and the
-    largest of bounds on either side. Bounds of slacks say nothing about their size.
-    """
+def limit_by_bounds(lower, upper, kinds, size):
+    """Limit each `size` by two bounds; return the largest bounds (KINDS,) of what has one bound and no size."""
     bound, between = zero_vector(KINDS), zero_vector(KINDS)
     for i in range(lower.size):
-        if IS_SLACK[kinds[i]]:
-            continue
-        below, above = abs(lower[i]), abs(upper[i])
-        if max(below, above) < np.inf:
-            between[kinds[i]] = max(between[kinds[i]], below, above)
-        elif min(below, above) < np.inf:
-            bound[kinds[i]] = max(bound[kinds[i]], min(below, above))
+        if not IS_SLACK[kinds[i]]:
+            smaller, larger = min(abs(lower[i]), abs(upper[i])), max(abs(lower[i]), abs(upper[i]))
+            if larger < np.inf:
+                between[kinds[i]] = max(between[kinds[i]], larger)
+            elif smaller < np.inf:
+                bound[kinds[i]] = max(bound[kinds[i]], smaller)
     for j in range(KINDS):
-        if between[j] > 0.0 and size[j] > 0.0:
-            size[j] = min(max(size[j], LOOSE * between[j]), between[j])
-        elif size[j] == 0.0:
-            size[j] = between[j]
-    return bound, between
+        if between[j] > 0.0:
+            size[j] = min(max(size[j], LEAST_OF_BOUNDS * between[j]), between[j]) if size[j] > 0.0 else between[j]
+        if size[j] > 0.0 or STATED[j] > 0.0:
+            bound[j] = 0.0
+    return bound
 
 
 @njit(error_model="numpy")
-def drop_negligible_sizes(size, between, effect):
-    """Take away sizes that are negligible in all equations: a guess of zero, or a slack's, may be one of rounding.
+def balance(size, rest, effect):
+    """Give unknowns without a size the least one with which they balance an equation, until nothing is new.
 
-    Those that lie between two bounds are what these say. Others keep their size: a duration has no effect but rounding
-    where the guess is at rest.
+    `rest` (KINDS,) are the residuals of the guess, `effect` (KINDS, KINDS) the changes of equations by smooth motions.
     """
-    for j in range(KINDS):
-        least = np.inf
-        for i in range(KINDS):
-            others = 0.0
-            for k in range(KINDS):
-                if k != j:
-                    others = max(others, effect[i, k] * size[k])
-            if effect[i, j] > 0.0:
-                least = min(least, others / effect[i, j])
-        may_be_rounding = IS_SLACK[j] or size[j] < NEGLIGIBLE
-        if may_be_rounding and between[j] == 0.0 and least < np.inf and size[j] < NEGLIGIBLE * least:
-            size[j] = 0.0
-
-
-@njit(error_model="numpy")
-def balance_sizes(size, rest, effect):
-    """Give unknowns without a size the least one with which they balance an equation, until nothing is new."""
     for _ in range(KINDS):
         found, is_new = zero_vector(KINDS), False
         for i in range(KINDS):
-            known = rest[i]
+            largest = rest[i]
             for j in range(KINDS):
-                known = max(known, effect[i, j] * size[j])
+                largest = max(largest, effect[i, j] * size[j])
             for j in range(KINDS):
-                if size[j] == 0.0 and effect[i, j] > 0.0 and known > 0.0:
-                    balancing = known / effect[i, j]
+                if size[j] == 0.0 and effect[i, j] > 0.0 and largest > 0.0:
+                    balancing = min(largest / effect[i, j], RADIAN[j])
                     found[j] = balancing if found[j] == 0.0 else min(found[j], balancing)
                     is_new = True
         if not is_new:
@@ -4533,149 +4382,93 @@ def balance_sizes(size, rest, effect):
 
 
 @njit(error_model="numpy")
-def limit_angles(size, known):
-    """Let sizes that were found, and not known, be one radian at most."""
-    for j in range(KINDS):
-        if known[j] == 0.0:
-            size[j] = min(size[j], RADIAN[j])
+def measure_derivatives(unknowns, steps, h, nodes, parameters, terms, effect, curvature):
+    """Fill tables (KINDS, KINDS) of derivatives, from some intervals and from both ends.
 
-
-@njit(error_model="numpy")
-def lacks_sizes(size, bound):
-    """Whether there are unknowns without a size, and without a bound to stand for it."""
-    found = False
-    for j in range(KINDS):
-        found = found or (size[j] == bound[j] == 0.0 and not KIND_IS_MULTIPLIER[j])
-    return found
-
-
-@njit(error_model="numpy")
-def displaced(primal, lower, upper, kinds, size):
-    """Unknowns that differ from the guess by a part of their sizes, upwards where a bound does not forbid it."""
-    beside = primal.copy()
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            by = BESIDE * size[kinds[i]]
-            if lower.size and beside[i] + by > upper[i]:
-                by = max(-by, lower[i] - beside[i])
-            beside[i] += by
-    return beside
-
-
-@njit(error_model="numpy")
-def has_odd_sizes(size, known):
-    """Whether sizes that were found, and not known, are beyond those of ordinary numbers."""
-    found = False
-    for j in range(KINDS):
-        is_odd = size[j] > 0.0 and not 10.0**SMALL <= size[j] <= 10.0**LARGE
-        found = found or (is_odd and known[j] == 0.0)
-    return found
-
-
-@njit(error_model="numpy")
-def with_lessened_values(primal, lower, upper, kinds):
-    """A part of all unknowns but the shared ones, such as durations, inside their bounds."""
-    lessened = primal.copy()
-    for i in range(kinds.size):
-        if kinds[i] < STRIDE:
-            lessened[i] *= LESSENED
-            if lower.size:
-                lessened[i] = min(max(lessened[i], lower[i]), upper[i])
-    return lessened
-
-
-@njit(error_model="numpy")
-def differ(one, other):
-    """Whether two vectors (n,) differ. This and the next two are loops, which are compiled ten times as fast."""
-    found = False
-    for i in range(one.size):
-        found = found or one[i] != other[i]
-    return found
-
-@njit(error_model="numpy")
-def lessen(tables, others):
-    """Give the entries of `tables` (3, K, K) the lesser value of both, or the one that is a number."""
-    for i in range(3):
-        for j in range(KINDS):
-            for k in range(KINDS):
-                if others[i, j, k] < tables[i, j, k] or np.isnan(tables[i, j, k]):
-                    tables[i, j, k] = others[i, j, k]
-
-
-@njit(error_model="numpy")
-def is_finite(matrix):
-    """Whether all entries of a matrix (K, K) are numbers."""
-    found = True
-    for i in range(KINDS):
-        for j in range(KINDS):
-            found = found and abs(matrix[i, j]) < np.inf
-    return found
-
-
-# How large unknowns and equations are: the units in which a problem is solved, whatever those of its numbers are.
-#
-# Every kind of unknown (a coordinate at all nodes, a control on all intervals, ...) has one size, taken from its guess,
-# which contains prescribed values, and from its bounds, or found from the equations (`measured_sizes`). Equations are
-# divided by the largest product of a derivative and a size, and the cost by how much it changes at most when all unknowns
-# of one kind change by their size.
-#
-# Sizes are rounded, since no more is known of them than their magnitude: to powers of a million where that makes all of
-# them ordinary numbers, and else, as a whole, to powers of a thousand, those of single unknowns to powers of a hundred as
-# well, and so is the cost where its first derivatives decide. So problems in ordinary numbers are solved as they are, and
-# a change of units by a power of a million changes nothing but the sizes.
-
-LEAST = 1e-150  # what is below, or above its inverse, is no size
-
-# Which kinds are a single unknown, such as a free duration, that no node equals.
-IS_SINGLE = ~KIND_IS_MULTIPLIER & (np.arange(KINDS) >= STRIDE)
-
-
-@njit(cache=True, error_model="numpy")
-def fill_sizes(primal, inside, slopes, lower, upper, kinds, steps, h, nodes, parameters, sizes):
-    """Fill in the `sizes` (n,) of all unknowns; return the weight of the cost, and whether any differs from one.
-
-    `primal` (n,) are the unknowns without their multipliers, `inside` (n,) the same inside the bounds `lower` and
-    `upper`, which are (n,) or empty, and `slopes` (n,) the moduli of the gradient of the Lagrangian, the lesser of
-    both; `kinds` (n,) are those of the unknowns, `nodes` (N + 1,), `parameters` (BODIES, P + SHARED).
+    `terms` are the largest sums of moduli in one equation, by one quantity. `effect` is the largest change of an
+    equation by the motion exp(t / T) of one quantity, which is neither constant nor linear. `curvature` are the sums of
+    the cost's second derivatives. An equation of a node is a sum of shares of two intervals, which the same interval
+    gives. Each share, such as a momentum, is a term: its change by the motion does not depend on the interval's length.
     """
-    size, rest = zero_vector(KINDS), zero_vector(KINDS)
-    for i in range(kinds.size):
-        if KIND_IS_MULTIPLIER[kinds[i]]:
-            rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
-        else:
-            size[kinds[i]] = max(size[kinds[i]], abs(primal[i]))
-    bound, between = fit_bounds(lower, upper, kinds, size)
-    tables = find_sizes(
-        primal, inside, lower, upper, kinds, steps, h, nodes, parameters, rest, bound, between, size
-    )  # fmt: skip
-    for j in range(KINDS):
-        size[j] = max(size[j], bound[j])
+    intervals = steps
+    intervals = steps // PHASES
+    stride = max(1, intervals // SAMPLES)
+    hessian = zero_vector(HESSIAN_ROWS.size)
+    moduli, sums = zero_matrix(LOCAL.size, KINDS), zero_matrix(LOCAL.size, KINDS)
+    for body in range(BODIES):
+        read_shared(unknowns, body, parameters)
+        add_end_entries(unknowns, body, steps, h, parameters, terms, effect, curvature)
+        for k in range(steps):
+            t, length = span(nodes, k, h)
+            is_sample = k % intervals % stride == 0
+            if not is_sample:
+                continue
+            first, part = body * (steps * STRIDE + NODE) + k * STRIDE, nodes[k + 1] - nodes[k]  # of a mean length
+            interval_hessian(unknowns[first : first + ELEMENT], t, length, parameters[body], hessian)
+            moduli[:] = 0.0
+            sums[:] = 0.0
+            for j in range(HESSIAN_ROWS.size):
+                row, column = HESSIAN_ROWS[j], HESSIAN_COLUMNS[j]
+                if LOCAL_IS_MULTIPLIER[column]:
+                    row, column = column, row
+                if is_lacking(row, k, steps):
+                    continue
+                of = LOCAL_KIND[column]
+                if LOCAL_IS_MULTIPLIER[row] and not LOCAL_IS_MULTIPLIER[column]:
+                    moduli[row, of] += abs(hessian[j])
+                    sums[row, of] += hessian[j] * np.exp((ABSCISSA[column] - ABSCISSA[row]) * part / intervals)
+                elif not LOCAL_IS_MULTIPLIER[row] and not IS_AT_ENDS[row]:
+                    curvature[LOCAL_KIND[row], of] += stride * abs(hessian[j]) / part
+            for row in range(LOCAL.size):
+                if not LOCAL_IS_MULTIPLIER[row]:
+                    continue
+                kind = LOCAL_KIND[row]
+                for of in range(KINDS):
+                    change, modulus = sums[row, of], moduli[row, of]
+                    is_of_node = row < NODE or STRIDE <= row < ELEMENT
+                    if not is_of_node:
+                        terms[kind, of] = max(terms[kind, of], modulus)
+                    elif abs(change) > CANCELLED * modulus:
+                        terms[kind, of] = max(terms[kind, of], abs(change))
+                    if row < NODE:
+                        change += sums[STRIDE + row, of]
+                        modulus += moduli[STRIDE + row, of]
+                    if abs(change) > CANCELLED * modulus and not STRIDE <= row < ELEMENT:
+                        effect[kind, of] = max(effect[kind, of], abs(change))
+
+
+@njit(error_model="numpy")
+def lessen(table, other):
+    """Give the entries of a table (KINDS, KINDS) the smaller value of both, or the one that is a number."""
     for i in range(KINDS):
-        if KIND_IS_MULTIPLIER[i]:
-            size[i] = size_of_equation(i, size, tables[0])
-            if size[i] == 0.0:
-                size[i] = rest[i]  # which is flat at the guess
-    digits = digits_of(size)
-    slope, curvature = slope_of_cost(slopes, kinds, size), curvature_of_cost(size, tables[2])
-    is_steep = slope >= curvature  # then first steps follow the slope, and could throw unknowns onto bounds
-    weight = 1.0 / rounded(max(slope, curvature), digits if is_steep else 6.0, is_steep)
-    is_scaled = weight != 1.0
-    for i in range(KINDS):
-        if not GIVEN[i] > 0.0:
-            size[i] = rounded(size[i], digits, IS_SINGLE[i])
-        is_scaled = is_scaled or size[i] != 1.0
-        if KIND_IS_MULTIPLIER[i]:
-            size[i] = 1.0 / (size[i] * weight)
+        for j in range(KINDS):
+            if other[i, j] < table[i, j] or np.isnan(table[i, j]):
+                table[i, j] = other[i, j]
+
+
+@njit(error_model="numpy")
+def change_of_cost(slopes, kinds, size, curvature):
+    """Return the largest changes of the cost, of first and of second order, by the size of one quantity everywhere.
+
+    Both are sums over all intervals, and do not depend on the number of intervals. The second one alone counts controls
+    that cost nothing at the guess.
+    """
+    slope, curved, total = 0.0, 0.0, zero_vector(KINDS)
     for i in range(kinds.size):
-        sizes[i] = size[kinds[i]]
-    return weight, is_scaled
+        total[kinds[i]] += slopes[i]
+    for i in range(KINDS):
+        if not IS_EQUATION[i]:
+            slope = max(slope, total[i] * size[i])
+            for j in range(KINDS):
+                curved = max(curved, curvature[i, j] * size[i] * size[j])
+    return slope, curved
 
 
 @njit(error_model="numpy")
 def digits_of(size):
-    """How many powers of ten sizes are apart: six where all are ordinary, but for powers of a million, else three."""
+    """Return 6.0 if dividing by powers of a million leaves ordinary numbers, otherwise 3.0."""
     for i in range(KINDS):
-        if LEAST < size[i] < 1.0 / LEAST and not GIVEN[i] > 0.0:
+        if LEAST < size[i] < 1.0 / LEAST and not STATED[i] > 0.0:
             above = np.log10(size[i]) - SMALL
             if above - 6.0 * np.floor(above / 6.0) > LARGE - SMALL:
                 return 3.0
@@ -4684,7 +4477,7 @@ def digits_of(size):
 
 @njit(error_model="numpy")
 def rounded(value, digits, finer):
-    """The highest power of a million (`digits` are six) or a thousand below some thirty sizes, or one without a size.
+    """Return the highest power of a million (`digits` are six) or a thousand below some thirty values, or one.
 
     `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
     """
@@ -4699,89 +4492,70 @@ def rounded(value, digits, finer):
 
 
 @njit(error_model="numpy")
-def size_of_equation(row, size, slopes):
-    """The largest product of a derivative of an equation and the size of an unknown."""
-    largest = 0.0
-    for j in range(KINDS):
-        if not KIND_IS_MULTIPLIER[j]:
-            largest = max(largest, slopes[row, j] * size[j])
-    return largest
+def is_lacking(local, k, steps):
+    """Return True if interval k does not have an unknown; a one on the diagonal then stands for it."""
+    phase, within = divmod(k, steps // PHASES)
+    lacks = SWITCH_LACKS[phase - 1] if within == 0 and phase > 0 else PHASE_LACKS[phase]
+    return NODE <= local < STRIDE and lacks[local - NODE]
 
 
-@njit(error_model="numpy")
-def slope_of_cost(slopes, kinds, size):
-    """By how much the cost changes, at most, when all unknowns of one kind change by its size, by first derivatives.
-
-    It does not depend on the number of intervals as the share of a single one does.
-    """
-    largest, total = 0.0, zero_vector(KINDS)
-    for i in range(kinds.size):
-        if not KIND_IS_MULTIPLIER[kinds[i]]:
-            total[kinds[i]] += slopes[i]
-    for i in range(KINDS):
-        largest = max(largest, total[i] * size[i])
-    return largest
-
-
-@njit(error_model="numpy")
-def curvature_of_cost(size, curvature):
-    """The same by second derivatives: what controls cost is often flat at the guess."""
-    largest = 0.0
-    for i in range(KINDS):
-        for j in range(KINDS):
-            largest = max(largest, curvature[i, j] * size[i] * size[j])
-    return largest
-
-
-# Solve in parts of the sizes of unknowns and equations, which a change of units changes with them.
+# Solve with scaling factors, which a change of units changes with the numbers of the problem.
 #
-# What is solved is the same problem in other units, those in which its numbers are of ordinary size (see
-# `scaling_factors`); where they are that already, it is solved as it is.
+# The same problem is solved in other units, in which its numbers are ordinary (see `scaling`). A problem in ordinary
+# numbers is solved as it is.
 
-# How much steeper equations and cost may be, to powers of a thousand and a million, at the guess than at a solution.
-COARSE, COARSE_COST = 3e3, 3e6
-REFINEMENTS = 2  # sizes are measured again so often: two sets of them may each be coarse beside the other
-WEIGHTY = 100.0  # mean multipliers above it make stationarity a sum of large terms: Waechter and Biegler (2006), (5)
+# How much steeper equations and cost may be at a solution than at the guess, to powers of a thousand and a million.
+STEEPER, STEEPER_COST = 3e3, 3e6
+RESCALINGS = 10  # how often a search goes on at most, as two sets of factors may each be coarse beside the other
 LARGE_CORRECTION = 1e-3  # part of the cost
-# In other sizes it may be solved, for which iterations beyond a number are kept.
 FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
-LONG = 1000
 STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
-NOTHING = 1e-14  # what is below it, in parts of the size that it was given, is zero but for rounding
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
-    """Minimise in parts of sizes, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+    """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
 
-    `scaled` is the grid with the sizes in parts of which the search began.
+    `scaled` is the grid with the scaling factors of the guess. Equations or a cost with far larger factors at the guess
+    than at the solution make the tolerance mean little. The search then goes on from the solution, with the factors
+    there. After a failure the problem is solved in its own units.
     """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
     if scaling == "auto":
-        grid = with_sizes(grid, known)
-    scaled, start, limit = grid, scaled_unknowns(grid, unknowns), max_iterations
+        grid = with_scaling_factors(grid, known)
     if grid.sizes.size:
-        known, limit = None, min(max_iterations, LONG)
-    status, point, iterations = minimise(grid, start, tolerance, limit, warm, log, known)
-    if grid.sizes.size and status == "solved":
-        status, grid, start, point, further = refined(grid, start, point, tolerance, max_iterations - iterations, log)
+        known = None
+    start = scaled_unknowns(grid, unknowns)
+    status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log, known)
+    scaled = grid
+    for _ in range(RESCALINGS):
+        if not grid.sizes.size or status != "solved" or iterations >= max_iterations:
+            break
+        begin = np.where(grid.is_multiplier, 0.0, unscaled_unknowns(grid, point.unknowns))
+        there = evaluate(plain_grid(grid), begin)
+        there = there._replace(gradient=np.where(grid.is_multiplier, 0.0, there.gradient))  # residuals are rounding
+        finer = with_scaling_factors(plain_grid(grid), there)
+        if not is_steeper(finer, grid):
+            break
+        start, left, grid = scaled_unknowns(finer, begin), max_iterations - iterations, finer
+        status, point, further = minimise(grid, start, tolerance, left, True, log)
         iterations += further
-    status = verdict(scaled, grid, unknowns, point, status)
+    status = verdict(grid, unknowns, point, status)
     if grid.sizes.size and status in FAILED and iterations < max_iterations:
-        # Sizes come from the guess, and may be far from those of the solution.
+        # Factors come from the guess, and may be far from those of the solution.
         grid = plain_grid(grid)
         status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
         iterations += further
-        status = verdict(scaled, grid, unknowns, point, status)
+        status = verdict(grid, unknowns, point, status)
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
     return status, message, own._replace(cost=cost), iterations, scaled
 
 
-def verdict(scaled, grid, guess, point, status):
+def verdict(grid, guess, point, status):
     """The status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
 
     Multipliers without limit would make any slope one of rounding. The guess (n,) is in the problem's own units.
@@ -4789,8 +4563,8 @@ def verdict(scaled, grid, guess, point, status):
     if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
         status = "stalled"
     status = final_status(grid, scaled_unknowns(grid, guess), point, status)
-    holds = grid is scaled and point.residual <= ROUNDED
-    if status == "solved" and not holds and has_run_away(scaled, guess, unscaled_unknowns(grid, point.unknowns)):
+    is_doubtful = status == "solved" and point.residual > ROUNDED
+    if is_doubtful and has_run_away(grid, guess, unscaled_unknowns(grid, point.unknowns)):
         return "unbounded"
     return status
 
@@ -4801,48 +4575,16 @@ def steepest_cost(grid, point):
     return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
 
 
-def refined(grid, start, point, tolerance, max_iterations, log):
-    """(status, grid, start, point, iterations) after a solution has been measured by the sizes that things have there.
-
-    Where equations or the cost were far less steep at the guess, the tolerance means little, and the search goes on. If
-    that fails, what was found is a solution only where all conditions nearly hold in the sizes that they have there.
-    """
-    total = 0
-    for _ in range(REFINEMENTS if grid.sizes.size else 0):
-        unknowns = unscaled_unknowns(grid, point.unknowns)
-        # A coordinate that a constraint holds at zero has no size there, not that of its rounding.
-        finer = scaled_grid(plain_grid(grid), np.where(np.abs(point.unknowns) < NOTHING, 0.0, unknowns))
-        if not has_larger_derivatives(finer, grid):
-            break
-        begin = scaled_unknowns(finer, unknowns)
-        same = evaluate(finer, begin)
-        slope = slope_beside_bounds(finer, same)
-        same = same._replace(stationarity=slope, error=max(same.residual, slope))
-        if is_solved(finer, same, tolerance) or same.error <= tolerance:
-            return "solved", finer, begin, same, total
-        bare = np.where(grid.is_multiplier, 0.0, begin)  # multipliers were found by coarse measures
-        status, better, iterations = minimise(finer, bare, tolerance, max_iterations - total, True, log)
-        total += iterations
-        if status != "solved":
-            found = ("solved", grid, start, point) if same.error <= VIOLATED else (status, finer, begin, better)
-            return *found, total
-        grid, start, point = finer, begin, better
-        if not grid.sizes.size:
-            break
-    return "solved", grid, start, point, total
-
-
 def has_run_away(scaled, guess, unknowns):
-    """Whether equations hold only but for the rounding of unknowns that are beyond anything the guess spoke of.
+    """Whether unknowns are beyond anything the guess spoke of, where any residual is rounding.
 
-    Far out any residual is rounding, and a motion that ends there obeys nothing. Guess and unknowns are in the
-    problem's own units, and have to be far apart in these and in parts of the sizes that the grid has from the guess,
-    which may mean little: by those that they have out there nothing would be seen.
+    Guess and unknowns are in the problem's own units, and have to be far apart in these and with the scaling factors of
+    the guess, which may mean little.
     """
     if not is_beyond(scaled, guess, unknowns, 0.0):
         return False
     guess, unknowns = scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns)
-    return is_beyond(scaled, guess, unknowns, 1.0) and evaluate(scaled, unknowns).residual > ROUNDED
+    return is_beyond(scaled, guess, unknowns, 1.0)
 
 
 def is_beyond(grid, guess, unknowns, least):
@@ -4851,19 +4593,10 @@ def is_beyond(grid, guess, unknowns, least):
     return np.abs(unknowns[is_primal]).max() > RUN_AWAY * max(least, np.abs(guess[is_primal]).max())
 
 
-def slope_beside_bounds(grid, point):
-    """The largest slope that no bound holds, beside multipliers: of bounds the duals are missing."""
-    slope = np.where(grid.is_multiplier, 0.0, point.gradient)
-    lower, upper = bounds_of(grid)
-    slope *= np.clip(np.where(slope > 0.0, point.unknowns - lower, upper - point.unknowns), 0.0, 1.0)
-    mean = np.abs(point.unknowns[grid.is_multiplier]).mean()
-    return float(np.abs(slope).max() / max(1.0, mean / WEIGHTY))
-
-
-def has_larger_derivatives(finer, grid):
-    """Whether a grid's forces, ones where it has no sizes, are far larger than those of a grid that has sizes."""
-    large = finer.forces if finer.sizes.size else 1.0
-    return (large > np.where(grid.is_multiplier, COARSE, COARSE_COST) * grid.forces).any()
+def is_steeper(finer, grid):
+    """Whether equations or cost are far steeper by a grid's factors, or without any, than by those of another."""
+    forces = finer.forces if finer.sizes.size else 1.0
+    return (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any()
 
 
 def scaled_unknowns(grid, unknowns):
@@ -4872,12 +4605,12 @@ def scaled_unknowns(grid, unknowns):
 
 
 def scaled_grid(grid, unknowns):
-    """The same grid with the sizes of all unknowns, as `with_sizes` has it; unknowns (n,) are a guess."""
-    return with_sizes(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
+    """The same grid with scaling factors; unknowns (n,) are a guess."""
+    return with_scaling_factors(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
 
 
-def with_sizes(grid, point):
-    """The same grid with sizes of all unknowns and the weight of the cost, or without where all are ordinary.
+def with_scaling_factors(grid, point):
+    """The same grid with scaling factors of unknowns and cost, or without if all are one.
 
     The point is that of a guess without its multipliers. Of derivatives at a guess outside its bounds and on them, the
     smaller ones count: outside a model may mean nothing, and the bounds may be far from where a solution is.
@@ -4889,7 +4622,7 @@ def with_sizes(grid, point):
     slopes = np.abs(point.gradient)
     if (inside != primal).any():
         slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
-    weight, is_scaled = fill_sizes(
+    weight, is_scaled = fill_scaling_factors(
         primal, inside, slopes, *bounds, kinds, grid.steps, grid.h, grid.nodes, grid.parameters, sizes
     )
     if not is_scaled:
@@ -4930,10 +4663,11 @@ def remaining_gap(unknowns, gradient, lower, upper):
 
 @lru_cache(maxsize=4)
 def kinds_of(steps):
-    """The kind of every unknown: its index in a node with the interval after it, then the shared ones."""
+    """The quantity (n,) of every unknown, as a number."""
     chain = np.tile(np.arange(steps * STRIDE + NODE) % STRIDE, BODIES)
     own, common = np.tile(np.arange(OWN), BODIES), np.arange(OWN, SHARED)
-    return np.concatenate([chain, STRIDE + own, STRIDE + common])
+    chain = np.concatenate([chain, STRIDE + own, STRIDE + common])
+    return KIND[chain]
 
 
 def unscaled_point(grid, point):
@@ -5270,7 +5004,7 @@ def is_whole(data, pickles):
 # module when it reads the code back: an import by another name, as of a copy or from another folder, would end in a
 # ModuleNotFoundError. This name is the same wherever this file lies and however it is imported, and no other module has
 # it, so that functions of the same name are never mistaken for each other.
-_IDENTITY = "codegen_bouncing_ball_a7d8a73ce3953a57"
+_IDENTITY = "codegen_bouncing_ball_cdf81bee1b879689"
 sys.modules.setdefault(_IDENTITY, ModuleType(_IDENTITY))
 _COMPILED = [value for value in globals().values() if hasattr(value, "py_func")]
 for _function in _COMPILED:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import signal
 import subprocess
 import sys
 import threading
@@ -40,6 +41,7 @@ class Terminal:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "codegen", *map(str, words)],
             cwd=folder, env=environment, stdin=inside, stderr=inside, stdout=inside if everything else subprocess.PIPE,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # which processes in the background ignore
         )  # fmt: skip
         os.close(inside)
         self.sent, self.came = b"", threading.Condition()
@@ -66,7 +68,9 @@ class Terminal:
     def __enter__(self) -> Terminal:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self.process.kill()
         try:
             stdout, _ = self.process.communicate(timeout=LONGEST)
         except subprocess.TimeoutExpired:

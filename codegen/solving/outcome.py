@@ -112,11 +112,13 @@ def outcome_of(
 def _with_error(request: Request, module: GeneratedModule, driver: Driver, result: Result) -> Result:
     """The result of an optimal-control problem with its estimated discretisation error, and a note where it is large.
 
-    Where accuracy was asked for there is an estimate already.
+    Where accuracy was asked for there is an estimate already. Other drivers than the generated solver, which take
+    longer and are there for comparisons, get none.
     """
-    if not (is_control(module) and result.solved and result.unknowns is not None) or result.accuracy:
+    if not (is_control(module) and result.solved and result.unknowns is not None):
         return result
-
+    if result.accuracy or not driver.generated:
+        return result
     left = math.inf if request.time_limit is None else request.time_limit - result.seconds_solve
 
     def search(steps: int, start: Vector, grid: Vector | None) -> Vector | None:
@@ -127,7 +129,7 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
         attempt = driver.function("control")(module, run)
         return attempt.unknowns if attempt.status == "solved" else None
 
-    error = discretisation_error(module, result, search, linear=driver.generated)
+    error = discretisation_error(module, result, search)
     if error is None:
         return replace(result, notes=(*result.notes, UNKNOWN_ERROR))
     summary = {**result.summary, "state_error": error.states, "cost_error": error.cost}

@@ -114,6 +114,16 @@ def test_iterates_are_shown_as_they_come(interpreted):
     assert seen[-1][1] == pytest.approx(result.cost)
 
 
+def test_what_has_no_iterates_to_be_shown_is_refused(interpreted):
+    """By the table of drivers, before anything is solved; so is a limit of iterations that a module does not have."""
+    with pytest.raises(ArgumentError, match="--watch does not apply to a simulate problem, only to optimisation;"):
+        solving.solve(interpreted("pendulum"), steps=2, watch=print)
+    with pytest.raises(ArgumentError, match=r"driver slsqp takes no --watch for a control problem; .* newton"):
+        solving.solve(interpreted("cart_pole"), "slsqp", steps=2, watch=print)
+    with pytest.raises(ArgumentError, match="--max-iterations of particles"):
+        solving.solve(interpreted("lennard_jones"), steps=2, max_iterations=3)
+
+
 def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
     with terminal.following() as watch:
         assert watch is None

@@ -125,11 +125,11 @@ def test_a_jump_through_the_pivot_is_noted(swing):
     result = solve(swing, steps=8)
     assert result.solved
     assert result.cost == pytest.approx(0.0, abs=1e-9)
-    (note,) = result.notes
+    (note,) = (one for one in result.notes if "violates" in one)
     assert "violates x**2 + y**2 - 1 by 1 at t = " in note
     assert "more --steps, or --doublings" in note
     record = output.as_record(result, 0.0, 0.0)
-    assert record["notes"] == [note]
+    assert record["notes"] == list(result.notes)
     cells = output.as_table(record, result).columns
     assert any("x**2 + y**2 - 1" in cell for cell in cells[1].cells)
 
@@ -139,8 +139,7 @@ def test_a_swing_on_the_circle_is_not(swing):
     result = solve(swing, warm=with_nodes(swing, np.column_stack([np.cos(angles), np.sin(angles)])), steps=30)
     assert result.solved
     assert result.cost > 10.0
-    assert result.notes == ()
-    assert "notes" not in output.as_record(result, 0.0, 0.0)
+    assert not any("violates" in note for note in result.notes)
     (worst,) = excursions(swing, result.unknowns, 30, None)
     assert 0.0 < worst.relative < GROSS / 2
 

@@ -85,6 +85,22 @@ def test_iterates_are_logged_in_the_problem_s_own_units():
         assert other[4:] == pytest.approx(own[4:])
 
 
+@pytest.mark.parametrize("failure", ["stalled", "unbounded"])
+def test_where_factors_do_not_help_the_problem_s_own_units_are_tried(failure):
+    module = without_compilation(text_in_units("brachistochrone"))
+    minimise = module.minimise
+
+    def fails_when_scaled(grid, unknowns, *arguments):
+        if grid.sizes.size:
+            return failure, module.evaluate(grid, unknowns), 3
+        return minimise(grid, unknowns, *arguments)
+
+    module.minimise = fails_when_scaled
+    solution = module.solve(10, length_unit=100.0)
+    assert solution.status == "solved"
+    assert solution.iterations > 3
+
+
 @pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"tolerance": "tight"}, {"max_iterations": 0}])
 def test_arguments_that_end_no_search_are_refused(interpreted, arguments):
     (name,) = arguments

@@ -10,7 +10,7 @@ from codegen.runtime.stand_ins.example import (
     START_HESSIAN_COLUMNS, START_HESSIAN_ROWS, STRIDE, end_hessian, start_hessian,
 )  # fmt: skip
 from codegen.runtime.unknowns.shared import global_index, root_index
-from codegen.runtime.optimise.scaling import add_entry
+from codegen.runtime.optimise.scaling import KIND, MULTIPLIES
 
 # Ones on the diagonal that intervals have for unknowns of the start alone, and that its share takes back.
 START_FILLING = np.where(
@@ -79,6 +79,20 @@ if SCALED:
         for j in range(entries.size):
             row, column = of_interval(END_HESSIAN_ROWS[j]), of_interval(END_HESSIAN_COLUMNS[j])
             add_entry(row, column, abs(entries[j]), terms, effect, curvature)
+
+    @njit(error_model="numpy")
+    def add_entry(row, column, value, terms, effect, curvature):
+        """Add the modulus of a derivative by two unknowns, numbered as in a node, an interval and the shared ones."""
+        if MULTIPLIES[column]:
+            row, column = column, row
+        if MULTIPLIES[column]:
+            return
+        kind, of = KIND[row], KIND[column]
+        if MULTIPLIES[row]:
+            terms[kind, of] = max(terms[kind, of], value)
+            effect[kind, of] = max(effect[kind, of], value)
+        else:
+            curvature[kind, of] += value
 
     @njit(error_model="numpy")
     def of_interval(local):

@@ -32,9 +32,12 @@ from codegen.runtime.optimise.forward_motion import forward_motion
 from codegen.runtime.optimise.scaling import IS_SLACK, KIND, fill_scaling_factors
 from codegen.runtime.optimise.termination import final_status, unscaled_unknowns
 
+# How much steeper equations and cost may be at a solution than at the guess, to powers of a thousand and a million.
+STEEPER, STEEPER_COST = 3e3, 3e6
+RESCALINGS = 10  # how often a search goes on at most, as two sets of factors may each be coarse beside the other
 LARGE_CORRECTION = 1e-3  # part of the cost
+FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
 if FORWARD:
-    FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
     SLOW = 150  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
     FROM_MOTION = 300  # for that one
 STEEP = 1e-3  # slopes of the Lagrangian above it, in parts of the cost's or of one, belong to no optimum
@@ -44,7 +47,9 @@ ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
 
-    `scaled` is the grid with the scaling factors.
+    `scaled` is the grid with the scaling factors of the guess. Equations or a cost with far larger factors at the guess
+    than at the solution make the tolerance mean little. The search then goes on from the solution, with the factors
+    there. After a failure the problem is solved in its own units.
     """
     if scaling not in ("auto", "none"):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
@@ -59,11 +64,30 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     else:
         start = scaled_unknowns(grid, unknowns)
         status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log, known)
+    scaled = grid
+    for _ in range(RESCALINGS):
+        if not grid.sizes.size or status != "solved" or iterations >= max_iterations:
+            break
+        begin = np.where(grid.is_multiplier, 0.0, unscaled_unknowns(grid, point.unknowns))
+        there = evaluate(plain_grid(grid), begin)
+        there = there._replace(gradient=np.where(grid.is_multiplier, 0.0, there.gradient))  # residuals are rounding
+        finer = with_scaling_factors(plain_grid(grid), there)
+        if not is_steeper(finer, grid):
+            break
+        start, left, grid = scaled_unknowns(finer, begin), max_iterations - iterations, finer
+        status, point, further = minimise(grid, start, tolerance, left, True, log)
+        iterations += further
     status = verdict(grid, unknowns, point, status)
+    if grid.sizes.size and status in FAILED and iterations < max_iterations:
+        # Factors come from the guess, and may be far from those of the solution.
+        grid = plain_grid(grid)
+        status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
+        status = verdict(grid, unknowns, point, status)
     own = unscaled_point(grid, point)
     status, message = describe(grid, unknowns, own, status)
     cost = corrected_cost(grid, point) if status == "solved" else own.cost
-    return status, message, own._replace(cost=cost), iterations, grid
+    return status, message, own._replace(cost=cost), iterations, scaled
 
 
 if FORWARD:
@@ -132,6 +156,12 @@ def is_beyond(grid, guess, unknowns, least):
     """Whether the largest unknown is far larger than the largest of the guess, and than `least`."""
     is_primal = ~grid.is_multiplier
     return np.abs(unknowns[is_primal]).max() > RUN_AWAY * max(least, np.abs(guess[is_primal]).max())
+
+
+def is_steeper(finer, grid):
+    """Whether equations or cost are far steeper by a grid's factors, or without any, than by those of another."""
+    forces = finer.forces if finer.sizes.size else 1.0
+    return (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any()
 
 
 def scaled_unknowns(grid, unknowns):

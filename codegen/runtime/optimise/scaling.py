@@ -258,21 +258,6 @@ def measure_derivatives(unknowns, steps, h, nodes, parameters, terms, effect, cu
                         effect[kind, of] = max(effect[kind, of], abs(change))
 
 
-@njit(error_model="numpy")
-def add_entry(row, column, value, terms, effect, curvature):
-    """Add the modulus of a derivative by two unknowns, numbered as those of a node, an interval and the shared ones."""
-    if MULTIPLIES[column]:
-        row, column = column, row
-    if MULTIPLIES[column]:
-        return
-    kind, of = KIND[row], KIND[column]
-    if MULTIPLIES[row]:
-        terms[kind, of] = max(terms[kind, of], value)
-        effect[kind, of] = max(effect[kind, of], value)
-    else:
-        curvature[kind, of] += value
-
-
 if COUPLINGS:
 
     @njit(error_model="numpy")

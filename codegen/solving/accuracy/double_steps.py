@@ -43,13 +43,11 @@ _STEP = re.compile(r"multiplier of the (?:step|equation of motion) of (?P<name>.
 _STAGE = re.compile(r"(?P<name>.*)_stage\d+")
 
 
-def discretisation_error(
-    module: ControlModule, result: Result, search: Search, linear: bool
-) -> DiscretisationError | None:
-    """Estimate the error of a solution, in parts of the largest value of every state, and of the cost.
+def discretisation_error(module: ControlModule, result: Result, search: Search) -> DiscretisationError | None:
+    """Estimate the error of a solution, relative to the largest value of every state, and of the cost.
 
-    With `linear` Newton's method is tried before `search`. None where there is no pair of intervals, and where no
-    optimum was found on double steps, so that nothing is known of the error.
+    Newton's method is tried before `search`. None where there is no pair of intervals, and where no optimum was found
+    on double steps, so that nothing is known of the error.
     """
     assert result.unknowns is not None
     fine = time_grid(module, result.steps, result.grid)
@@ -62,7 +60,7 @@ def discretisation_error(
     if steps == result.steps or tuple(rows[list(_inner(module, grid))]) != _inner(module, fine):
         return None
     start = _restricted(module, fine, grid, rows, result.unknowns)
-    found = _carried_on(module, fine, grid, rows, result.unknowns, start) if linear else None
+    found = _carried_on(module, fine, grid, rows, result.unknowns, start)
     if found is None:
         found = search(steps, start, None if equal else fractions)
     if found is None or not np.isfinite(found).all():
