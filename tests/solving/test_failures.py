@@ -20,6 +20,7 @@ from codegen.compiler import generate
 from codegen.errors import BoundaryError
 from codegen.interfaces import time_grid
 from codegen.naming import Choices
+from codegen.runtime.search.bounds import prescribed_beyond
 from codegen.solutions.notes import notes
 from codegen.solutions.result import STATUSES
 
@@ -197,7 +198,7 @@ def test_a_value_that_conditions_at_the_end_determine_is_known_no_better_than_th
     on_the_way = module.initial_guess(grid)
     nodes, _ = module.views(grid, on_the_way)
     nodes[0, -1, 0] = 1.001
-    assert module.prescribed_beyond(grid, on_the_way) == ""
+    assert prescribed_beyond(grid, on_the_way) == ""
     beyond = module.solve(10, end={"y": 1.5})
     assert beyond.status == "infeasible"
     assert "x is prescribed as 1.5 at the end, beyond its bounds -2 to 1" in beyond.message

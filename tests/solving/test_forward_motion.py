@@ -8,6 +8,8 @@ from interpreted import of_problem
 from scipy.integrate import solve_ivp
 
 from codegen import Control, control, controls, states
+from codegen.runtime.search import solve
+from codegen.runtime.search.forward_motion import forward_motion
 
 
 def tuberculosis(steps: int = 100) -> Control:
@@ -67,7 +69,7 @@ def explosion() -> Control:
 def test_the_motion_obeys_the_equations(scheme):
     module = of_problem(vaccination(1.0), scheme=scheme)
     grid = module.make_grid(60)
-    motion = module.forward_motion(grid, module.initial_guess(grid))
+    motion = forward_motion(grid, module.initial_guess(grid))
     residual = module.evaluate(grid, motion).gradient[grid.is_multiplier]
     assert np.abs(residual[:-1]).max() <= 1e-9, "all but the integral, which has no slack yet"
     _, q, _, u, _ = module.unpack(grid, motion)
@@ -97,7 +99,7 @@ def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
     monkeypatch.setattr(module, "forward_motion", lambda grid, unknowns: None)
     monkeypatch.setattr(module, "SLOW", 3000)
     own = module.solve(20)
-    monkeypatch.setattr(module, "SLOW", 3)
+    monkeypatch.setattr(solve, "SLOW", 3)
     result = module.solve(20)
     assert (own.status, result.status) == ("solved", "solved")
     assert result.cost == own.cost
@@ -108,7 +110,7 @@ def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
 def test_after_a_failure_the_search_from_the_motion_has_all_iterations(monkeypatch, ended, expected):
     """Where the first search may still get there, the one from the motion leaves iterations for it."""
     module, limits = of_problem(vaccination(1.0)), []
-    minimise = module.minimise
+    minimise = solve.minimise
 
     def fails_at_first(grid, unknowns, tolerance, limit, *others):
         limits.append(limit)
@@ -116,15 +118,15 @@ def test_after_a_failure_the_search_from_the_motion_has_all_iterations(monkeypat
             return ended, module.evaluate(grid, unknowns), 20
         return minimise(grid, unknowns, tolerance, limit, *others)
 
-    monkeypatch.setattr(module, "minimise", fails_at_first)
+    monkeypatch.setattr(solve, "minimise", fails_at_first)
     assert module.solve(20, max_iterations=3000).status == "solved"
-    assert limits == [module.SLOW, expected]
+    assert limits == [solve.SLOW, expected]
 
 
 def test_motions_that_run_away_are_none():
     module = of_problem(explosion())
     grid = module.make_grid(40)
-    assert module.forward_motion(grid, module.initial_guess(grid)) is None
+    assert forward_motion(grid, module.initial_guess(grid)) is None
     assert module.solve().status == "solved"
 
 

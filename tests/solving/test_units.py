@@ -7,6 +7,7 @@ import pytest
 from gallery_units import GALLERY, UNITS, cost_factor, text_in_units
 from interpreted import without_compilation
 
+from codegen.runtime.search import solve
 from codegen.runtime.search.scaling import scaled_grid
 
 OTHER_UNITS = [
@@ -86,16 +87,16 @@ def test_iterates_are_logged_in_the_problem_s_own_units():
 
 
 @pytest.mark.parametrize("failure", ["stalled", "unbounded"])
-def test_where_factors_do_not_help_the_problem_s_own_units_are_tried(failure):
+def test_where_factors_do_not_help_the_problem_s_own_units_are_tried(failure, monkeypatch):
     module = without_compilation(text_in_units("brachistochrone"))
-    minimise = module.minimise
+    minimise = solve.minimise
 
     def fails_when_scaled(grid, unknowns, *arguments):
         if grid.sizes.size:
             return failure, module.evaluate(grid, unknowns), 3
         return minimise(grid, unknowns, *arguments)
 
-    module.minimise = fails_when_scaled
+    monkeypatch.setattr(solve, "minimise", fails_when_scaled)
     solution = module.solve(10, length_unit=100.0)
     assert solution.status == "solved"
     assert solution.iterations > 3
