@@ -105,7 +105,14 @@ PUBLISHED = (
     Published(
         "penicillin", 87.99, "B", 2e-3, "Banga et al. (2005), case study III, with 132 hours; 88.0 elsewhere", -1.0
     ),
-    Published("ethanol", 20839.0, "C", 2e-3, "Banga et al. (2005), case study IV, with 61.17 hours", factor=-1.0),
+    Published(
+        "ethanol",
+        20839.0,
+        "C",
+        2e-3,
+        "Banga et al. (2005), case study IV, with 61.17 hours; quoted, not looked up",
+        factor=-1.0,
+    ),
     Published("bioreactor", 0.614134, "B", 1e-3, "CTDirect bioreactor_1day, by Bocop", factor=-1.0),
     Published("algae_and_bacteria", 5.45, "C", 5e-3, "CTDirect algal_bacterial", factor=-1.0),
     Published("rayleigh", 44.8044433, "A", 1e-5, "Betts, example 10.113; PSOPT rayleigh 44.776 on a coarse grid"),
