@@ -25,7 +25,7 @@ class ParticleQuantity(Quantity):
 
     @property
     def rate_remedy(self) -> str:
-        """What follows from the Hamiltonian is no part of it."""
+        """The Hamiltonian of particles holds coordinates and momenta alone."""
         return "write the terms of a Hamiltonian without rates"
 
 

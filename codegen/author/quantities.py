@@ -37,7 +37,7 @@ class Quantity(sympy.Symbol):  # type: ignore[misc]  # sympy is untyped
 
     @property
     def rate_remedy(self) -> str:
-        """What an author writes in place of the derivative by time; nothing for what does not move."""
+        """The advice to an author who differentiates this symbol by time; empty for a constant symbol."""
         return ""
 
     def __new__(cls, name: str) -> Quantity:
@@ -125,7 +125,7 @@ class Delayed(Quantity):
 
     @property
     def rate_remedy(self) -> str:
-        """That of what it is the past of."""
+        """The advice for the symbol that is delayed, with the delay added."""
         return f"{self.partner.rate_remedy}, and delay that"
 
     def __new__(cls, partner: Moving, lag: sympy.Expr) -> Delayed:

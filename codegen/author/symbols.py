@@ -89,7 +89,7 @@ class EndValue(Quantity):
 
     @property
     def rate_remedy(self) -> str:
-        """That of the quantity of all bodies."""
+        """The advice for the same quantity of all bodies."""
         return self.partner.rate_remedy
 
 
@@ -185,7 +185,7 @@ class Time(_Common):
 
     @property
     def _diff_wrt(self) -> bool:
-        """Refuse derivatives by time of what moves, which sympy evaluates to zero: symbols depend on no other symbol.
+        """Refuse the time derivative of a moving quantity, which sympy evaluates to zero: its symbols are constants.
 
         sympy looks here before it evaluates a derivative, but does not tell of which expression. Functions of time are
         differentiated as ever.

@@ -25,7 +25,7 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
         self._depth += 1
 
     def on_end(self, event: Event) -> None:
-        """Add what the outermost function took."""
+        """Add the time of the outermost function."""
         if threading.get_ident() != self._thread:
             return
         self._depth -= 1
@@ -35,6 +35,6 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
 
 @contextmanager
 def seconds_of_machine_code() -> Iterator[CodeSeconds]:
-    """Measure what numba compiles and reads in this thread, within the block."""
+    """Measure the time in which numba compiles and reads functions in this thread, within the block."""
     with install_listener("numba:compiler_lock", CodeSeconds()) as listener:
         yield listener

@@ -71,7 +71,7 @@ class Step:
 
     @property
     def is_explicit(self) -> bool:
-        """Whether every field depends on earlier fields of the step alone, so that stages are no equations to solve."""
+        """True if each field depends on earlier fields of the step alone, so that stages need no equations."""
         tableau = self.tableau
         return not any(
             entry for table in (tableau.positions, tableau.momenta) for i, row in enumerate(table) for entry in row[i:]

@@ -172,7 +172,7 @@ class Accuracy:
 LARGE_ERROR = 0.01
 """Relative error of states or cost from which on a solution has a note.
 
-It is what a figure of the motion shows, and a tenth of what a first grid of a mesh refinement is commonly allowed.
+A choice of this project: an error of one per cent is visible in a figure of the motion.
 """
 
 
@@ -180,8 +180,8 @@ It is what a figure of the motion shows, and a tenth of what a first grid of a m
 class DiscretisationError:
     """The estimated distance of a solution from that of the continuous problem.
 
-    `states` is the largest of any state or free parameter, in parts of its largest value, and that of `quantity`, at
-    `time`. `cost` is in parts of the cost.
+    `states` is the largest error of any state or free parameter, relative to the largest value of the same quantity;
+    `quantity` and `time` tell where it is. `cost` is relative to the cost.
     """
 
     states: float
@@ -191,12 +191,12 @@ class DiscretisationError:
 
     @property
     def is_large(self) -> bool:
-        """Whether more steps are called for."""
+        """True if the error is above the limit for a note."""
         return max(self.states, self.cost) > LARGE_ERROR
 
     @property
     def note(self) -> str:
-        """What is to be said of it, and what helps."""
+        """The message for the author, with the remedy."""
         return (
             f"the estimated error of the discretisation is {_percent(self.states)} of {self.quantity} at t = "
             f"{self.time:.4g}, and {_percent(self.cost)} of the cost: take more --steps, or --accuracy"

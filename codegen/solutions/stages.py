@@ -1,7 +1,7 @@
 """Stages of explicit schemes beyond the bounds of states, where the dynamics were evaluated all the same.
 
 A stage of an explicit scheme follows from the node before it less accurately than the step does, so that no bound is
-imposed on it. Kinetics that have another sign beyond a bound tell of a motion that there is not.
+imposed on it. Kinetics that change their sign beyond a bound lead to a motion that does not exist.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class StageBeyond:
 
     @property
     def note(self) -> str:
-        """What is to be said of it, and what helps."""
+        """The message for the author, with the remedy."""
         of_body = "" if self.body is None else f" of body {self.body}"
         return (
             f"{self.state}{of_body} is {self.value:.4g} at a stage of the interval from t = {self.time:.4g}, "

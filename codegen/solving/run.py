@@ -25,8 +25,8 @@ from codegen.tasks import Task, task_of
 def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
     """Run a driver `repeat` times, and assess the last solution; see `codegen.solve`.
 
-    The time is the least of the runs. What numba compiles or reads during one, where a driver calls what nothing has
-    called before, is no part of it.
+    The time is the least of the runs. The time in which numba compiles or reads functions during a run is left
+    out: a driver may call functions for the first time.
     """
     task = task_of(module)
     require_memory(task.numbers(module.metadata, run), run.steps)
@@ -48,7 +48,7 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
 
 
 def _get_ready(module: GeneratedModule, driver: Driver, task: Task, steps: int) -> None:
-    """Have what a driver calls ready in this process before a run is timed, by calls that solve nothing of its size."""
+    """Load the functions of a driver in this process before a run is timed, by calls of a smaller problem."""
     if not driver.generated:  # the others call what this one does not
         with quiet_single_thread():
             task.touch(module, steps)

@@ -123,7 +123,7 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
 
 
 def _is_mean(value: Expr, imposed: set[Expr], symbols: Sequence[Symbol]) -> bool:
-    """Whether a value of a condition is a mean, with positive weights, of values that are imposed."""
+    """Tell if a value of a condition is a weighted mean of imposed values, with positive weights."""
     present = value.free_symbols & set(symbols)
     slopes = [sympy.diff(value, x) for x in present]
     if not (all(slope.is_positive for slope in slopes) or all(slope.is_negative for slope in slopes)):

@@ -102,7 +102,7 @@ def _stages(program: ControlProgram) -> dict[str, str]:
 
 
 def _angles(model: Model) -> dict[str, float]:
-    """What one radian is of coordinates and controls that are arguments of sines and cosines, by name."""
+    """Name -> one radian in the unit of a coordinate or control that is an argument of sines and cosines."""
     found: dict[str, float] = {}
     for part in model.phases or (model,):
         written = (part.function, *part.dynamics, *part.force, *((part.cost,) if part.cost is not None else ()))

@@ -1,9 +1,9 @@
-"""The discretisation error of a solution, from what double steps make of it: two intervals in one.
+"""The discretisation error of a solution, estimated on double steps: two intervals in one.
 
-On the grid of double steps the solution leaves residuals, the defects of its steps. Newton's method with the set of
-active bounds as it is carries them to what they change: states by the KKT matrix, and the cost by the Lagrangian, which
-weighs every defect with the multiplier of its equation. Both changes are 2^p - 1 times the error, p being the order of
-optima. A step or two of Newton's method, on half as many intervals, take no longer than one iteration of the solve.
+On the grid of double steps the solution leaves residuals, the defects of its steps. Newton's method with the same
+active bounds turns them into changes: of states by the KKT matrix, and of the cost by the Lagrangian, where each defect
+has the multiplier of its equation as weight. Both changes are 2^p - 1 times the error; p is the order of the optima.
+A step or two of Newton's method, on half as many intervals, take no longer than one iteration of the solve.
 Where active bounds differ on the two grids, or the solution is no minimum on the coarser one, the optimum on double
 steps is searched for. Sources: Richardson (1911); Becker and Rannacher (2001), An optimal control approach to a
 posteriori error estimation in finite element methods, Acta Numerica 10, section 2; Hairer, Norsett and Wanner (1993),
@@ -30,7 +30,7 @@ from codegen.solving.accuracy.estimate import NEGLIGIBLE, sizes_of
 from codegen.solving.refinement import order_of_optima
 
 STEPS, CONTRACTION, SETTLED = 4, 0.5, 0.1
-"""Newton steps at most; by how much they shrink at least; what part of all change the last one may be."""
+"""The most Newton steps; the least factor by which they shrink; the largest share of the last one in the change."""
 HELD, LOOSE = 1e8, 1e-12
 """Curvatures, in parts of sizes, of unknowns on bounds that hold them, and of others with bounds."""
 BEYOND = 0.01
@@ -83,7 +83,7 @@ def _kept(steps: int, inner: tuple[int, ...]) -> Indices:
 
 
 def _merged(fine: Grid, rows: Indices, phases: int) -> Matrix:
-    """What double steps last, in parts of the duration (n,), or of every phase (phases, n)."""
+    """Lengths of double steps, in parts of the duration (n,), or of every phase (phases, n)."""
     lengths = np.diff(fine.nodes[rows]).reshape(phases, -1)
     lengths /= lengths.sum(axis=1, keepdims=True)
     return np.asarray(lengths if phases > 1 else lengths[0])
