@@ -1,9 +1,7 @@
-"""The KKT matrix: elements of intervals, their factorisation, substitution with its factors.
+"""The linear system of Newton's method: assembly of elements, frontal factorisation, substitution.
 
-`system` is what solvers call: factor, then solve. It is `unbordered` where no unknown is shared by intervals, else
-`bordered`: shared unknowns are the separator between bodies, eliminated last from the Schur complement of all others.
-Both have `frontal` eliminate the elements of one body, from `elements` with its ends (`ends_linear`, `ends_nonlinear`)
-and with controls and slacks of an interval kept (`element_uncondensed`) or statically condensed (`element_condensed`,
-`element_barrier`, by `static_condensation`, which recovers them afterwards, and `inverse`). `symmetric` chooses pivots
-and counts negative eigenvalues, `substitution` solves, `refinement` improves what it finds.
+`shape` lists the numbers that a factorisation has as constants, and `specialised` writes and compiles the text of a
+shape. `system` is what the search calls. `frontal` eliminates the elements of one body, `condensation` the unknowns of
+an interval before, `symmetric` chooses pivots and counts negative eigenvalues, `substitution` solves, and `inverse`
+inverts a condensed block. `tables` says where entries of a matrix are, `any_shape` serves interpreted problems.
 """
