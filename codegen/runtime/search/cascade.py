@@ -20,6 +20,7 @@ from codegen.runtime.search.iterates import (
     begin,
     central_duals,
     has_multipliers,
+    keep_storage,
     measured_point,
     newton_system,
     on_grid,
@@ -58,7 +59,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     bounds, if there was one: its storage serves again. `is_factored`: `factor_nearby` has factored its linear system
     for unknowns beside these, and the first step takes its factors.
     """
-    first, total = None, 0
+    first, total, is_passing = None, 0, search is None
     if search is not None:
         search = on_grid(search, grid)
     else:
@@ -77,6 +78,8 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     if not search.is_bounded and guess.point.error < np.inf and is_gross(search, guess.point):
         status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
         if status in ("solved", "time limit"):
+            if is_passing:
+                keep_storage(search)
             return status, iterate.point, total
         is_factored = False
     for attempt in cascade:
@@ -103,9 +106,10 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
         left = max_iterations - total
         status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
         total += iterations
-    if search.is_bounded:
-        return status, within_bounds(search, iterate, tolerance), total
-    return status, iterate.point, total
+    point = within_bounds(search, iterate, tolerance) if search.is_bounded else iterate.point
+    if is_passing:
+        keep_storage(search)
+    return status, point, total
 
 
 def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
@@ -165,6 +169,7 @@ def is_gross(search, point):
     """Whether the residual is more than a small part of the equations' largest terms."""
     terms, _ = sizes_of_terms(search.grid, point.unknowns, search.system)
     return point.residual > GROSS * terms
+
 
 def from_nearby(search, guess, tolerance, max_iterations, log):
     """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.

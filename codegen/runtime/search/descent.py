@@ -540,7 +540,9 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                 for i in range(n):
                     if not is_multiplier[i]:
                         size, largest = max(size, abs(step[i])), max(largest, abs(x[i]))
-                if size > FAR * largest:  # where equations do not depend on anything, the first shift alone says how far
+                if (
+                    size > FAR * largest
+                ):  # where equations do not depend on anything, the first shift alone says how far
                     delta_w *= 100.0
                     continue
             is_refined = False
@@ -603,7 +605,9 @@ def copy(source, target):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def descend(problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log):
+def descend(
+    problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
+):
     """Follow Newton's steps from the iterate in the work space; return why that ends, a number.
 
     Parameters
@@ -814,8 +818,16 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                                     before = g[i] if correction == 0 else right2[i]
                                     right2[i] = soc_length * before + tg[i]
                             solve_at(
-                                problem[2], grid[0], system[0], right2, system[8], system[1], system[2], system[6],
-                                system[7], step2,
+                                problem[2],
+                                grid[0],
+                                system[0],
+                                right2,
+                                system[8],
+                                system[1],
+                                system[2],
+                                system[6],
+                                system[7],
+                                step2,
                             )
                             _, _, soc_length, soc_dual = measure_step(
                                 grid, bounds, x, right2, step2, distance, duals, mu, dual_step2
@@ -846,9 +858,7 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                 if t_measures[1] > max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual):
                     integers[DOUBTFUL] += 1
                     if integers[DOUBTFUL] >= integers[ENOUGH]:
-                        fill_newton_system(
-                            grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL]
-                        )
+                        fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
                         left = fill_linear_residual(
                             problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
                         )
@@ -940,4 +950,3 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
         reals[COST + i] = measures[i]
     reals[LOGARITHMS] = logarithms
     return status
-

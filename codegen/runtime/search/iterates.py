@@ -12,13 +12,21 @@ from numba import njit
 from codegen.runtime.search import descent
 from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
 from codegen.runtime.search.grid import Grid, free_unknowns, multiplier_unknowns, with_pinned_values
-from codegen.runtime.search.linear_system import System, allocate_system, factor_kkt, is_factored, refine
+from codegen.runtime.search.linear_system import (
+    System,
+    allocate_system,
+    factor_kkt,
+    is_factored,
+    refine,
+    with_entry_factors,
+)
 from codegen.runtime.search.point import Point, evaluate, lagrangian
 from codegen.runtime.search.bounds import bounds_of
 
 LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
 LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
 SINGULAR_STEP = descent.SINGULAR_STEP
+LARGEST_KEPT = 4_000_000  # numbers of the storage that is kept between searches: 32 MB
 
 
 class Attempt(NamedTuple):
@@ -82,6 +90,9 @@ def finite_bounds(lower, upper):
     side[below.size :] = -1.0
     value = np.concatenate([lower[below], upper[above]])
     return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
+
+
+NO_BOUNDS = finite_bounds(np.zeros(0), np.zeros(0))
 
 
 class Workspace:
@@ -151,11 +162,26 @@ class Step(NamedTuple):
 
 def search_on(grid):
     """Return what stays the same during a solve on a grid."""
-    box = bounds_of(grid)
-    bounds, n = finite_bounds(*box), grid.is_multiplier.size
-    system = allocate_system(grid)
-    work = Workspace(n, bounds.side.size)
+    box, n = bounds_of(grid), grid.is_multiplier.size
+    bounds = NO_BOUNDS if grid.problem.variable_bounds is None else finite_bounds(*box)
+    kept = grid.problem.storage.take(storage_key(grid, bounds))
+    if kept is None:
+        system, work = allocate_system(grid), Workspace(n, bounds.side.size)
+    else:
+        system, work = with_entry_factors(grid, kept[0]), kept[1]
     return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments_of(grid, system, bounds))
+
+
+def keep_storage(search):
+    """Keep the storage of a search that has ended for the next search with as many intervals and bounds."""
+    system, work = search.system, search.work
+    if system.factors.size + work.vectors.size <= LARGEST_KEPT:
+        search.grid.problem.storage.keep(storage_key(search.grid, search.bounds), (system, work))
+
+
+def storage_key(grid, bounds):
+    """Return what the lengths of all arrays of a search follow from."""
+    return grid.steps, grid.is_uniform, bounds.side.size
 
 
 def on_grid(search, grid):

@@ -50,12 +50,19 @@ def allocate_system(grid):
     problem, s = grid.problem, grid.problem.structure
     inverses = 1 if s.constant and grid.is_uniform else grid.steps
     reals, integers = factor_sizes(s.shape, s.bodies, grid.steps, inverses)
-    is_scaled = bool(grid.sizes.size)
-    return System(
+    system = System(
         problem.system, problem.hessians.address, s.tables, np.zeros(reals), np.zeros(integers, np.int64),
-        np.zeros(s.entry_count(grid.steps)), entry_factors(grid, 1.0) if is_scaled else NONE,
-        entry_factors(grid, 0.0), inverses, s.counts, layout_of(grid).multipliers.size, *s.entries,
+        np.zeros(s.entry_count(grid.steps)), NONE, NONE, inverses, s.counts, layout_of(grid).multipliers.size,
+        *s.entries,
     )  # fmt: skip
+    return with_entry_factors(grid, system)
+
+
+def with_entry_factors(grid, system):
+    """Return the same storage with the factors of entries on a grid."""
+    if not grid.sizes.size:
+        return system._replace(scaled=NONE, costless=grid.problem.structure.without_cost)
+    return system._replace(scaled=entry_factors(grid, 1.0), costless=entry_factors(grid, 0.0))
 
 
 def entry_factors(grid, weight):
@@ -67,8 +74,6 @@ def entry_factors(grid, weight):
     """
     s = grid.problem.structure
     factors = np.where(s.is_of_cost, weight, 1.0)
-    if not grid.sizes.size:
-        return factors
     roots_of_all, (rows, columns), is_multiplier = np.sqrt(grid.sizes * grid.forces), s.entries, s.local_is_multiplier
     roots = roots_of_all[roots_of_all.size - s.root :]
     parts = np.concatenate([roots_of_all[: s.element], roots[s.root_indices()[0]]])

@@ -4,6 +4,7 @@ import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from codegen.runtime.kkt.specialised import system_address
 from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.packing import packed_operations
 from codegen.runtime.search.structure import Structure
+
+MOST_KEPT = 4  # searches whose storage is kept, for as many threads
 
 
 class Loop:
@@ -115,6 +118,34 @@ class DataDerivatives:
         )  # fmt: skip
 
 
+class Storage:
+    """Arrays of searches that have ended, for the next searches with as many intervals and bounds.
+
+    Threads may take and keep at any time: methods of lists are atomic.
+    """
+
+    def __init__(self):
+        self.kept = []
+
+    def take(self, key):
+        """Return what was kept last under a key, which nobody else then has, or None."""
+        try:
+            kept, arrays = self.kept.pop()
+        except IndexError:
+            return None
+        return arrays if kept == key else None
+
+    def keep(self, key, arrays):
+        """Keep arrays under a key, unless enough are kept."""
+        if len(self.kept) < MOST_KEPT:
+            self.kept.append((key, arrays))
+
+
+def problem_of(module):
+    """Return the problem of a generated module, by the name of the module."""
+    return import_module(module).problem
+
+
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
     """An optimal control problem: its structure, its loops over intervals, and what depends on the author's formulas.
@@ -160,6 +191,15 @@ class ControlProblem:
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
     observations: tuple[Any, ...] = ()
+
+    def __reduce__(self):
+        """Pickle the problem as the name of its module, which another process imports."""
+        return problem_of, (self.initial_guess.__module__,)
+
+    @cached_property
+    def storage(self):
+        """The storage of searches that have ended."""
+        return Storage()
 
     @cached_property
     def mixed(self):

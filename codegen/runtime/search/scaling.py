@@ -129,7 +129,8 @@ def with_scaling_factors(grid, point):
     if s.linear_quadratic:
         return grid
     q, primal, bounds = quantities_of(problem), point.unknowns, (NONE, NONE)
-    kinds, inside = kinds_of(problem, grid.steps), point.unknowns
+    kinds, places, lacks, counts = sampled(problem, grid.steps, grid.inner)
+    inside = point.unknowns
     if problem.variable_bounds is not None:
         bounds = bounds_of(grid)
         inside = with_tied_values(grid, np.minimum(np.maximum(primal, bounds[0]), bounds[1]))
@@ -140,11 +141,8 @@ def with_scaling_factors(grid, point):
         slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
         others = second_derivatives(grid, inside)
     factors = np.empty(primal.size)
-    places = sampled(grid)
-    counts = np.array([s.bodies, grid.steps, s.phases or 1, s.root, s.stride, s.node])
     weight, is_scaled = fill_scaling_factors(
-        q, primal, slopes, *bounds, kinds, counts, grid.nodes, places, lacking(s, grid.steps, places), entries, others,
-        is_moved, factors,
+        q, primal, slopes, *bounds, kinds, counts, grid.nodes, places, lacks, entries, others, is_moved, factors,
     )  # fmt: skip
     if not is_scaled:
         return grid._replace(bounds=bounds) if problem.variable_bounds is not None else grid
@@ -170,15 +168,21 @@ def kinds_of(problem, steps):
     return quantities_of(problem).kind[problem.structure.kinds(steps)]
 
 
-def sampled(grid):
-    """Return the intervals on which derivatives are evaluated: some of each phase, and those behind inner times."""
-    intervals = grid.steps // (grid.problem.structure.phases or 1)
-    stride = max(1, intervals // SAMPLES)
-    k = np.arange(grid.steps)
-    is_sample = k % intervals % stride == 0
-    if grid.inner:
-        is_sample |= np.isin(k, grid.inner)
-    return np.flatnonzero(is_sample)
+@lru_cache(maxsize=8)
+def sampled(problem, steps, inner):
+    """Return what scaling factors need of a grid with nodes at `inner` times: kinds, places, lacks, counts.
+
+    Derivatives are evaluated on the intervals at `places`: some of each phase, and those behind inner times.
+    """
+    s = problem.structure
+    intervals = steps // (s.phases or 1)
+    k = np.arange(steps)
+    is_sample = k % intervals % max(1, intervals // SAMPLES) == 0
+    if inner:
+        is_sample |= np.isin(k, inner)
+    places = np.flatnonzero(is_sample)
+    counts = np.array([s.bodies, steps, s.phases or 1, s.root, s.stride, s.node])
+    return kinds_of(problem, steps), places, lacking(s, steps, places), counts
 
 
 def lacking(s, steps, places):

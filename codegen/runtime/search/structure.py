@@ -245,6 +245,11 @@ class Structure:
         of_root = ~(root[:, None] | root)
         return np.concatenate([~(is_multiplier[rows] | is_multiplier[columns]), of_root.ravel()])
 
+    @cached_property
+    def without_cost(self):
+        """Factors of all kinds of second derivatives: 0 for derivatives by primal unknowns alone, otherwise 1."""
+        return np.where(self.is_of_cost, 0.0, 1.0)
+
     def size(self, steps):
         """Return the number n of unknowns on so many intervals."""
         return self.bodies * (steps * self.stride + self.node) + self.root
