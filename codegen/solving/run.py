@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.errors import NumericsError
 from codegen.interfaces import GeneratedModule
 from codegen.loading import machine_code_counts
