@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import gc
 import io
+import math
 import os
 import sys
 from collections.abc import Iterable
@@ -63,22 +64,39 @@ def main(share: str) -> int:
 
 def warm_up() -> None:
     """Compile a little of what loops and kernels consist of: the first compilation takes long, whatever it compiles."""
+    import codegen.runtime.search.solution  # noqa: F401  what modules import
 
-    @cfunc(float64(types.CPointer(float64), int64))
-    def loop(values, count):  # type: ignore[no-untyped-def]
-        array, total = carray(values, (count, 2)), np.zeros(2)
-        for k in range(count):
-            total[0] += inner(array[k : k + 1], total)
-        return np.sqrt(total[0]) ** 2
+    assert cfunc(float64(types.CPointer(float64), int64))(_loop).address
 
-    assert loop.address
+
+_PLACES = np.array([0, 1])
+
+
+def _loop(values: Any, count: Any) -> Any:
+    """Go through intervals as loops of modules do."""
+    array, part, total = carray(values, (count,)), np.zeros(2), 0.0
+    for k in range(count):
+        part[:] = 0.0
+        total += _kernel(array[k : k + 2], (array[k + 1] - array[k]) * 2.0, part)
+        _add(part, k, 2, array)
+        for i in _PLACES:
+            array[i] = 0.0
+    return total
 
 
 @njit(error_model="numpy")
-def inner(values: Any, total: Any) -> Any:
-    """Return a number made of others as kernels make it."""
-    total[:] = 0.0
-    return values[0, 0] ** 2 * 0.5 + 2.0 / values[0, 1]
+def _kernel(values: Any, t: Any, part: Any) -> Any:
+    """Fill an array as kernels of modules do."""
+    x = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
+    part[0] = 2 * x / math.sqrt(t) - x**3
+    return -x
+
+
+@njit(error_model="numpy", inline="always")
+def _add(part: Any, first: Any, size: Any, array: Any) -> None:
+    """Add a part to an array."""
+    for i in range(size):
+        array[first + i] += part[i]
 
 
 def link_runtime() -> None:

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import boolean, config, float64, int64, types, typeof
+from numba import boolean, config, float64, int64, typeof, types
 
 from codegen.interfaces import few_steps
 
