@@ -26,7 +26,6 @@ from numba import carray, cfunc, config, float64, int64, njit, types
 from codegen.loading import load
 from codegen.machine_code.parts import Part, parts_of
 from codegen.machine_code.processes import COUNT, DONE
-from codegen.runtime.linking import compile_for_any_value, link_inner_functions
 from codegen.runtime.packing import packed_operations
 from codegen.tasks import task_of
 
@@ -101,6 +100,8 @@ def _add(part: Any, first: Any, size: Any, array: Any) -> None:
 
 def link_runtime() -> None:
     """Have inner functions of the runtime become parts of their callers, in this process from now on."""
+    from codegen.runtime.linking import compile_for_any_value, link_inner_functions
+
     runtime = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
     functions = {id(value): value for space in runtime for value in space.values() if hasattr(value, "py_func")}
     is_kept = {key: function.stats.cache_path is not None for key, function in functions.items()}

@@ -45,14 +45,17 @@ def has_machine_code(module: Any) -> bool:
 
 
 def parts_of(module: Any) -> list[Part]:
-    """Return all parts, in the order in which processes are to take them: nothing if numba is switched off."""
-    if config.DISABLE_JIT:
-        return []
+    """Return all parts, in the order in which processes are to take them.
+
+    Nothing if numba is switched off, or if the module has numerics of its own.
+    """
     runtime = {
         "codegen.runtime.search.problem": search_functions,
         "codegen.runtime.stepping.problem": step_functions,
         "codegen.runtime.particles.problem": particle_functions,
-    }[type(module.problem).__module__]
+    }.get(type(module.problem).__module__)
+    if config.DISABLE_JIT or runtime is None:
+        return []
     first, *others = (
         Part(function.py_func, partial(function.compile, signature), "runtime")
         for function, signature in runtime(module.problem)
