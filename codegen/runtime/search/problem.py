@@ -36,8 +36,10 @@ class Loop:
             kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
             return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
         fresh_folder(self.function.__code__.co_filename)
-        of_module = self.function.__globals__.values()
-        link_inner_functions(value for value in of_module if is_inner(value))
+        # Functions of the runtime may be called from Python elsewhere.
+        space = self.function.__globals__
+        own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
+        link_inner_functions(own)
         with packed_operations():
             return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
 
