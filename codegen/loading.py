@@ -36,7 +36,7 @@ def load(path: Path | str) -> GeneratedModule:
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
-    """Return how many functions of a module and of the runtime numba has compiled in this process, and how many read."""
+    """Return how many functions of a module and of the runtime numba has compiled in this process, and has read."""
     runtime = [vars(other) for name, other in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
     functions = {id(value): value for space in (vars(module), *runtime) for value in list(space.values())}
     statistics: list[Any] = [getattr(value, "stats", None) for value in functions.values()]

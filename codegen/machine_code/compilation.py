@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, config, float64, int64, njit, types
+from numba import carray, cfunc, config, float64, int64, njit, types  # type: ignore[attr-defined]
 
 from codegen.loading import load
 from codegen.machine_code.parts import Part, parts_of
@@ -44,10 +44,11 @@ def main(share: str) -> int:
     The share is "both" of a process that becomes two, or as "0/2" for the first of two.
     """
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    if not config.DISABLE_JIT:
+    is_compiling = not config.DISABLE_JIT  # type: ignore[attr-defined]
+    if is_compiling:
         warm_up()
     path = os.fsdecode(sys.stdin.buffer.read())
-    if not path or config.DISABLE_JIT:
+    if not (path and is_compiling):
         return 0
     with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
         module = load(Path(path))

@@ -36,7 +36,7 @@ class Part:
         """True if machine code of the function is on the disk."""
         from codegen.runtime.kept_code import is_kept
 
-        return is_kept(self.function)
+        return bool(is_kept(self.function))
 
 
 def has_machine_code(module: Any) -> bool:
@@ -54,7 +54,7 @@ def parts_of(module: Any) -> list[Part]:
         "codegen.runtime.stepping.problem": step_functions,
         "codegen.runtime.particles.problem": particle_functions,
     }.get(type(module.problem).__module__)
-    if config.DISABLE_JIT or runtime is None:
+    if config.DISABLE_JIT or runtime is None:  # type: ignore[attr-defined]
         return []
     first, *others = (
         Part(function.py_func, partial(function.compile, signature), "runtime")

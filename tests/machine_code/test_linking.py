@@ -50,32 +50,44 @@ def linked_module(name, are_kept):
     return module
 """
 
-COMPILE = LINK + """
+COMPILE = (
+    LINK
+    + """
 linked = linked_module("linked", sys.argv[2] == "kept")
 print(linked.outer(VALUES))
 print(*[len(f.signatures) for f in (linked.power_sum, linked.ratio, linked.outer)])
 print(*[f.overloads[f.signatures[0]].library.is_inner for f in (linked.power_sum, linked.ratio, linked.outer)])
 """
+)
 
-COMPILE_PLAINLY = LINK + """
+COMPILE_PLAINLY = (
+    LINK
+    + """
 linking.TRIED = (0, 1), (0, 2)
 linked = linked_module("linked", False)
 print(linked.outer(VALUES))
 print(any("Linked" in type(f.overloads[f.signatures[0]].library).__name__ for f in (linked.power_sum, linked.outer)))
 """
+)
 
-COMPILE_BOTH = LINK + """
+COMPILE_BOTH = (
+    LINK
+    + """
 modules = [linked_module(name, True) for name in ("linked", "second")]
 linked_module("second", True)
 print(*[module.outer(VALUES) for module in modules])
 for module in modules:
     print(*[f.overloads[f.signatures[0]].library.is_inner for f in (module.ratio, module.outer)])
 """
+)
 
-AGAIN = LINK + """
+AGAIN = (
+    LINK
+    + """
 linked = linked_module("linked", True)
 print(linked.outer(VALUES), sum(linked.outer.stats.cache_hits.values()))
 """
+)
 
 USE = """
 import sys

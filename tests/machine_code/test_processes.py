@@ -69,9 +69,6 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     assert done.returncode == 0
     assert done.stdout.startswith("out/pendulum.py: written")
     assert done.stderr.count("\n") == 1
-    assert (
-        "machine code could not be made ahead (ModuleNotFoundError: import of codegen.runtime.linking"
-        in done.stderr
-    )
+    assert "machine code could not be made ahead (ModuleNotFoundError: import of codegen.runtime.linking" in done.stderr
     compiled, read = output(COUNT, tmp_path / "out" / "pendulum.py")
     assert compiled == "0" < read
