@@ -30,6 +30,7 @@ def build(
     """Derive and write the module that solves a problem, and compile it."""
     from codegen import compiler
     from codegen.author.problem_file import parse_arguments
+    from codegen.loading import load
     from codegen.machine_code import ahead_of_time
     from codegen.machine_code.processes import compilers
     from codegen.solutions import notes, output
@@ -41,11 +42,12 @@ def build(
             made = compiler.build(
                 problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out,
                 time_limit=time_limit, sensitivities=sensitivities,
+                deriving=(lambda: None) if processes is None else processes.start,
             )  # fmt: skip
+        said: list[str] = []
         if processes is not None:
-            with working("Compiling"):
-                ahead_of_time.prepare(made.path, processes)
-    for line in processes.said if processes is not None else ():
+            said = ahead_of_time.require(made.path, load(made.path), made.written, working, processes)[1]
+    for line in said:
         typer.echo(line, err=True)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"

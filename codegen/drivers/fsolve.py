@@ -13,7 +13,8 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.drivers.particles import DENSE_LIMIT, finite, require_at_most, require_method, verdict
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem
 from codegen.errors import ArgumentError
 from codegen.interfaces import (
     ConnectModule,

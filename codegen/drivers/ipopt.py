@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim
 from codegen.errors import ArgumentError
 from codegen.interfaces import ControlModule, Vector
 from codegen.runtime.search.messages import not_finite

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.connect import case_of

@@ -7,12 +7,8 @@ scaled. With the multipliers nu of the scaled problem, lambda = r nu / f belongs
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import cache, cached_property
-from threading import Lock
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +16,6 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
-from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
 from codegen.interfaces import ControlModule, Entries, Grid, Indices, Vector, time_grid
@@ -28,20 +23,6 @@ from codegen.solutions.result import ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Libraries with threads of their own; looking for them takes longer than many a solve."""
-    return ThreadpoolController()
-
-
-@contextmanager
-def _of_the_process() -> Iterator[None]:
-    """One BLAS thread, and no warnings: settings of the whole process."""
-    with _libraries().limit(limits=1), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def claim(
@@ -52,39 +33,6 @@ def claim(
     if status != "solved":
         message = f"{status}: {name} gave up after {iterations} iterations{remedy}"
     return ControlAttempt(status, message, iterations, unknowns, tolerance)
-
-
-class _Shared:
-    """A context that several threads may be in at once: the first enters it, and the last leaves it."""
-
-    def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
-        self.make, self.lock, self.inside = make, Lock(), 0
-
-    def __enter__(self) -> None:
-        with self.lock:
-            if not self.inside:
-                self.context = self.make()
-                self.context.__enter__()
-            self.inside += 1
-
-    def __exit__(self, *error: object) -> None:
-        with self.lock:
-            self.inside -= 1
-            if not self.inside:
-                self.context.__exit__(None, None, None)
-
-
-_QUIET = _Shared(_of_the_process)
-
-
-@contextmanager
-def quiet_single_thread() -> Iterator[None]:
-    """One BLAS thread, because more only wait for each other on small matrices, and no warnings.
-
-    What would be warned of, a singular matrix or an overflow, shows in the status and in the residuals.
-    """
-    with _QUIET, np.errstate(all="ignore"):
-        yield
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.drivers.particles import minimised
-from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim
 from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 

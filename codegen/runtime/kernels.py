@@ -6,7 +6,6 @@ all problems calls it by an integer, the address, which does not take part in nu
 
 import ctypes
 import inspect
-from collections import Counter
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,6 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from codegen.runtime.arguments import with_counts
+from codegen.runtime.kept_code import fresh_folder, statistics_of
 from codegen.runtime.packing import packed_operations
 
 REALS = types.CPointer(types.float64)
@@ -51,6 +51,7 @@ class Kernel:
         if self.is_interpreted or config.DISABLE_JIT:
             returns = _CTYPES.get(self.returns)
             return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
+        fresh_folder(self.function.__code__.co_filename)
         with packed_operations():
             return cfunc(self.returns(*self.kinds), cache=True, error_model="numpy", **self.options)(self.function)
 
@@ -68,15 +69,7 @@ class Kernel:
     @property
     def stats(self):
         """Where numba keeps machine code of the function, and how often it was read from there or made."""
-        made, read = Counter(), Counter()
-        if hasattr(self.__dict__.get("compiled"), "cache_hits"):
-            (read if self.compiled.cache_hits else made)[self.returns(*self.kinds)] += 1
-        return self._stats._replace(cache_hits=read, cache_misses=made)
-
-    @cached_property
-    def _stats(self):
-        """What numba says of a function that Python would call, whose machine code it would keep in the same place."""
-        return njit(cache=not self.is_interpreted)(self.function).stats
+        return statistics_of(self.function, self.__dict__.get("compiled"))
 
     @cached_property
     def _called(self):

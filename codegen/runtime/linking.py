@@ -65,7 +65,7 @@ class InnerLibrary(Base):  # type: ignore[misc]
 
 
 def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
-    """Whether numba is of a version that was tried, and has all that is replaced, set or read here."""
+    """Return True if numba is of a version that was tried, and has all that is replaced, set or read here."""
     try:
         generator = _generator()
         found = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
@@ -93,6 +93,14 @@ def link_inner_functions(functions: Iterable[Any]) -> None:
     for function in functions:
         if not function.targetoptions.get("no_cfunc_wrapper"):
             function.targetoptions["no_cfunc_wrapper"] = function.targetoptions["no_cpython_wrapper"] = True
+            function.get_call_template = _for_any_value(function.get_call_template)
+
+
+def compile_for_any_value(functions: Iterable[Any]) -> None:
+    """From now on, compile functions once where numba would compile them again for constants among their arguments."""
+    functions = list(functions)
+    if applies(functions):
+        for function in functions:
             function.get_call_template = _for_any_value(function.get_call_template)
 
 

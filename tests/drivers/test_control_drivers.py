@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from codegen import drivers, solving
 from codegen.drivers import scaled
 from codegen.drivers.newton import control as newton
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem
 from codegen.errors import ArgumentError, NumericsError
 from codegen.solutions.control import control_result
 from codegen.solutions.result import STATUSES, Run

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen import solving
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.interfaces import ConnectModule, Matrix, Vector
 from codegen.report.settings import Settings, few_landmarks
 from codegen.report.store import Case, Store, Values

@@ -14,19 +14,25 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
+from numba import cfunc
+
+from codegen.runtime.addresses import SYSTEM
+from codegen.runtime.kept_code import fingerprint, fresh_folder
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.packing import packed_operations
 
 FILES = "shape", "tables", "symmetric", "condensation", "frontal", "substitution", "system"
+PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
+"""Functions whose intermediate code is kept, so that several processes can compile a system."""
 HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
 
 Numbers of unknowns: {fields}.
 """
 
 import numpy as np
-from numba import carray, cfunc, njit
+from numba import carray, njit
 
-from codegen.runtime.addresses import SYSTEM, ahead
+from codegen.runtime.addresses import ahead
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.linking import link_inner_functions
 
@@ -42,9 +48,10 @@ def clear(matrix):
 '''
 TAIL = '''
 link_inner_functions(value for value in list(globals().values()) if hasattr(value, "py_func"))
+for part in ({parts}):
+    part.enable_caching()
 
 
-@cfunc(SYSTEM, cache=True, error_model="numpy")
 def system(
     is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step, is_wanted
 ):
@@ -69,7 +76,8 @@ def text_of(shape):
     """Return the text of the module with the linear system of a shape."""
     fields = ", ".join(f"{name} {value}" for name, value in zip(Shape._fields, shape, strict=True))
     head = HEAD.format(fields=fields, values=", ".join(map(str, shape)))
-    return "\n\n".join([head, *(body_of(name) for name in FILES), TAIL])
+    tail = TAIL.replace("{parts}", ", ".join(PARTS))
+    return "\n\n".join([head, *(body_of(name) for name in FILES), tail])
 
 
 @lru_cache
@@ -91,19 +99,44 @@ def body_of(name):
 
 
 @lru_cache(maxsize=256)
+def system_module(shape):
+    """Return the module with the linear system of a shape, which is written if it is new to this machine."""
+    name = f"kkt_{hashlib.sha256(f'{shape} {fingerprint()}'.encode()).hexdigest()[:16]}"
+    path = cache_folder() / "kkt" / f"{name}.py"
+    if not is_whole(path):
+        text = text_of(shape)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{name}.{os.getpid()}")
+        temporary.write_text(f"# {digest_of(text)}\n{text}", encoding="utf-8")
+        temporary.replace(path)
+    fresh_folder(str(path))
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def is_whole(path):
+    """Return True if a file holds the text that was written, which begins with a digest of the rest."""
+    try:
+        first, _, text = path.read_text(encoding="utf-8").partition("\n")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return first == f"# {digest_of(text)}"
+
+
+def digest_of(text):
+    """Return the digest of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@lru_cache(maxsize=256)
+def compiled_system(shape):
+    """Return the compiled linear system of a shape, which has the address."""
+    with packed_operations():
+        return cfunc(SYSTEM, cache=True, error_model="numpy")(system_module(shape).system)
+
+
 def system_address(shape):
     """Return the address of the linear system of a shape, which is compiled if it is new to this machine."""
-    text = text_of(shape)
-    name = f"kkt_{hashlib.sha256(text.encode()).hexdigest()[:16]}"
-    if name not in sys.modules:
-        path = cache_folder() / "kkt" / f"{name}.py"
-        if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary = path.with_name(f".{name}.{os.getpid()}")
-            temporary.write_text(text, encoding="utf-8")
-            temporary.replace(path)
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = sys.modules[name] = importlib.util.module_from_spec(spec)
-        with packed_operations():
-            spec.loader.exec_module(module)
-    return sys.modules[name].system.address
+    return compiled_system(shape).address

@@ -109,7 +109,7 @@ def sum_of_logarithms(distance):
     return total + np.log(product)
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def relaxation(mu, least):
     """Return how much farther away bounds are taken to be while the weight is mu, relative to their magnitudes."""
     return min(RELAXED, max(least, PER_WEIGHT * mu))

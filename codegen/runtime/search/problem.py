@@ -11,6 +11,7 @@ import numpy as np
 from numba import cfunc, config
 
 from codegen.runtime.addresses import LOOP
+from codegen.runtime.kept_code import fresh_folder, statistics_of
 from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
 from codegen.runtime.linking import link_inner_functions
@@ -37,8 +38,11 @@ class Loop:
             reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
             kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
             return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
-        of_module = self.function.__globals__.values()
-        link_inner_functions(value for value in of_module if is_inner(value))
+        fresh_folder(self.function.__code__.co_filename)
+        # Functions of the runtime may be called from Python elsewhere.
+        space = self.function.__globals__
+        own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
+        link_inner_functions(own)
         with packed_operations():
             return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
 
@@ -47,6 +51,11 @@ class Loop:
         """The address of the function."""
         found = self.compiled
         return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    @property
+    def stats(self):
+        """Where numba keeps machine code of the loop, and how often it was read from there or made."""
+        return statistics_of(self.function, self.__dict__.get("compiled"))
 
 
 def is_inner(value):
@@ -213,10 +222,14 @@ class ControlProblem:
             return any_shape_address()
         return system_address(self.structure.shape)
 
+    def kernels(self):
+        """Return the loops, those that take longest to compile first."""
+        of_data = self.data.loop if self.data else None
+        loops = self.hessians, of_data, self.gradient, self.parts, self.inputs
+        return tuple(loop for loop in loops if loop is not None)
+
     def compile(self):
         """Compile what is special about the problem: the loops, and the linear system of its shape."""
-        of_data = self.data and self.data.loop
-        for loop in (self.gradient, self.hessians, self.parts, self.inputs, of_data):
-            if loop is not None:
-                loop.address  # noqa: B018
+        for loop in self.kernels():
+            loop.address  # noqa: B018
         self.system  # noqa: B018
