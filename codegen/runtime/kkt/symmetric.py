@@ -16,6 +16,14 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 
 
 @njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@njit(error_model="numpy", forceinline=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 

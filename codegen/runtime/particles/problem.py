@@ -11,8 +11,6 @@ from codegen.runtime.kernels import Kernel, Value
 from codegen.runtime.particles.steps import Pairs
 from codegen.runtime.particles.tracers import Tracers
 
-EMPTY = np.zeros((0, 0))
-
 
 @dataclass(frozen=True, eq=False)
 class PairProblem:

@@ -8,12 +8,12 @@ from codegen.runtime.search.descent import relaxation
 from codegen.runtime.search.exact_bounds import within_bounds
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
-    LARGEST_DUAL,
     CASCADE,
     CASCADE_WITH_BOUNDS,
     FROM_AFAR,
     FROM_GUESS,
     FROM_NEIGHBOUR,
+    LARGEST_DUAL,
     NEARBY,
     Iterate,
     barrier_curvature,
@@ -165,6 +165,7 @@ def is_gross(search, point):
     """Whether the residual is more than a small part of the equations' largest terms."""
     terms, _ = sizes_of_terms(search.grid, point.unknowns, search.system)
     return point.residual > GROSS * terms
+
 
 def from_nearby(search, guess, tolerance, max_iterations, log):
     """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.

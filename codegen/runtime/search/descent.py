@@ -42,9 +42,9 @@ WORDS = (
 
 # Rows of the vectors (VECTORS, n) and of the arrays (BARRIERS, m) of the work space.
 (
-    X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, WATCH_G, LOOSE_X,
-) = range(14)  # fmt: skip
-VECTORS = 14
+    X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, LOOSE_X,
+) = range(13)  # fmt: skip
+VECTORS = 13
 DISTANCE, DUALS, MOVED, PUSHED, DUAL_STEP, DUAL_STEP2, WATCH_DISTANCE, WATCH_DUALS, LOOSE_DISTANCE, LOOSE_DUALS = range(
     10
 )
@@ -53,15 +53,15 @@ BARRIERS = 10
 # Numbers of the state.
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
-    WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, WATCH_MU, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOGARITHMS, LOOSE_MU, FUNNEL,
-) = range(24)  # fmt: skip
-REALS = 24
+    WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
+    STATIONARITY, ERROR, LOOSE_MU,
+) = range(21)  # fmt: skip
+REALS = 21
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
-    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, MUST_REFINE, EVALUATIONS, FACTORISATIONS,
-) = range(21)  # fmt: skip
-INTEGERS = 21
+    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS,
+) = range(19)  # fmt: skip
+INTEGERS = 19
 
 UNIT_ROUNDOFF = 2.2e-16
 VANISHED = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
@@ -373,10 +373,10 @@ def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, t
 @njit(error_model="numpy")
 def lets_pass(pairs, count, violation, objective):
     """Return True if no pair of the filter is better both in violation and in objective (18)."""
+    passes = True
     for j in range(count):
-        if not (violation < pairs[j, 0] or objective < pairs[j, 1]):
-            return False
-    return True
+        passes = passes and (violation < pairs[j, 0] or objective < pairs[j, 1])
+    return passes
 
 
 @njit(error_model="numpy")
@@ -540,7 +540,7 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                 for i in range(n):
                     if not is_multiplier[i]:
                         size, largest = max(size, abs(step[i])), max(largest, abs(x[i]))
-                if size > FAR * largest:  # where equations do not depend on anything, the first shift alone says how far
+                if size > FAR * largest:  # without dependent equations, the first shift alone sets the length
                     delta_w *= 100.0
                     continue
             is_refined = False
@@ -603,7 +603,9 @@ def copy(source, target):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def descend(problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log):
+def descend(
+    problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
+):
     """Follow Newton's steps from the iterate in the work space; return why that ends, a number.
 
     Parameters
@@ -618,6 +620,7 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
     bounds : tuple
         indices, side, magnitude (m,).
     tolerance : float
+        Of residual and stationarity, as `is_solved` has it.
     limit, most : int
         Iterations in all, and in this call.
     reals, integers : (REALS,), (INTEGERS,)
@@ -723,7 +726,6 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                         for j in range(grid[8].shape[0]):  # what equals a linking variable moves along
                             x[grid[8][j, 0]] += x[grid[8][j, 1]] - trial[grid[8][j, 1]]
                         measures, measured = evaluated(problem, grid, bounds, x, g, distance, duals, vectors)
-                        integers[EVALUATIONS] += 1
                         cost, residual, violation, stationarity, error = measures
                         _, gap, lowest, highest, mean, mean_dual, largest = measured
                 reals[MU] = mu = new
@@ -766,10 +768,9 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                     # after all. If none is, all goes on from here: the watchdog technique, section 3.2.
                     integers[WATCHING] = FULL_STEPS
                     copy(x, vectors[WATCH_X])
-                    copy(g, vectors[WATCH_G])
                     copy(distance, barriers[WATCH_DISTANCE])
                     copy(duals, barriers[WATCH_DUALS])
-                    reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE], reals[WATCH_MU] = violation, objective, mu
+                    reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE] = violation, objective
                     reals[WATCH_SLOPE], reals[WATCH_LONGEST] = slope, longest
                 if integers[WATCHING]:
                     is_watched = True
@@ -782,7 +783,6 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                     bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed
                 )
                 t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
-                integers[EVALUATIONS] += 1
                 if t_measures[4] < np.inf:
                     accepted = accepts(
                         pairs, integers, violation, objective, t_measures[2], t_measures[0] - mu * t_logarithms, slope,
@@ -814,8 +814,16 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                                     before = g[i] if correction == 0 else right2[i]
                                     right2[i] = soc_length * before + tg[i]
                             solve_at(
-                                problem[2], grid[0], system[0], right2, system[8], system[1], system[2], system[6],
-                                system[7], step2,
+                                problem[2],
+                                grid[0],
+                                system[0],
+                                right2,
+                                system[8],
+                                system[1],
+                                system[2],
+                                system[6],
+                                system[7],
+                                step2,
                             )
                             _, _, soc_length, soc_dual = measure_step(
                                 grid, bounds, x, right2, step2, distance, duals, mu, dual_step2
@@ -825,7 +833,6 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                                 pushed,
                             )  # fmt: skip
                             t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
-                            integers[EVALUATIONS] += 1
                             if t_measures[4] < np.inf:
                                 accepted = accepts(
                                     pairs, integers, violation, objective, t_measures[2],
@@ -842,26 +849,25 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                 attempt = 1
                 continue
             # Were the equations linear, 1 - length of each would be left: more is curvature, or an inaccurate step.
-            if accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0):
-                if t_measures[1] > max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual):
-                    integers[DOUBTFUL] += 1
-                    if integers[DOUBTFUL] >= integers[ENOUGH]:
-                        fill_newton_system(
-                            grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL]
-                        )
-                        left = fill_linear_residual(
-                            problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
-                        )
-                        if left > ACCURATE:
-                            if room.shape[0] == 0:
-                                status = ROOM
-                                break
-                            accepted, careful = False, True
-                            reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
-                            integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
-                            attempt = 2
-                            continue
-                        integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
+            expected = max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual)
+            is_tested = accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
+            if is_tested and t_measures[1] > expected:
+                integers[DOUBTFUL] += 1
+                if integers[DOUBTFUL] >= integers[ENOUGH]:
+                    fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
+                    left = fill_linear_residual(
+                        problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
+                    )
+                    if left > ACCURATE:
+                        if room.shape[0] == 0:
+                            status = ROOM
+                            break
+                        accepted, careful = False, True
+                        reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
+                        integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
+                        attempt = 2
+                        continue
+                    integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
             break
         if status == ROOM:
             integers[DOUBTFUL] = integers[ENOUGH]  # so that the step is made again, and refined
@@ -875,7 +881,6 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                 bounds, x, step, longest, distance, duals, dual_step, dual_length, mu, trial, moved, pushed
             )
             t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
-            integers[EVALUATIONS] += 1
             better = t_measures[4] < np.inf and accepts(
                 pairs, integers, reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE], t_measures[2],
                 t_measures[0] - mu * t_logarithms, reals[WATCH_SLOPE], reals[WATCH_LONGEST], small,
@@ -890,7 +895,6 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                 copy(barriers[WATCH_DUALS], pushed)
                 t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
                 t_logarithms = sum_of_logarithms(moved)
-                integers[EVALUATIONS] += 1
             else:
                 integers[WATCHING] -= 1
         elif has_step:
@@ -938,6 +942,4 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
         done += 1
     for i in range(5):
         reals[COST + i] = measures[i]
-    reals[LOGARITHMS] = logarithms
     return status
-

@@ -18,7 +18,7 @@ BEYOND = 1e6  # a motion that grows by it runs away
 
 
 def motion_entries(s):
-    """Return entries (3, m) of an interval's Hessian that belong to the motion: number, row and column of its matrix."""
+    """Return the entries of an interval's Hessian that belong to the motion: (3, m), with number, row and column."""
     row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (s.motion_equations, s.motion_unknowns))
     pairs = list(enumerate(zip(s.rows.tolist(), s.columns.tolist(), strict=True)))
     found = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]

@@ -107,9 +107,7 @@ def checked_grid(problem, steps, duration, parameters, fractions):
     if s.phases:
         steps, duration = s.phases * steps, s.phases  # the time of a chain runs from each phase's number to the next
     is_multiplier = s.layouts(steps).is_multiplier.copy()  # writable, so that numba compiles for one type
-    return Grid(
-        steps, duration / steps, nodes, is_uniform, table, is_multiplier, NONE, NONE, 1.0, (), (), problem
-    )
+    return Grid(steps, duration / steps, nodes, is_uniform, table, is_multiplier, NONE, NONE, 1.0, (), (), problem)
 
 
 def checked_nodes(chains, steps, fractions):

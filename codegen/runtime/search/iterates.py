@@ -10,11 +10,11 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.search import descent
+from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
 from codegen.runtime.search.grid import Grid, free_unknowns, multiplier_unknowns, with_pinned_values
 from codegen.runtime.search.linear_system import System, allocate_system, factor_kkt, is_factored, refine
 from codegen.runtime.search.point import Point, evaluate, lagrangian
-from codegen.runtime.search.bounds import bounds_of
 
 LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
 LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
@@ -274,10 +274,10 @@ def largest_slope(gradient, is_multiplier, indices, side, duals, spare):
 @njit(cache=True, error_model="numpy", nogil=True)
 def has_multipliers(unknowns, is_multiplier):
     """Return True if any multiplier is not zero."""
+    has_any = False
     for i in range(unknowns.size):
-        if is_multiplier[i] and unknowns[i] != 0.0:
-            return True
-    return False
+        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
+    return has_any
 
 
 def barrier_curvature(search, iterate):

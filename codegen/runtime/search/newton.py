@@ -70,7 +70,10 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
 
 
 def run(search, tolerance, max_iterations, log):
-    """Call the compiled search once, and log its iterates; return the number of its status, and "time limit" if late."""
+    """Call the compiled search once and log its iterates.
+
+    Return the number of its status, and "time limit" if the time is up, else "".
+    """
     grid, work = search.grid, search.work
     before, affordable = int(work.integers[descent.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
     most = log.iterations_per_call(before, work.log.shape[0] - 1, affordable)

@@ -152,7 +152,7 @@ def is_beyond(grid, guess, unknowns, least):
 
 
 def is_steeper(finer, grid):
-    """Return True if equations or cost are far steeper by a grid's factors, or without any, than by those of another."""
+    """Return True if equations or cost are far steeper with the factors of `finer`, or none, than those of `grid`."""
     forces = finer.forces if finer.sizes.size else 1.0
     return (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any()
 
