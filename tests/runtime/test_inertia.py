@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from codegen.runtime.kkt.elements import padded
+from codegen.runtime.kkt.shape import padded
 from codegen.runtime.kkt.symmetric import (
     eliminate_rows,
     solve_backward,

@@ -65,7 +65,9 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def largest_beside(matrix, row, count):
-    """The largest modulus beside the diagonal of a row, in `count` columns, which are zero where they are eliminated.
+    """Return the largest modulus beside the diagonal of a row, in `count` columns.
+
+    Columns of eliminated unknowns are zero.
 
     In the order of memory, and with indices that have no sign, it takes half the time of a look at what is left alone.
     """

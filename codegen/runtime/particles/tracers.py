@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, njit  # type: ignore[attr-defined]
 
-from codegen.runtime.addresses import reals_at
-from codegen.runtime.kernels import call, data_of
+from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.particles.trajectory import defects
 
 MOST = 30  # iterations of Newton's method

@@ -109,7 +109,7 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
 
 
 def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
-    """(status, iterate, iterations) after the violation has been brought to its minimum near an iterate and the guess.
+    """Minimise the violation near an iterate and the guess; return (status, iterate, iterations).
 
     Where it is zero, a last search begins there, among motions that obey the equations: others may have lowered the
     cost, as a duration, beyond where any do. Where it is not, nothing near the iterate obeys them: that is
@@ -135,7 +135,7 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
 
 
 def violating_starts(search, iterate, guess):
-    """Iterates near which the equations may hold, with the unknowns that are to stay as they are.
+    """Yield iterates near which the equations may hold, with the unknowns that are to stay as they are.
 
     Shared ones, as a duration, may fall to where no motion obeys while the motion itself has hardly begun to. A guess
     that is symmetric may be stationary and no minimum, so that the last one is bent.
@@ -150,25 +150,25 @@ def violating_starts(search, iterate, guess):
 
 
 def without_multipliers(grid, unknowns, known):
-    """Primal unknowns (n,), of a point without multipliers if it is `known`, and zeros for multipliers."""
+    """Return unknowns (n,) with zeros for multipliers; of a point without multipliers if it is `known`."""
     return np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
 
 
 def first_iterate(search, unknowns, attempt, known):
-    """The iterate without multipliers at a guess, whose point may be `known`."""
+    """Return the iterate without multipliers at a guess, whose point may be `known`."""
     if not search.is_bounded and known is not None:
         return Iterate(known, 0.0, search.bounds.side, search.bounds.side)
     return begin(search, unknowns, attempt)
 
 
 def is_gross(search, point):
-    """Whether the residual is more than a small part of the equations' largest terms."""
+    """Return True if the residual is more than a small part of the equations' largest terms."""
     terms, _ = sizes_of_terms(search.grid, point.unknowns, search.system)
     return point.residual > GROSS * terms
 
 
 def from_nearby(search, guess, tolerance, max_iterations, log):
-    """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
+    """Return (status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
 
     A full Newton step, which knows of no distance, would leave for another optimum.
     """
@@ -180,7 +180,7 @@ def from_nearby(search, guess, tolerance, max_iterations, log):
 
 
 def bulged_guess(grid, unknowns, part):
-    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has.
+    """Return unknowns that bulge between the ends by a part of the size of each quantity, or of the largest one.
 
     Where all are zero, there is nothing to tell sizes from, and one will do.
     """
@@ -219,7 +219,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
 
 
 def escaping_iterates(search, saddle, attempt, escapes):
-    """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
+    """Yield iterates to both sides of a saddle point, along the direction of most negative curvature."""
     grid, unknowns = search.grid, saddle.point.unknowns
     curvature = barrier_curvature(search, saddle)
     for step in escape_steps(grid, unknowns, curvature, escapes):

@@ -54,18 +54,19 @@ BARRIERS = 10
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOOSE_MU,
-) = range(21)  # fmt: skip
-REALS = 21
+    STATIONARITY, ERROR, LOOSE_MU, LAST_COST,
+) = range(22)  # fmt: skip
+REALS = 22
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
-    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS,
-) = range(19)  # fmt: skip
-INTEGERS = 19
+    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN,
+) = range(21)  # fmt: skip
+INTEGERS = 21
 
 UNIT_ROUNDOFF = 2.2e-16
 VANISHED = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
 WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
+UNCHANGED, REST = 1e-3, 5  # part of the error that changes at most, and iterates in turn, of a search at rest
 SINGULAR_STEP = 1e12  # times the right-hand side: a longer step is one of rounding
 FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
 NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
@@ -201,7 +202,7 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
     )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def terms(problem, grid, system, x, is_costless, vectors):
     """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition.
 
@@ -660,14 +661,20 @@ def descend(
             converged = is_acceptable(
                 problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
             )  # fmt: skip
-        if integers[IS_WARM]:
-            # A search that begins near a solution may be there at once, but for rounding.
-            if not converged and error < np.inf and error > PROGRESS * reals[LAST_ERROR]:
-                at_rest = is_at_rounding_level(
+        if integers[SEEN] <= iteration:  # an iterate from which another call goes on has been looked at
+            integers[SEEN] = iteration + 1
+            is_closed = m == 0 or highest <= tolerance
+            if not converged and integers[IS_WARM] and PROGRESS * reals[LAST_ERROR] < error < np.inf:
+                # A search that begins near a solution may be there at once, but for rounding.
+                converged = is_closed and is_at_rounding_level(
                     problem, grid, system, x, residual, stationarity, is_costless, vectors
-                )  # fmt: skip
-                converged = at_rest and (m == 0 or highest <= tolerance)
-            reals[LAST_ERROR] = error
+                )
+            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not show in the second ones. Their
+            # rounding is larger than `terms` tells, and steps change neither cost nor error any more.
+            is_unchanged = cost == reals[LAST_COST] and abs(error - reals[LAST_ERROR]) <= UNCHANGED * error
+            integers[AT_REST] = integers[AT_REST] + 1 if is_unchanged and is_closed and error <= tolerance else 0
+            converged = converged or integers[AT_REST] >= REST
+            reals[LAST_ERROR], reals[LAST_COST] = error, cost
         if not error < np.inf:
             status = NON_FINITE
         elif converged:

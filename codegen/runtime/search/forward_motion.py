@@ -27,7 +27,7 @@ def motion_entries(s):
 
 
 def forward_motion(grid, unknowns):
-    """The unknowns (n,) of the motion under the controls of a guess (n,), no multipliers; None where there is none.
+    """Return the unknowns (n,) of the motion under the controls of a guess (n,), without multipliers, or None.
 
     Controls are moved inside their bounds. Everything is in the problem's own units.
     """
@@ -51,7 +51,7 @@ def forward_motion(grid, unknowns):
 
 
 def is_solved_for_motion(grid, k, piece, entries):
-    """Whether Newton's method finds the state after interval k, and its stages, from the state before it.
+    """Return True if Newton's method finds the state after interval k, and its stages, from the state before it.
 
     `piece` (element + root,) has the unknowns of the interval and both nodes, and those that no node owns.
     """

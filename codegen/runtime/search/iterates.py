@@ -155,18 +155,19 @@ def search_on(grid):
     bounds, n = finite_bounds(*box), grid.is_multiplier.size
     system = allocate_system(grid)
     work = Workspace(n, bounds.side.size)
-    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments_of(grid, system, bounds))
+    arguments = *arguments_of(grid, system), (bounds.indices, bounds.side, bounds.magnitude)
+    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments)
 
 
 def on_grid(search, grid):
     """Return the search on a grid with the same bounds and so many intervals: its storage serves again."""
     if grid is search.grid:
         return search
-    return search._replace(grid=grid, arguments=arguments_of(grid, search.system, search.bounds))
+    return search._replace(grid=grid, arguments=(*arguments_of(grid, search.system), search.arguments[-1]))
 
 
-def arguments_of(grid, system, bounds):
-    """Return problem, grid, linear system and bounds as the compiled search takes them."""
+def arguments_of(grid, system):
+    """Return problem, grid and linear system as the compiled search takes them."""
     s = grid.problem.structure
     problem = (grid.problem.gradient.address, system.loop, system.address)
     data = (
@@ -177,7 +178,7 @@ def arguments_of(grid, system, bounds):
         system.tables, system.factors, system.orders, system.entries, system.scaled, system.costless, system.inverses,
         system.counts, system.equations, system.rows, system.columns,
     )  # fmt: skip
-    return problem, data, storage, (bounds.indices, bounds.side, bounds.magnitude)
+    return problem, data, storage
 
 
 def begin(search, unknowns, attempt):

@@ -38,7 +38,7 @@ def minimise(grid, unknowns, tolerance, log, system=None):
 
 
 def without_minimum(grid, point, system):
-    """(status, point) where the KKT matrix is singular, or has another inertia than at a minimum."""
+    """Return (status, point) if the KKT matrix is singular, or has another inertia than at a minimum."""
     least = least_violation(grid, point, system)
     if least.residual > CONTRADICTORY * point.residual:
         return "infeasible", least
@@ -51,7 +51,7 @@ def without_minimum(grid, point, system):
 
 
 def least_violation(grid, point, system):
-    """The point nearest to a given one where the equations hold, or where they are violated least."""
+    """Return the point nearest to a given one where the equations hold, or where they are violated least."""
     step = np.empty_like(point.unknowns)
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):

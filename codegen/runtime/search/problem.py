@@ -10,6 +10,7 @@ import numpy as np
 from numba import cfunc, config
 
 from codegen.runtime.addresses import LOOP
+from codegen.runtime.kernels import Addressed
 from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
 from codegen.runtime.linking import link_inner_functions
@@ -17,19 +18,12 @@ from codegen.runtime.packing import packed_operations
 from codegen.runtime.search.structure import Structure
 
 
-class Loop:
-    """A loop over intervals, which is compiled when its address is first asked for.
-
-    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter.
-    """
-
-    def __init__(self, function, is_interpreted=False):
-        self.function, self.is_interpreted = function, is_interpreted
-        self.__doc__ = function.__doc__
+class Loop(Addressed):
+    """A loop over intervals."""
 
     @cached_property
     def compiled(self):
-        """The compiled function, or the callback; what has the address must be kept."""
+        """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
             reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
             kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
@@ -38,12 +32,6 @@ class Loop:
         link_inner_functions(value for value in of_module if is_inner(value))
         with packed_operations():
             return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
-
-    @cached_property
-    def address(self):
-        """The address of the function."""
-        found = self.compiled
-        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
 
 
 def is_inner(value):

@@ -163,7 +163,7 @@ def scaled_unknowns(grid, unknowns):
 
 
 def corrected_cost(grid, point):
-    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth.
+    """Return the cost of an optimum in its own units, corrected for residuals and distances to active bounds.
 
     That is so to first order. A large correction belongs to multipliers without limit, as where equations force
     unknowns onto their bounds, and says nothing: the cost stays as it is.
@@ -186,7 +186,7 @@ def remaining_gap(unknowns, gradient, lower, upper):
 
 
 def unscaled_point(grid, point):
-    """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
+    """Return a point in the problem's own units; its stationarity is the change of the cost by scaling factors."""
     if not grid.sizes.size:
         return point
     stationarity = point.stationarity / grid.weight
