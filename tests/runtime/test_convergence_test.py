@@ -22,5 +22,3 @@ def test_sizes_are_those_of_the_point_that_is_asked_for(interpreted):
     module.evaluate(grid, elsewhere)
     np.testing.assert_array_equal(sizes(here), expected)
     assert not np.allclose(sizes(elsewhere), expected)
-
-
