@@ -1,8 +1,9 @@
-"""Ordinary numerics that need no symbol, included verbatim in the generated modules that need them.
+"""Numerics without symbols, which generated modules import.
 
-Every file here is plain, tested Python. Its functions refer to the kernels and sizes of a generated module by name;
-so that they can be imported and tested by themselves, each file imports those names from `example.py`, a hand-written
-stand-in. `emit.py` drops the import lines, and the generated module's own definitions take their place.
+What is common to all problems is compiled once on a machine. What is special about a problem, its loops and kernels, is
+called by address (`addresses`, `kernels`), and linear systems are compiled for each shape (`kkt`). `search` solves
+optimal control problems, `stepping` follows motions, `particles` is about points that interact in pairs. Kernels call
+`inner_number`, `special` and `tabulated`.
 """
 
 from contextlib import suppress

@@ -13,7 +13,7 @@ States have shape (2, n, d), own parameters (n, k).
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit  # type: ignore[attr-defined]
+from numba import carray, njit
 
 from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.lu import factor_matrix, solve_factored

@@ -13,7 +13,7 @@ points in each. A matrix of each point, d rows of c columns, is kept in the same
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit  # type: ignore[attr-defined]
+from numba import carray, njit
 
 from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.particles.trajectory import defects

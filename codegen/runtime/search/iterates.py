@@ -4,7 +4,7 @@ The Newton loop itself is compiled, see `descent`; restoration, exact bounds and
 """
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -114,9 +114,9 @@ class Search(NamedTuple):
     bounds: Bounds
     system: System
     equations: np.ndarray
-    box: tuple
+    box: tuple[np.ndarray, np.ndarray]
     work: Workspace
-    arguments: tuple
+    arguments: tuple[tuple[Any, ...], ...]
     least: float = LEAST_RELAXED
 
     @property

@@ -6,7 +6,7 @@ Implicit steps are solved by Newton's method, whose first correction is exact wh
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, njit  # type: ignore[attr-defined]
+from numba import carray, njit
 
 from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
 from codegen.runtime.kernels import ONLY_COMPILED
