@@ -10,9 +10,10 @@ import scipy.sparse
 import scipy.sparse.linalg
 from control_variants import ANTIPHASE, VARIANTS, dense_kkt, trial_point
 from interpreted import Interpreted
+from kkt_residuals import linear_residual, refine
 
 from codegen.runtime.search.grid import free_unknowns
-from codegen.runtime.search.linear_system import allocate_system, factor_kkt, linear_residual, refine, solve_kkt
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
 
 ROD = '''"""Heat a rod from one end to a given temperature: stable dynamics over many times their shortest duration."""
 from codegen import Control, control, states, time

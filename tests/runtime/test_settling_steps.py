@@ -15,4 +15,4 @@ def test_steps_that_a_large_cost_does_not_show_are_taken(bounds):
     status, point, iterations = solve(grid)
     assert status == "solved"
     assert variables(grid, point) == pytest.approx([0.0, 0.0], abs=1e-9)
-    assert iterations <= 12
+    assert iterations <= 16  # with bounds, five of them do not change anything

@@ -1,12 +1,12 @@
-"""Bounds of unknowns: which are active, and which prescribed values are beyond them."""
+"""Bounds of unknowns: active ones, and those that prescribed values violate."""
 
 import numpy as np
 
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.point import evaluate
 
-LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
-UNSURE = 10.0  # residuals by which a value that end conditions determine may be off
+LEAST_SLACK = 1e-7  # slacks below -LEAST_SLACK are not rounding errors
+UNSURE = 10.0  # error of a value that end conditions determine, in multiples of their residual
 END_NAMES = "start", "end"
 
 
@@ -41,9 +41,8 @@ def contradictory_bounds(grid):
 def prescribed_beyond(grid, unknowns):
     """Return a text on a prescribed value or path condition at an end that violates bounds farther inside, or "".
 
-    Unknowns are in the problem's own units; what is negligible is so in parts of sizes where the grid has them.
-    Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
-    within the first interval.
+    Unknowns are in the problem's own units; margins are relative to scaling factors if the grid has them. Prescribed
+    values have no bounds of their own, so a motion that begins outside a bound would leap inside in the first interval.
     """
     if grid.steps == 1 or grid.problem.variable_bounds is None:
         return ""

@@ -35,14 +35,14 @@ from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is
 from codegen.runtime.search.termination import VIOLATED
 
 BULGE = 0.1  # part of its size by which a guess is bent
-WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
+WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # after these the violation itself is minimised
 
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
-NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
-FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # a filter that accepts everything
-WARM_WEIGHT = 0.1  # of the tolerance is the barrier's weight of a warm start: ten times as much costs an iteration
-CLOSE = 1e-8  # at a warm start unknowns are at least so far inside their bounds: closer than the weight's own distances
-NEAR = 0.1  # residuals above it are far: with 0.3 fish under pressure take half as many iterations again
+NEARBY_ITERATIONS = 100  # largest number for a search from a point near such a guess
+FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts everything
+WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
+CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
+NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
@@ -111,9 +111,9 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
 def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
     """Minimise the violation near an iterate and the guess; return (status, iterate, iterations).
 
-    Where it is zero, a last search begins there, among motions that obey the equations: others may have lowered the
-    cost, as a duration, beyond where any do. Where it is not, nothing near the iterate obeys them: that is
-    "infeasible", and not only a search that has `status` because it found no way on.
+    If the least violation is zero, a last search begins there: earlier ones may have lowered the cost, as a duration,
+    below that of all feasible motions. Otherwise the equations hold nowhere near the iterate, and the status is
+    "infeasible".
     """
     ended, total = None, 0
     for start, held in violating_starts(search, iterate, guess):

@@ -1,8 +1,8 @@
 """The end of an interior-point method: bounds, which were relaxed on the way, hold exactly.
 
-What lies beyond a bound, by its relaxation, is moved onto it. Where equations are steep or multipliers large, even a
-move of 1e-12 costs digits of the optimality conditions: Newton's steps of the barrier problem whose bounds are not
-relaxed then lead back to its optimum.
+An unknown that is outside its bound, by the relaxation, is moved onto it. Where equations are steep or multipliers
+large, even a move of 1e-12 costs digits of the optimality conditions. Newton's steps of the barrier problem without
+relaxation then lead back to its optimum.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from codegen.runtime.search.iterates import measured_point, moved, newton_step, 
 from codegen.runtime.search.point import evaluate
 
 LAST_STEPS = 3
-WORSE = 2.0  # by which errors may grow where that is beyond the tolerance
+WORSE = 2.0  # largest growth of an error above the tolerance
 
 
 def within_bounds(search, iterate, tolerance):

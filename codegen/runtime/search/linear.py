@@ -8,9 +8,9 @@ from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.saddle_points import least_delta_w
 
-CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
-ROUNDINGS = 4.0  # errors of their terms that one Newton step leaves in the equations
-LARGE = 1e6  # steps beyond it lead to infinity
+CONTRADICTORY = 1e-6  # least violation of contradictory equations, relative to the first residual
+ROUNDINGS = 4.0  # rounding errors of their terms that one Newton step leaves in the equations
+LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem is unbounded
 
 
 def minimise(grid, unknowns, tolerance, log, system=None):

@@ -12,7 +12,6 @@ from codegen.runtime.search.iterates import (
     with_least_squares_multipliers,
     with_relaxed_bounds,
 )
-from codegen.runtime.search.linear_system import SOLVED_AGAIN
 from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import restore
 
@@ -84,7 +83,7 @@ def run(search, tolerance, max_iterations, log):
         )  # fmt: skip
         if status != ROOM:
             break
-        work.room = np.empty((2 * SOLVED_AGAIN + 2, grid.is_multiplier.size))
+        work.room_for_refinement()
     count = int(work.integers[descent.ITERATIONS]) - before
     # The row of an iterate from which the next call goes on is written again by that call.
     is_over = status != CONTINUE or int(work.integers[descent.ITERATIONS]) >= max_iterations

@@ -13,12 +13,12 @@ from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
 
 RESTORATION_STEPS = 200
-FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+FIRST_DAMPING = 1e-2  # damping of the first step, relative to the squared slope of the residuals
 FEASIBILITY_STEPS = 1000  # of the search for the least violation
-STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # part of the residual that the violation's slope is where it is least
-WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
+STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope of the least violation, relative to the residual
+WEIGHT = 1e-2  # the barrier's weight relative to the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
-HOLDING, NONE_HELD = 1e16, slice(0)  # a curvature beside which no other counts, and no unknowns
+HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; no unknowns
 LARGEST_DUAL = 0.1  # at the start; with 1e3, half of the searches of the space shuttle from noise fail, not 2 of 30
 
 

@@ -8,12 +8,12 @@ from codegen.runtime.search.grid import least_duration, multiplier_unknowns, pri
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.point import evaluate
 
-GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
-FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
-HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
-HUGE = 1e6  # multipliers above it belong to equations that depend on each other
-VIOLATED = 1e-6  # residuals above it are no rounding
-HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
+GROWTH = 1e3  # an unknown diverges if it exceeds this multiple of max(1, |guess|)
+FALL = 0.5  # least fall of the cost, relative to the first one, if an unknown diverges
+HELD = 1e-6  # largest residual, relative to the largest unknown, if an unknown diverges
+HUGE = 1e6  # larger multipliers belong to dependent equations
+VIOLATED = 1e-6  # larger residuals are not rounding errors
+HOLDS = 1e-9  # equations with smaller residuals hold
 
 
 def final_status(grid, guess, point, status):
@@ -61,7 +61,7 @@ def largest_multiplier(grid, point):
 
 
 def diverging_unknowns(grid, guess, point, is_stationary):
-    """Return boolean mask of unknowns that have grown beyond reason, and that go on growing.
+    """Return a mask of the unknowns that diverge: they are large, and go on growing.
 
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
