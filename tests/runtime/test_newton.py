@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from dense_problem import INFINITY, Motion, assert_optimal, guess_of, solve, transcribe, variables, with_hessian
-from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integrator, nlp, u, v, x1, x2, x3
-from sympy import exp, log, symbols
+from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integrator, nlp, u, v, x, x1, x2, x3
+from sympy import exp, log, sqrt, symbols
 
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.callbacks import constraints, jacobian
-from codegen.runtime.search.cascade import FROM_ANYWHERE
+from codegen.runtime.search.cascade import FROM_ANYWHERE, minimise
 from codegen.runtime.search.descent import UNBOUNDED_BELOW
 from codegen.runtime.search.grid import primal_unknowns
 from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
@@ -156,6 +156,27 @@ def test_rank_deficient() -> None:
     assert solve(with_hessian(grid, lambda unknowns: np.full((3, 3), np.nan)))[0] == "rank-deficient"
 
 
+def test_steps_that_are_short_in_turn_raise_the_shift_and_whole_ones_lower_it() -> None:
+    """Far away the cost is all but linear, and Newton's steps lead beyond the optimum.
+
+    Six steps in turn, of a quarter at most, raise the shift; after ten, full steps are tried, and taken back where they
+    lead nowhere.
+    """
+    cost = sum(sqrt(1 + (2**i * x_i) ** 2) for i, x_i in enumerate(x))
+    grid, iterates = nlp((3, -30, 50, 2, -9, 4, 1), cost), Log()
+    status, point, _ = minimise(grid, guess_of(grid), 1e-10, 300, False, iterates)
+    assert status == "solved"
+    assert point.cost == pytest.approx(7.0, rel=1e-12)
+    costs, _, _, shifts, lengths = np.array(iterates.rows).T
+    assert (shifts[:7] == 0.0).all()
+    assert (lengths[1:11] <= 0.25).all()
+    assert shifts[7:12] == pytest.approx(4e-5 * 4.0 ** np.arange(5))
+    assert lengths[11:15].tolist() == [1.0, 1.0, 1.0, 0.0]  # the last takes the three before it back
+    assert costs[14] == costs[10]
+    whole = 16 + int(np.argmax(lengths[16:] == 1.0))
+    assert shifts[whole + 1 :] == pytest.approx(shifts[whole] / 2.0 ** np.arange(1, shifts.size - whole))
+
+
 def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() -> None:
     """Fuller's problem, where bounds are hardly active; IPOPT 3.11.9 takes 16 iterations to 1e-8."""
     motion = Motion([x1, v], [u], [v, u], 3.5, x1**2, {x1: 0, v: 1}, {x1: 0, v: 0}, {}, {u: (-1, 1)})
@@ -199,3 +220,17 @@ def test_restoration_where_a_bound_is_close_and_residuals_are_in_any_unit(unit: 
     status, point = restoration(grid, 1e-9, 1e-6)
     assert status == "restored"
     assert variables(grid, point) == pytest.approx([3.0, 2.0], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["7", "71", "cart-pole, tight", "Goddard"])
+def test_a_search_that_returns_after_each_iteration_goes_on_as_if_it_had_not(name: str) -> None:
+    """As one does that is watched; from the guess, and from a solution that is not quite one."""
+    grid = KNOWN[name][2]()
+    cold, warm = Log(), Log()
+    _, point, _ = minimise(grid, guess_of(grid), 1e-10, 300, False, cold)
+    beside = point.unknowns + 1e-7 * ~grid.is_multiplier
+    minimise(grid, beside, 1e-10, 300, True, warm)
+    for start, is_warm, whole in ((guess_of(grid), False, cold), (beside, True, warm)):
+        watched = Log(watch=lambda number, row: None)
+        minimise(grid, start, 1e-10, 300, is_warm, watched)
+        assert watched.rows == whole.rows
