@@ -80,7 +80,8 @@ _OF_PAIRS = (
 _IMPORTED = {
     "control.py.j2": (
         "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.callbacks",
-        "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses", *_OF_KERNELS,
+        "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses",
+        *_OF_KERNELS,
     ),
     "simulate.py.j2": ("kernels", "stepping.problem", "stepping.steps", "stepping.motion", *_OF_KERNELS),
     "connect.py.j2": (

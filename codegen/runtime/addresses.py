@@ -1,4 +1,4 @@
-"""Functions that compiled code calls by their address.
+"""Calls of functions by their address, from compiled code.
 
 What is common to all problems is compiled once. What is special about a problem, its loops over intervals and its
 linear system, is called by address: an integer, which does not take part in numba's cache on disk. Arrays are passed by
@@ -7,6 +7,7 @@ the address of their data, `array.ctypes.data`.
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 REALS, INTEGERS = types.CPointer(types.float64), types.CPointer(types.int64)
@@ -28,10 +29,15 @@ def _calling(signature):
 
     def generate(context, builder, _, values):
         kinds = [_KINDS[kind] for kind in signature.args[1:]]
-        function = ir.FunctionType(_KINDS[signature.return_type], kinds).as_pointer()
-        return builder.call(builder.inttoptr(values[0], function), values[1:])
+        return _call(builder, _KINDS[signature.return_type], kinds, values[0], values[1:])
 
     return signature, generate
+
+
+def _call(builder, returned, kinds, address, values):
+    """Call a function of some kinds of arguments at an address."""
+    function = ir.FunctionType(returned, kinds).as_pointer()
+    return builder.call(builder.inttoptr(address, function), values)
 
 
 _CALL_LOOP = types.float64(*[types.int64] * 3, types.float64, *[types.int64] * 4)
@@ -51,6 +57,41 @@ def call_system(
 ):  # fmt: skip
     """Call the SYSTEM at an address."""
     return _calling(_CALL_SYSTEM)
+
+
+@intrinsic
+def call(typingctx, address, values):
+    """Call the function at an address, which returns nothing, with a tuple of numbers and addresses of arrays."""
+    return _calling_with_tuple(types.void, address, values)
+
+
+@intrinsic
+def call_value(typingctx, address, values):
+    """Call the function at an address with a tuple of numbers and addresses of arrays; return its number."""
+    return _calling_with_tuple(types.float64, address, values)
+
+
+def _calling_with_tuple(returned, address, values):
+    """Return what an intrinsic returns to call its first argument with the numbers in its second one."""
+    kinds = [_REAL if isinstance(kind, types.Float) else _INTEGER for kind in values.types]
+    result = _REAL if returned is types.float64 else ir.IntType(8).as_pointer()  # an empty pointer stands for nothing
+
+    def generate(context, builder, _, given):
+        found = _call(builder, result, kinds, given[0], cgutils.unpack_tuple(builder, given[1]))
+        return found if returned is types.float64 else context.get_dummy_value()
+
+    return returned(address, values), generate
+
+
+@intrinsic
+def data_of(typingctx, array):
+    """Return the address of the first number of an array, without counting a reference."""
+
+    def generate(context, builder, signature, values):
+        data = context.make_array(signature.args[0])(context, builder, values[0]).data
+        return builder.ptrtoint(data, _INTEGER)
+
+    return types.int64(array), generate
 
 
 @intrinsic

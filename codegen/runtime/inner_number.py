@@ -5,7 +5,7 @@ from numba import njit
 
 @njit(error_model="numpy", forceinline=True)
 def inner_number(parameters, first, count, number, t, h):
-    """Of the node at time t, before an interval of length h, the number of the given index.
+    """Return the number of the given index of the node at time t, before an interval of length h.
 
     From `first` on `parameters` (P + SHARED,) hold the `count` inner times, then for every number its values at these.
     """

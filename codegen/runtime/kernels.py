@@ -1,4 +1,4 @@
-"""Functions of generated modules that compiled code calls by their address, and how it calls them.
+"""Functions of generated modules that compiled code calls by their address.
 
 A kernel reads and fills arrays by pointers to their first entries; its other arguments are numbers. What is common to
 all problems calls it by an integer, the address, which does not take part in numba's cache on disk.
@@ -10,16 +10,13 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
 from numba import cfunc, config, njit, types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
+from codegen.runtime.addresses import REALS
 from codegen.runtime.arguments import with_counts
 from codegen.runtime.kept_code import fresh_folder, statistics_of
 from codegen.runtime.packing import packed_operations
 
-REALS = types.CPointer(types.float64)
 NUMBERS = {
     "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,
 }  # fmt: skip
@@ -29,10 +26,30 @@ ONLY_COMPILED: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of functions that only compiled functions call: numba leaves out entries by which Python and C call them."""
 
 
-class Kernel:
-    """A function that fills arrays, which is compiled when its address is first asked for.
+class Addressed:
+    """A function that is compiled when its address is first asked for.
 
     With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter.
+    """
+
+    def __init__(self, function, is_interpreted=False):
+        self.function, self.is_interpreted, self.__doc__ = function, is_interpreted, function.__doc__
+
+    @cached_property
+    def address(self):
+        """The address of the function; `compiled` has to be kept with it."""
+        found = self.compiled
+        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    @property
+    def stats(self):
+        """Where numba keeps machine code of the function, and how often it was read from there or made."""
+        return statistics_of(self.function, self.__dict__.get("compiled"))
+
+
+class Kernel(Addressed):
+    """A function that fills arrays.
+
     Called from Python, a kernel takes arrays of numpy, and no numbers of particles and of columns.
     """
 
@@ -40,14 +57,14 @@ class Kernel:
     options: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, function, is_interpreted=False):
-        self.function, self.is_interpreted = function, is_interpreted
-        self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
+        super().__init__(function, is_interpreted)
+        self.__name__, self.__module__ = function.__name__, function.__module__
         self.names = tuple(inspect.signature(function).parameters)
         self.kinds = [NUMBERS.get(name, REALS) for name in self.names]
 
     @cached_property
     def compiled(self):
-        """The compiled function, or the callback; what has the address must be kept."""
+        """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
             returns = _CTYPES.get(self.returns)
             return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
@@ -56,20 +73,9 @@ class Kernel:
             return cfunc(self.returns(*self.kinds), cache=True, error_model="numpy", **self.options)(self.function)
 
     @cached_property
-    def address(self):
-        """The address of the function."""
-        found = self.compiled
-        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
-
-    @cached_property
     def inlined(self):
         """The function for compiled functions of the same module, which it becomes part of."""
         return njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)(self.function)
-
-    @property
-    def stats(self):
-        """Where numba keeps machine code of the function, and how often it was read from there or made."""
-        return statistics_of(self.function, self.__dict__.get("compiled"))
 
     @cached_property
     def _called(self):
@@ -130,40 +136,3 @@ class Reals(ctypes.POINTER(ctypes.c_double)):  # type: ignore[misc]
 LONG = 1 << 24
 """Entries of an array of which only the beginning is there."""
 _CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals}
-
-
-@intrinsic
-def call(typingctx, address, values):
-    """Call the Kernel at an address with a tuple of numbers and addresses of arrays."""
-    return _calling(types.void, address, values)
-
-
-@intrinsic
-def call_value(typingctx, address, values):
-    """Call the Value at an address with a tuple of numbers and addresses of arrays; return what it returns."""
-    return _calling(types.float64, address, values)
-
-
-def _calling(returned, address, values):
-    """Return what an intrinsic returns to call the address that is its first argument."""
-    kinds = [ir.DoubleType() if isinstance(kind, types.Float) else ir.IntType(64) for kind in values.types]
-    # A compiled function that returns nothing returns an empty pointer.
-    result = ir.DoubleType() if returned is types.float64 else ir.IntType(8).as_pointer()
-
-    def generate(context, builder, _, given):
-        function = ir.FunctionType(result, kinds).as_pointer()
-        found = builder.call(builder.inttoptr(given[0], function), cgutils.unpack_tuple(builder, given[1]))
-        return found if returned is types.float64 else context.get_dummy_value()
-
-    return returned(address, values), generate
-
-
-@intrinsic
-def data_of(typingctx, array):
-    """Return the address of the first number of an array, without counting a reference."""
-
-    def generate(context, builder, signature, values):
-        data = context.make_array(signature.args[0])(context, builder, values[0]).data
-        return builder.ptrtoint(data, ir.IntType(64))
-
-    return types.int64(array), generate

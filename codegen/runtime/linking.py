@@ -59,7 +59,7 @@ class InnerLibrary(Base):  # type: ignore[misc]
         return 0 if self.is_inner else int(super().get_pointer_to_function(name))
 
     def serialize_using_object_code(self) -> tuple[str, str, Any]:
-        """What goes to the disk: beside machine code, if there is any, the intermediate code."""
+        """Return what goes to the disk: beside machine code, if there is any, the intermediate code."""
         kept = super().serialize_using_bitcode if self.is_inner else super().serialize_using_object_code
         return kept()  # type: ignore[no-any-return]
 
@@ -79,7 +79,7 @@ def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
 
 
 def link_inner_functions(functions: Iterable[Any]) -> None:
-    """From now on, make no machine code of some functions of their own: they become part of the code of their callers.
+    """Make no machine code of some functions of their own: they become part of the code of their callers.
 
     Python must not call them any more. Further functions may follow. Nothing happens where numba is not as expected.
     """
@@ -118,7 +118,7 @@ def _for_any_value(template_for: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _generator() -> Any:
-    """What makes machine code for this processor."""
+    """Return what makes machine code for this processor."""
     from numba.core.registry import cpu_target
 
     return cpu_target.target_context.codegen()

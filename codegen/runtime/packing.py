@@ -6,8 +6,8 @@ modules of a process: the first block to begin sets it, and the last to end rest
 """
 
 from contextlib import contextmanager
-from functools import wraps
 from threading import Lock
+
 from numba import config
 
 # Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
@@ -32,34 +32,10 @@ def end_packing():
 
 
 @contextmanager
-def little_optimised():
-    """Have numba optimise little while the block runs: code that becomes part of other code is optimised there."""
-    before = config.OPT
-    config.OPT = type(before)("1")
+def packed_operations():
+    """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
+    begin_packing()
     try:
         yield
     finally:
-        config.OPT = before
-
-
-class packed_operations:
-    """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
-
-    def __call__(self, function):
-        """The function with its own block at each call."""
-
-        @wraps(function)
-        def inside(*values, **named):
-            begin_packing()
-            try:
-                return function(*values, **named)
-            finally:
-                end_packing()
-
-        return inside
-
-    def __enter__(self):
-        begin_packing()
-
-    def __exit__(self, *error):
         end_packing()

@@ -13,7 +13,7 @@ from codegen import drivers, solving, terminal
 from codegen.cli import main
 from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
-from codegen.runtime.optimise.iteration_log import Log
+from codegen.runtime.search.iteration_log import Log
 from codegen.solutions import output
 from codegen.solving.outcome import LEAST_TIME, Outcome
 

@@ -66,7 +66,7 @@ def _after_a_step(context: Context, program: StepProgram, point: Point, equation
     for shorter in _SHORTER:
         shortened = {**point, **{h: shorter * point[h] for h in program.lengths}}
         arguments = _step_arguments(shortened, program)
-        if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, made) >= 0:  # type: ignore[no-untyped-call]
+        if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, made) >= 0:
             base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
             scale = max(1.0, np.abs(arguments[0]).max(), np.abs(made).max())
             with mpmath.workdps(DIGITS):

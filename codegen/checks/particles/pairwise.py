@@ -162,7 +162,7 @@ def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> I
             "symplecticity", "one step", False, f"no step could be made, down to a length of {_LENGTHS[-1]:g}"
         )
         return
-    curvature = curvature_at(module.problem, points, own, parameters)  # type: ignore[no-untyped-call]
+    curvature = curvature_at(module.problem, points, own, parameters)
     derivative = np.empty((state.size, state.size))
     advance_directions(pairs, curvature, points, 0, h, own, parameters, np.eye(state.size), derivative)
     half = state.size // 2

@@ -1,7 +1,8 @@
-"""The linear system of Newton's method: assembly of elements, frontal factorisation, substitution.
+"""The KKT matrix: assembly of elements, factorisation, substitution.
 
-`shape` lists the numbers that a factorisation has as constants, and `specialised` writes and compiles the text of a
-shape. `system` is what the search calls. `frontal` eliminates the elements of one body, `condensation` the unknowns of
-an interval before, `symmetric` chooses pivots and counts negative eigenvalues, `substitution` solves, and `inverse`
-inverts a condensed block. `tables` says where entries of a matrix are, `any_shape` serves interpreted problems.
+`system` is what solvers call: factor, then solve. Its numbers of unknowns are a `shape`, constants in a system that is
+compiled for one shape (`specialised`), read at run time in one for any shape (`any_shape`); `tables` hold the sparsity
+of a problem. `frontal` assembles and eliminates the elements of one body, `condensation` eliminates unknowns inside
+intervals before, and recovers them afterwards. `symmetric` chooses pivots and counts negative eigenvalues,
+`substitution` solves. Linking variables are eliminated last, from the Schur complement of all others.
 """

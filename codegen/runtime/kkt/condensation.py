@@ -7,7 +7,7 @@ leaves K - B' inverse(C) B. C is inverted on each interval, or once where it is 
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.shape import block_size, interval_of, row_width, tail_of, unknown_of
+from codegen.runtime.kkt.shape import block_size, interval_of, tail_of, unknown_of
 from codegen.runtime.kkt.symmetric import subtract_row
 from codegen.runtime.kkt.tables import (
     COUPLED,

@@ -20,10 +20,9 @@ that are still to come it has at most as many (Cauchy's interlacing theorem).
 
 from numba import njit
 
-from codegen.runtime.arrays import clear
 from codegen.runtime.kkt.condensation import invert_block, scatter, subtract_schur_complement
 from codegen.runtime.kkt.shape import block_size, interval_of, last_size, padded, row_count, tail_of, unknown_of
-from codegen.runtime.kkt.symmetric import eliminate_once, eliminate_rows, subtract_products
+from codegen.runtime.kkt.symmetric import clear, eliminate_once, eliminate_rows, subtract_products
 from codegen.runtime.kkt.tables import (
     COMMON,
     COUNTS,
@@ -99,9 +98,7 @@ def eliminate_body(
         # Blocks 0 to k + 1 have as many multipliers left as the last node and one block.
         if negative > block * multipliers + ending:
             return True, negative, negative - (block * multipliers + ending)
-        subtract_products(
-            upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest
-        )
+        subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
     end_front(shape, rest, remaining, last)
     first, size = steps * block_rows, last_size(shape)
     found = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])

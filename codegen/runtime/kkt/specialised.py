@@ -37,14 +37,6 @@ from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.linking import link_inner_functions
 
 shape = Shape({values})
-
-
-@njit(error_model="numpy", forceinline=True)
-def clear(matrix):
-    """Make all entries of a matrix zero."""
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[1]):
-            matrix[i, j] = 0.0
 '''
 TAIL = '''
 link_inner_functions(value for value in list(globals().values()) if hasattr(value, "py_func"))

@@ -16,6 +16,14 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 
 
 @njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@njit(error_model="numpy", forceinline=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
@@ -57,7 +65,9 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def largest_beside(matrix, row, count):
-    """The largest modulus beside the diagonal of a row, in `count` columns, which are zero where they are eliminated.
+    """Return the largest modulus beside the diagonal of a row, in `count` columns.
+
+    Columns of eliminated unknowns are zero.
 
     In the order of memory, and with indices that have no sign, it takes half the time of a look at what is left alone.
     """

@@ -39,7 +39,11 @@ def solve_system(
     Parameters
     ----------
     shape : Shape
-    is_new, bodies, steps : int
+        Numbers of unknowns, constants in a compiled system.
+    is_new : int
+        1 to factor, 0 to solve with the factors of an earlier call.
+    bodies, steps : int
+        Numbers of bodies and of intervals.
     inverses : int
         Blocks of condensed unknowns that are kept for a body: 1 if they are equal on all intervals, else `steps`.
     tables : pointer
@@ -54,6 +58,7 @@ def solve_system(
     factors, orders : pointer
         Work space as `factor_sizes` has it, kept between calls.
     is_wanted : int
+        1 if `step` is to be filled, else 0.
 
     Returns
     -------

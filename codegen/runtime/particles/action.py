@@ -11,13 +11,13 @@ from codegen.runtime.particles.cascade import guessed_path
 
 
 def action_start(case):
-    """The unknowns of the guessed path, shape (nd (2 N - 1),)."""
+    """Return the unknowns of the guessed path, shape (nd (2 N - 1),)."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
 
 
 def action_states(case, unknowns):
-    """Positions at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
+    """Return positions at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
     inner = (case.steps - 1) * case.start.size
     between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
     positions = np.concatenate([case.start[None], between, case.target[None]])
@@ -26,14 +26,14 @@ def action_states(case, unknowns):
 
 
 def action_cost(case, unknowns):
-    """The discrete cost."""
+    """Return the discrete cost."""
     _, states = action_states(case, unknowns)
     total = sum(case.problem.hamiltonian(z, case.own, case.parameters) for z in states)
     return 2.0 * case.duration / case.steps * total
 
 
 def action_gradients(case, states):
-    """H_q and H_p at every state, shape (N, 2, n, d)."""
+    """Return H_q and H_p at every state, (N, 2, n, d)."""
     gradients = np.empty_like(states)
     for z, gradient in zip(states, gradients, strict=True):
         case.problem.gradient(z, case.own, case.parameters, gradient)
@@ -41,7 +41,7 @@ def action_gradients(case, states):
 
 
 def action_cost_gradient(case, unknowns):
-    """Its gradient by the unknowns, in the shape of those."""
+    """Return the gradient of the cost by the unknowns, in the shape of these."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
     at_nodes, c = np.zeros((case.steps + 1, *case.start.shape)), case.problem.abscissa
     at_nodes[:-1] += (1.0 - c) * gradients[:, 0]
@@ -50,14 +50,14 @@ def action_cost_gradient(case, unknowns):
 
 
 def action_constraints(case, unknowns):
-    """q_k+1 - q_k - h H_p on every interval, shape (ndN,)."""
+    """Return q_k+1 - q_k - h H_p on every interval, (ndN,)."""
     positions, states = action_states(case, unknowns)
     velocities = action_gradients(case, states)[:, 1]
     return (positions[1:] - positions[:-1] - case.duration / case.steps * velocities).ravel()
 
 
 def action_blocks(case, states):
-    """The second derivatives of H at every state, shape (N, 2nd, 2nd)."""
+    """Return the second derivatives of H at every state, shape (N, 2nd, 2nd)."""
     hessians = np.empty((len(states), states[0].size, states[0].size))
     for z, hessian in zip(states, hessians, strict=True):
         case.problem.hessian(z, case.own, case.parameters, hessian)
@@ -65,7 +65,7 @@ def action_blocks(case, states):
 
 
 def action_columns(case, k):
-    """Where the positions at both ends of interval k (None for given ones) and its momenta are among the unknowns."""
+    """Return the indices of the positions at both ends of interval k, None for given ones, and of its momenta."""
     size, inner = case.start.size, (case.steps - 1) * case.start.size
     left = slice(size * (k - 1), size * k) if k > 0 else None
     right = slice(size * k, size * (k + 1)) if k < case.steps - 1 else None
@@ -73,7 +73,7 @@ def action_columns(case, k):
 
 
 def action_jacobian(case, unknowns):
-    """The derivative of `action_constraints`, shape (ndN, nd (2 N - 1))."""
+    """Return the derivative of `action_constraints`, shape (ndN, nd (2 N - 1))."""
     _, states = action_states(case, unknowns)
     size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
     matrix = np.zeros((case.steps * size, unknowns.size))
@@ -89,7 +89,7 @@ def action_jacobian(case, unknowns):
 
 
 def action_hessian(case, unknowns, multipliers):
-    """The second derivatives of cost + multipliers . constraints, shape (nd (2 N - 1), nd (2 N - 1)).
+    """Return the second derivatives of cost + multipliers . constraints, shape (nd (2 N - 1), nd (2 N - 1)).
 
     H is quadratic in momenta, so that v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v) and no third derivatives are
     needed.
@@ -121,7 +121,7 @@ def action_hessian(case, unknowns, multipliers):
 
 
 def action_path(case, unknowns):
-    """The states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
+    """Return the states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
     positions, states = action_states(case, unknowns)
     slopes, c = case.duration / case.steps * action_gradients(case, states)[:, 0], case.problem.abscissa
     momenta = np.concatenate([states[:1, 1] + (1.0 - c) * slopes[:1], states[:, 1] - c * slopes])

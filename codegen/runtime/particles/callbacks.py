@@ -8,12 +8,12 @@ from codegen.runtime.particles.trajectory import defects, discrete_cost, follow
 
 
 def first_momenta(case):
-    """The momenta of the straight way, shape (n, d)."""
+    """Return the momenta of the straight way, shape (n, d)."""
     return momenta_of(case, case.start, (case.target - case.start) / case.duration)
 
 
 def trajectory(case, momenta):
-    """The outcome of all steps, the states, shape (N + 1, 2, n, d), and the points at which H is evaluated."""
+    """Return the outcome of all steps, the states, shape (N + 1, 2, n, d), and the points at which H is evaluated."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[0, 0], path[0, 1] = case.start, np.reshape(momenta, case.start.shape)
     points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
@@ -22,13 +22,13 @@ def trajectory(case, momenta):
 
 
 def residual(case, momenta):
-    """q_N + sigma^2 p_N - target for given initial momenta, shape (nd,); NaN where a step fails."""
+    """Return q_N + sigma^2 p_N - target for given initial momenta, (nd,); NaN if a step fails."""
     outcome, path, _ = trajectory(case, momenta)
     return end_residual(path[-1], case.target, case.sigma) if outcome >= 0 else np.full(case.start.size, np.nan)
 
 
 def jacobian(case, momenta):
-    """The derivative of `residual` by the initial momenta, shape (nd, nd); NaN where a step fails."""
+    """Return the derivative of `residual` by the initial momenta, shape (nd, nd); NaN where a step fails."""
     outcome, _, points = trajectory(case, momenta)
     if outcome < 0:
         return np.full((case.start.size, case.start.size), np.nan)
@@ -36,7 +36,7 @@ def jacobian(case, momenta):
 
 
 def path_cost(case, path):
-    """The discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
+    """Return the discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
     points, errors = (
         np.zeros((case.steps * case.problem.points, *path.shape[1:])),
         np.zeros((case.steps, *path.shape[1:])),
@@ -47,7 +47,7 @@ def path_cost(case, path):
 
 
 def path_errors(case, path):
-    """Each step from a state minus the next state, shape (N, 2, n, d), and the residual of the end, shape (nd,)."""
+    """Return each step from a state minus the next state, (N, 2, n, d), and the residual of the end, (nd,)."""
     points, errors = (
         np.zeros((case.steps * case.problem.points, *path.shape[1:])),
         np.zeros((case.steps, *path.shape[1:])),
@@ -59,7 +59,7 @@ def path_errors(case, path):
 
 
 def path_of(case, unknowns):
-    """The states, shape (N + 1, 2, n, d), that belong to the unknowns of `all_equations`."""
+    """Return the states, shape (N + 1, 2, n, d), that belong to the unknowns of `all_equations`."""
     path, size = np.empty((case.steps + 1, 2, *case.start.shape)), case.start.size
     inner = (case.steps - 1) * size
     path[1:-1, 0] = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
@@ -70,13 +70,13 @@ def path_of(case, unknowns):
 
 
 def first_unknowns(case):
-    """Inner positions and all momenta on the guessed path, shape (2ndN,)."""
+    """Return inner positions and all momenta on the guessed path, shape (2ndN,)."""
     path = guessed_path(case)
     return np.concatenate([path[1:-1, 0].ravel(), path[:, 1].ravel()])
 
 
 def all_equations(case, unknowns):
-    """Every step from a state minus the next state, shape (2ndN,).
+    """Return every step from a state minus the next state, (2ndN,).
 
     Unknowns are the positions at inner nodes, then the momenta at all nodes; the last ones are target - sigma^2 p_N.
     """
@@ -84,7 +84,7 @@ def all_equations(case, unknowns):
 
 
 def all_equations_jacobian(case, unknowns):
-    """The derivative of `all_equations`, shape (2ndN, 2ndN)."""
+    """Return the derivative of `all_equations`, shape (2ndN, 2ndN)."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
     points, errors = np.zeros((steps * case.problem.points, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
     h = case.duration / steps

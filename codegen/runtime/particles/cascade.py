@@ -45,7 +45,7 @@ def momenta_of(case, positions, velocity):
 
 
 def straight_momenta(case, factor, target):
-    """`momenta_of` the velocity of the straight way to a target, shape (n, d), from the factor of `preconditioner`."""
+    """Return `momenta_of` the velocity of the straight way to a target, (n, d), by the factor of `preconditioner`."""
     moved = target - case.start
     if factor is None:
         return moved / case.duration
@@ -116,19 +116,19 @@ def by_less_action(case, factor, path, points, log):
 
 
 def penalised(case, cost, end):
-    """Half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
+    """Return half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
     free = case.sigma > 0.0
     missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
     return 0.5 * (cost + missed.sum())
 
 
 def misses_by_far(case, end):
-    """Whether some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
+    """Return True if some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
     return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
 
 
 def shoot_at(case, target, factor, path, points, log):
-    """Newton's method on the initial momenta of `path` for some target."""
+    """Follow Newton's method on the initial momenta of `path` for some target."""
     return shoot(case._replace(target=target), factor, path, points, log)
 
 
@@ -184,7 +184,7 @@ def by_continuation(case, factor, path, points, log):
 
 
 def allocate_path(case, start_momenta=None):
-    """A `path` and `points` for the steps of a case, with its points at the start and given momenta, shape (n, d)."""
+    """Return a `path` and `points` for the steps of a case, with points at the start and momenta (n, d)."""
     path = np.zeros((case.steps + 1, 2, *case.start.shape))
     path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
     return path, np.zeros((case.steps * case.problem.points, *path.shape[1:]))
@@ -230,7 +230,7 @@ def by_steps(case, factor, path, points, log):
 
 
 def on_all_states(case, factor, path, points, log):
-    """Newton's method on all states from the guessed path."""
+    """Follow Newton's method on all states from the guessed path."""
     path[:] = guessed_path(case)
     return all_states(case, factor, path, points, log)
 

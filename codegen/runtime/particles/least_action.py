@@ -20,7 +20,7 @@ MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particl
 
 
 def action_of(case, positions):
-    """The action of positions at the nodes, shape (N + 1, n, d), its gradient by them, momenta (N, n, d), and all G^-1.
+    """Return the action of positions (N + 1, n, d) at the nodes, its gradient, momenta (N, n, d), and all G^-1.
 
     The action is infinite, and the rest None, where a path leaves the domain or G has no inverse.
     """
@@ -54,7 +54,7 @@ def action_of(case, positions):
 
 
 def stiffness(case, inverses):
-    """Pivots (N, m, m) and couplings (N - 1, m, m) of the block-tridiagonal second derivatives at the nodes 1 ... N."""
+    """Return pivots (N, m, m) and couplings (N - 1, m, m) of the block-tridiagonal Hessian at nodes 1 ... N."""
     blocks = inverses * (len(inverses) / case.duration)
     size = blocks.shape[1]
     free = np.repeat(case.sigma > 0.0, size // len(case.sigma))
@@ -84,7 +84,7 @@ def relaxed(pivots, couplings, forces):
 
 
 def direction(pivots, couplings, memory, gradient):
-    """Where to go from a gradient, shape (N, n, d), by the two loops over pairs of (step, change of gradient)."""
+    """Return the direction of descent for a gradient (N, n, d), by two loops over pairs (step, gradient change)."""
     forces, weights = -gradient, []
     for step, change in reversed(memory):
         weights.append((step * forces).sum() / (step * change).sum())
@@ -96,7 +96,7 @@ def direction(pivots, couplings, memory, gradient):
 
 
 def bent_path(case, count, bend):
-    """Positions (count + 1, n, d) on the guessed way, in the middle aside by a part of its length, all to one hand."""
+    """Return positions (count + 1, n, d) on the guessed way, moved aside in the middle by a part of its length."""
     positions, d = np.empty((count + 1, *case.start.shape)), case.start.shape[1]
     for k in range(count + 1):
         case.problem.guide(case.start, case.target, k / count, positions[k])
@@ -105,14 +105,14 @@ def bent_path(case, count, bend):
 
 
 def path_intervals(case):
-    """The number of intervals of a path, zero where its matrices were too large to work with."""
+    """Return the number of intervals of a path, zero where its matrices were too large to work with."""
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     most = MOST_ENTRIES // size**2
     return min(max(INTERVALS, case.steps), most) if most >= INTERVALS else 0
 
 
 def momenta_of_least_action(case):
-    """Momenta at the start, shape (n, d), of a path of nearly least action.
+    """Return momenta (n, d) at the start of a path of nearly least action.
 
     NaN where no guessed path has an action, and where there are too many particles for `path_intervals`.
     """
@@ -127,7 +127,7 @@ def momenta_of_least_action(case):
 
 
 def descended(case, count):
-    """Positions at the nodes, shape (N + 1, n, d), and momenta of the intervals, None where no guessed path has any."""
+    """Return positions (N + 1, n, d) at the nodes and momenta of the intervals, or None if no guessed path has any."""
     memory, pivots, couplings = [], None, None
     positions = min((bent_path(case, count, bend) for bend in BENDS), key=lambda path: action_of(case, path)[0])
     action, gradient, momenta, inverses = action_of(case, positions)

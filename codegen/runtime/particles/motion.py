@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.addresses import reals_at
-from codegen.runtime.kernels import data_of
+from codegen.runtime.addresses import data_of, reals_at
 from codegen.runtime.packing import packed_operations
 from codegen.runtime.particles.steps import advance
 from codegen.runtime.particles.trajectory import energy_of

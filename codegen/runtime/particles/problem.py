@@ -11,8 +11,6 @@ from codegen.runtime.kernels import Kernel, Value
 from codegen.runtime.particles.steps import Pairs
 from codegen.runtime.particles.tracers import Tracers
 
-EMPTY = np.zeros((0, 0))
-
 
 @dataclass(frozen=True, eq=False)
 class PairProblem:
@@ -118,7 +116,7 @@ class PairProblem:
         )  # fmt: skip
 
     def kernels(self):
-        """The kernels that a solution calls, without products with second derivatives, which few solutions need."""
+        """The kernels that a solution calls, without the products with second derivatives."""
         every = (
             self.gradient, self.hessian, self.momentum_matrix, self.slope, self.velocity, self.hamiltonian,
             self.domain_margin, self.guide, self.tracer_gradient, self.tracer_velocity,

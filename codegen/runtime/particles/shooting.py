@@ -43,20 +43,20 @@ def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
 
 
 def end_residual_change(directions, sigma):
-    """The change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
+    """Return the change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
     half = directions.shape[0] // 2
     variances = np.repeat(sigma**2, half // sigma.size)
     return directions[:half] + variances[:, None] * directions[half:]
 
 
 def end_residual(state, target, sigma):
-    """q_N + sigma^2 p_N - target, shape (nd,)."""
+    """Return q_N + sigma^2 p_N - target, (nd,)."""
     return (state[0] + sigma[:, None] ** 2 * state[1] - target).ravel()
 
 
 @njit(cache=True, error_model="numpy")
 def extend_basis(k, basis, rotated, rotations, remainder):
-    """One step of GMRES: make row k + 1 of `basis`, shape (m + 1, nd), orthonormal; rotate its coefficients.
+    """Make one step of GMRES: make row k + 1 of `basis`, (m + 1, nd), orthonormal; rotate its coefficients.
 
     Row k of `rotated`, shape (m, m + 1), takes them as a column of a triangular matrix, `rotations`, shape (m, 2),
     cosine and sine; the size of remainder[k + 1], shape (m + 1,), is the residual.
@@ -112,18 +112,18 @@ class Linearised:
         return directions
 
     def product(self, change):
-        """The change of the residual for a change of the initial momenta, shape (nd,)."""
+        """Return the change of the residual for a change of the initial momenta, shape (nd,)."""
         directions = np.zeros((2 * change.size, 1))
         directions[change.size :, 0] = change
         return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
 
     def matrix(self):
-        """The derivative as a matrix, shape (nd, nd)."""
+        """Return the derivative as a matrix, shape (nd, nd)."""
         size = self.case.start.size
         return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
 
     def solved(self, right, forcing):
-        """The change of initial momenta that changes the residual by `right`, both (nd,); NaN where there is none."""
+        """Return the change of initial momenta that changes the residual by `right`, (nd,); NaN if there is none."""
         if right.size > DENSE:
             return self.gmres(right, forcing)
         matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right.copy()
@@ -133,7 +133,7 @@ class Linearised:
         return solution
 
     def preconditioned(self, vector):
-        """The preconditioner's inverse times a vector, shape (nd,)."""
+        """Return the preconditioner's inverse times a vector, shape (nd,)."""
         if self.factor is None:
             return vector
         result = vector.copy().reshape(self.factor.shape[0], -1)
@@ -141,7 +141,7 @@ class Linearised:
         return result.ravel()
 
     def gmres(self, right, forcing):
-        """The same to a relative residual of `forcing`, as far as BASIS directions go."""
+        """Return the same to a relative residual of `forcing`, as far as BASIS directions go."""
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
         basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
         rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
@@ -159,7 +159,7 @@ class Linearised:
 
 
 def preconditioner(case):
-    """The Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
+    """Return the Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
 
     It is what `end_residual` changes by where momenta are small. None if it is not definite.
     """
@@ -172,13 +172,13 @@ def preconditioner(case):
 
 
 def jittered(values):
-    """Copies of an array with entries moved by a unit in the last place up or down, in SAMPLES patterns of signs."""
+    """Return copies of an array whose entries are moved by a unit in the last place, in SAMPLES patterns of signs."""
     generator = np.random.default_rng(0)
     return [values * (1.0 + UNIT * generator.choice((-1.0, 1.0), values.shape)) for _ in range(SAMPLES)]
 
 
 def rounding(case, path):
-    """How far the residual moves when the initial momenta move by a unit in the last place.
+    """Return how far the residual moves when the initial momenta move by a unit in the last place.
 
     They cannot be had more exactly, and the trajectory's own rounding errors show as well: no iteration can be expected
     to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
@@ -193,7 +193,7 @@ def rounding(case, path):
 
 
 def rounding_of_states(case, path, errors):
-    """The same for the defects of all steps, shape (N, 2, n, d), when all states move by a unit in the last place."""
+    """Return the same for the defects (N, 2, n, d) of all steps, when all states move by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
     found, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for trial in jittered(path):
@@ -203,7 +203,7 @@ def rounding_of_states(case, path, errors):
 
 
 def without_progress(error, noise):
-    """How an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
+    """Return how an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
     return ROUNDED if error <= min(noise, VISIBLE) else STALLED
 
 

@@ -13,10 +13,9 @@ States have shape (2, n, d), own parameters (n, k).
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit  # type: ignore[attr-defined]
+from numba import carray, njit
 
-from codegen.runtime.addresses import reals_at
-from codegen.runtime.kernels import call, data_of
+from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.lu import factor_matrix, solve_factored
 from codegen.runtime.particles.pair_algebra import copy_state, symmetric_product
 

@@ -13,10 +13,9 @@ points in each. A matrix of each point, d rows of c columns, is kept in the same
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, njit  # type: ignore[attr-defined]
+from numba import carray, njit
 
-from codegen.runtime.addresses import reals_at
-from codegen.runtime.kernels import call, data_of
+from codegen.runtime.addresses import call, data_of, reals_at
 from codegen.runtime.particles.trajectory import defects
 
 MOST = 30  # iterations of Newton's method

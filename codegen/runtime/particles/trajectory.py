@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kernels import call_value, data_of
+from codegen.runtime.addresses import call_value, data_of
 from codegen.runtime.particles.steps import advance
 
 OUTSIDE = -4  # what `follow` returns when a particle leaves its domain

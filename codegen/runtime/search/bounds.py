@@ -1,17 +1,17 @@
-"""Bounds of unknowns: which are active, and which prescribed values are beyond them."""
+"""Bounds of unknowns: active ones, and those that prescribed values violate."""
 
 import numpy as np
 
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.point import evaluate
 
-LEAST_SLACK = 1e-7  # slacks below minus this are no rounding
-UNSURE = 10.0  # residuals by which a value that end conditions determine may be off
+LEAST_SLACK = 1e-7  # slacks below -LEAST_SLACK are not rounding errors
+UNSURE = 10.0  # error of a value that end conditions determine, in multiples of their residual
 END_NAMES = "start", "end"
 
 
 def bounds_of(grid):
-    """Least and greatest values of all unknowns, in parts of sizes where the grid has them."""
+    """Return the least and the greatest values of all unknowns, in multiples of scaling factors if there are any."""
     if grid.bounds:
         return grid.bounds
     if grid.problem.variable_bounds is not None:
@@ -20,30 +20,29 @@ def bounds_of(grid):
 
 
 def units_of(grid):
-    """The sizes of all unknowns, ones where the grid has none."""
+    """Return the scaling factors of all unknowns, ones if the grid has none."""
     return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
 
 
 def at_bounds(grid, unknowns):
-    """Boolean mask of the unknowns within a millionth of a bound, which an interior point method never reaches."""
+    """Return a mask of the unknowns within a millionth of a bound, which an interior-point method never reaches."""
     lower, upper = bounds_of(grid)
     scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
     return (unknowns - lower <= scale) | (upper - unknowns <= scale)
 
 
 def contradictory_bounds(grid):
-    """Index of an unknown whose least value is above its greatest, or -1."""
+    """Return the index of an unknown whose least value is above its greatest, or -1."""
     lower, upper = bounds_of(grid)
     (indices,) = (lower > upper).nonzero()
     return int(indices[0]) if indices.size else -1
 
 
 def prescribed_beyond(grid, unknowns):
-    """Which prescribed value or path condition at an end violates what holds farther inside, or nothing.
+    """Return a text on a prescribed value or path condition at an end that violates bounds farther inside, or "".
 
-    Unknowns are in the problem's own units; what is negligible is so in parts of sizes where the grid has them.
-    Bounds are imposed where something is free to meet them: a motion that begins beyond its bound would leap inside
-    within the first interval.
+    Unknowns are in the problem's own units; margins are relative to scaling factors if the grid has them. Prescribed
+    values have no bounds of their own, so a motion that begins outside a bound would leap inside in the first interval.
     """
     if grid.steps == 1 or grid.problem.variable_bounds is None:
         return ""

@@ -8,12 +8,12 @@ from codegen.runtime.search.descent import relaxation
 from codegen.runtime.search.exact_bounds import within_bounds
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
-    LARGEST_DUAL,
     CASCADE,
     CASCADE_WITH_BOUNDS,
     FROM_AFAR,
     FROM_GUESS,
     FROM_NEIGHBOUR,
+    LARGEST_DUAL,
     NEARBY,
     Iterate,
     barrier_curvature,
@@ -36,14 +36,14 @@ from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is
 from codegen.runtime.search.termination import VIOLATED
 
 BULGE = 0.1  # part of its size by which a guess is bent
-WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # ends of searches among motions that obey no equation
+WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # after these the violation itself is minimised
 
 GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
-NEARBY_ITERATIONS = 100  # for a search that begins near a guess that violates them so, and half of what is allowed
-FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # a filter that accepts everything
-WARM_WEIGHT = 0.1  # of the tolerance is the barrier's weight of a warm start: ten times as much costs an iteration
-CLOSE = 1e-8  # at a warm start unknowns are at least so far inside their bounds: closer than the weight's own distances
-NEAR = 0.1  # residuals above it are far: with 0.3 fish under pressure take half as many iterations again
+NEARBY_ITERATIONS = 100  # largest number for a search from a point near such a guess
+FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts everything
+WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
+CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
+NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
@@ -113,11 +113,11 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
 
 
 def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
-    """(status, iterate, iterations) after the violation has been brought to its minimum near an iterate and the guess.
+    """Minimise the violation near an iterate and the guess; return (status, iterate, iterations).
 
-    Where it is zero, a last search begins there, among motions that obey the equations: others may have lowered the
-    cost, as a duration, beyond where any do. Where it is not, nothing near the iterate obeys them: that is
-    "infeasible", and not only a search that has `status` because it found no way on.
+    If the least violation is zero, a last search begins there: earlier ones may have lowered the cost, as a duration,
+    below that of all feasible motions. Otherwise the equations hold nowhere near the iterate, and the status is
+    "infeasible".
     """
     ended, total = None, 0
     for start, held in violating_starts(search, iterate, guess):
@@ -139,7 +139,7 @@ def from_least_violation(search, iterate, guess, status, tolerance, max_iteratio
 
 
 def violating_starts(search, iterate, guess):
-    """Iterates near which the equations may hold, with the unknowns that are to stay as they are.
+    """Yield iterates near which the equations may hold, with the unknowns that are to stay as they are.
 
     Shared ones, as a duration, may fall to where no motion obeys while the motion itself has hardly begun to. A guess
     that is symmetric may be stationary and no minimum, so that the last one is bent.
@@ -154,25 +154,25 @@ def violating_starts(search, iterate, guess):
 
 
 def without_multipliers(grid, unknowns, known):
-    """Primal unknowns (n,), of a point without multipliers if it is `known`, and zeros for multipliers."""
+    """Return unknowns (n,) with zeros for multipliers; of a point without multipliers if it is `known`."""
     return np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
 
 
 def first_iterate(search, unknowns, attempt, known):
-    """The iterate without multipliers at a guess, whose point may be `known`."""
+    """Return the iterate without multipliers at a guess, whose point may be `known`."""
     if not search.is_bounded and known is not None:
         return Iterate(known, 0.0, search.bounds.side, search.bounds.side)
     return begin(search, unknowns, attempt)
 
 
 def is_gross(search, point):
-    """Whether the residual is more than a small part of the equations' largest terms."""
+    """Return True if the residual is more than a small part of the equations' largest terms."""
     terms, _ = sizes_of_terms(search.grid, point.unknowns, search.system)
     return point.residual > GROSS * terms
 
 
 def from_nearby(search, guess, tolerance, max_iterations, log):
-    """(status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
+    """Return (status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
 
     A full Newton step, which knows of no distance, would leave for another optimum.
     """
@@ -184,7 +184,7 @@ def from_nearby(search, guess, tolerance, max_iterations, log):
 
 
 def bulged_guess(grid, unknowns, part):
-    """Unknowns that bulge between the ends by a part of the size that each quantity, or the largest, has.
+    """Return unknowns that bulge between the ends by a part of the size of each quantity, or of the largest one.
 
     Where all are zero, there is nothing to tell sizes from, and one will do.
     """
@@ -223,7 +223,7 @@ def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
 
 
 def escaping_iterates(search, saddle, attempt, escapes):
-    """Iterates to both sides of a saddle point, along the direction in which the cost curves downwards most."""
+    """Yield iterates to both sides of a saddle point, along the direction of most negative curvature."""
     grid, unknowns = search.grid, saddle.point.unknowns
     curvature = barrier_curvature(search, saddle)
     for step in escape_steps(grid, unknowns, curvature, escapes):

@@ -2,28 +2,17 @@
 
 import numpy as np
 
+from codegen.runtime.search import descent
 from codegen.runtime.search.descent import UNIT_ROUNDOFF, VANISHED, WORTH_MEASURING
-from codegen.runtime.search.linear_system import allocate_system, filled_entries, multiply_entries
+from codegen.runtime.search.iterates import arguments_of
+from codegen.runtime.search.linear_system import allocate_system
 
 
 def sizes_of_terms(grid, unknowns, system=None):
-    """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition, scaled.
-
-    Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
-    Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
-    """
-    system, s, sums = system or allocate_system(grid), grid.problem.structure, np.zeros(unknowns.size)
-    own = unknowns * grid.sizes if grid.sizes.size else unknowns
-    entries = filled_entries(grid, own, system)
-    multiply_entries(entries, system.rows, system.columns, grid.steps, system.counts, own, sums, True)
-    for entry, row in s.fillings(grid.steps):
-        value = entries[entry]
-        sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(own[row])
-    if grid.sizes.size:
-        sums *= grid.forces
-    equations = sums[grid.is_multiplier].max(initial=0.0)
-    stationarity = sums[~grid.is_multiplier].max(initial=0.0)
-    return float(equations), float(max(1.0, stationarity) if s.costless else stationarity)
+    """Return the largest sums of absolute terms in an equation, and in a stationarity condition, as `terms`, scaled."""
+    problem, data, storage = arguments_of(grid, system or allocate_system(grid))
+    vectors, is_costless = np.empty((descent.VECTORS, unknowns.size)), grid.problem.structure.costless
+    return descent.terms(problem, data, storage, unknowns, is_costless, vectors)
 
 
 def is_solved(grid, point, tolerance, roundings=1.0, system=None):

@@ -20,17 +20,7 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.kkt.system import SINGULAR
-from codegen.runtime.search.linear_system import (
-    ACCURATE,
-    NEARLY_ACCURATE,
-    SOLVED_AGAIN,
-    call_hessians,
-    factor_at,
-    global_index,
-    inaccuracy,
-    multiply_entries,
-    solve_at,
-)
+from codegen.runtime.search.linear_system import call_hessians, factor_at, global_index, multiply_entries, solve_at
 from codegen.runtime.search.point import measured_gradient
 
 # Why the function returns.
@@ -42,9 +32,9 @@ WORDS = (
 
 # Rows of the vectors (VECTORS, n) and of the arrays (BARRIERS, m) of the work space.
 (
-    X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, WATCH_G, LOOSE_X,
-) = range(14)  # fmt: skip
-VECTORS = 14
+    X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, LOOSE_X,
+) = range(13)  # fmt: skip
+VECTORS = 13
 DISTANCE, DUALS, MOVED, PUSHED, DUAL_STEP, DUAL_STEP2, WATCH_DISTANCE, WATCH_DUALS, LOOSE_DISTANCE, LOOSE_DUALS = range(
     10
 )
@@ -53,53 +43,69 @@ BARRIERS = 10
 # Numbers of the state.
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
-    WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, WATCH_MU, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOGARITHMS, LOOSE_MU, FUNNEL,
-) = range(24)  # fmt: skip
-REALS = 24
+    WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
+    STATIONARITY, ERROR, LOOSE_MU, LAST_COST,
+) = range(22)  # fmt: skip
+REALS = 22
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
-    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, MUST_REFINE, EVALUATIONS, FACTORISATIONS,
+    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN,
 ) = range(21)  # fmt: skip
 INTEGERS = 21
 
+# Sizes of residuals and terms.
 UNIT_ROUNDOFF = 2.2e-16
-VANISHED = 1e-20  # of ordinary size nothing is as small: where a cost of squares vanishes, so do all terms
-WORTH_MEASURING = 1e-7  # above this error nobody has to know how small it could be
-SINGULAR_STEP = 1e12  # times the right-hand side: a longer step is one of rounding
-FLAT = 1e-8  # a delta_w that makes up for rounding: curvatures above minus this count as none
-NEARLY = 1e-6  # error up to which a point without a way on is looked at as a saddle point
-UNBOUNDED_BELOW = 1e10  # a cost so many times as far below zero as the first one, or as one, is taken for infinite
-NEARLY_FEASIBLE = 1e-6  # residuals up to it, or to ten times that part of the equations' terms, are those of a motion
-PROGRESS = 0.5  # part of the error that a step leaves at most, of steps that are worth more
-LARGEST = 1e20  # unknowns with bounds beyond it are taken for infinite
-LEAST_PART = 0.025  # of the tolerance is the last weight: at a tenth the cost of a crane is off by 2e-9 of it
-PATIENCE = 8  # iterations with a weight below the tolerance before scaled multipliers have to do
-RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # relaxations of a bound, relative to its value where that exceeds one
-PER_WEIGHT = 1e-2  # relaxation in units of the barrier's weight, between these limits
-MOST_RELAXING = RELAXED / PER_WEIGHT  # weights above it relax bounds no more
-ROUNDING = 1e-15  # residuals up to it are taken for zero in steps: across a distance of 1e-12 they would turn duals
-LARGE_SHIFT = 1e8  # of the Hessian: where it does not do, rounding has given an eigenvalue of zero its sign
-SMALL_DELTA_W = 1e-2  # below it, the Hessian is first tried as it is
-UNSOLVED = 0.1  # part of the residual; Newton's steps leave less near a solution
-FAR = 10.0  # times the largest unknown
-ROUNDED = 1e-12  # residuals below it are rounding, which no step reduces
-CORRECTIONS = 4  # second-order corrections that are tried at one iterate
-SHORT = 0.25  # part of a step that is left when it counts as much too long
-SHORT_IN_TURN = 6  # so many of them make the next ones shorter beforehand
-SHORTENED_IN_TURN = 10  # steps in turn that the filter shortens before full ones are tried
-LEAST_DAMPING = 1e-5
-TINY, CLOSER = 1e-13, 0.9  # part of an unknown, or of one, that is none; part of the error that may be left
-VAIN = 20  # full steps in turn that leave the equations as they were: linearised, these contradict each other
-FULL_STEPS = 4  # how many may pass untested before one has to be better than the iterate where they began
-MISLED = 5  # steps in turn that the filter alone has shortened, after which it is emptied
-EMPTIED_AT_MOST = 5  # how often that may happen, so that a search cannot go round in circles
+VANISHED = 1e-20  # a residual below it counts as zero, since a cost of squares may vanish with all its terms
+WORTH_MEASURING = 1e-7  # the sizes of terms are not computed for larger errors
+ROUNDED = 1e-12  # residuals below it are rounding errors, which no step reduces
+NEARLY = 1e-6  # largest error of an iterate that may be a saddle point
+NEARLY_FEASIBLE = 1e-6  # largest residual, or tenth of that part of the terms, of an unbounded problem's iterate
+
+# The end of a search.
+PROGRESS = 0.5  # a warm search ends at rounding level if a step leaves more than this part of the error
+UNCHANGED, REST = 1e-3, 5  # largest relative change of the error of a search at rest; iterates in turn that end it
+FLAT = 1e-8  # curvatures above -FLAT count as positive
+UNBOUNDED_BELOW = 1e10  # a cost below minus this number times max(1, |first cost|) counts as minus infinity
+LARGEST = 1e20  # a problem with bounds counts as unbounded if an unknown exceeds it
+PATIENCE = 8  # iterations with the last weight after which multipliers are scaled in the convergence test
+VAIN = 20  # full steps in turn without effect on the violation after which equations count as contradictory
+
+# The barrier.
+LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1 the cost of a crane is off by 2e-9
+RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # largest and least relaxation of a bound, relative to max(1, |bound|)
+PER_WEIGHT = 1e-2  # relaxation between these limits, relative to the barrier's weight
+MOST_RELAXING = RELAXED / PER_WEIGHT  # larger weights have the largest relaxation
+ROUNDING = 1e-15  # residuals up to it are zero in steps: at a distance of 1e-12 they would turn the signs of duals
+
+# Inertia correction.
+SINGULAR_STEP = 1e12  # a step that exceeds the right-hand side by this factor is a rounding error
+LARGE_SHIFT = 1e8  # above this delta_w, a delta_c is tried: an eigenvalue of zero has the sign of its rounding error
+SMALL_DELTA_W = 1e-2  # if a lower shift is below it, none is tried first
+FAR = 10.0  # a step beyond this multiple of the largest unknown needs a larger first shift
 DUAL_SHIFT = 1e-8  # delta_c, for equations that may be dependent
+LEAST_DAMPING = 1e-5  # of the Hessian, after steps that the filter shortened much
+
+# Refinement.
+ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, of a step that is not refined
+NEARLY_ACCURATE = 1e-6  # largest residual that may be rounding of a large solution, if two corrections do not halve it
+LARGE_STEP = 1e6  # largest solution that a residual is compared with, relative to the right-hand side
+SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
+UNSOLVED = 0.1  # part of the residual that a full step may leave before its linear system is looked at
+
+# Line search.
+CORRECTIONS = 4  # second-order corrections at one iterate
+SHORT = 0.25  # largest part of a step that counts as much shortened
+SHORT_IN_TURN = 6  # much shortened steps in turn after which the Hessian is damped
+SHORTENED_IN_TURN = 10  # shortened steps in turn after which the watchdog begins
+FULL_STEPS = 4  # untested full steps of the watchdog
+TINY, CLOSER = 1e-13, 0.9  # a step of TINY max(1, |x|) changes nothing; part of the error that a closer trial leaves
+MISLED = 5  # steps in turn that the filter alone has shortened, after which the filter is emptied
+EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
 
 
 @njit(error_model="numpy")
 def sum_of_logarithms(distance):
-    """Return the sum of the logarithms of positive numbers, from products of many: a logarithm takes long."""
+    """Return the sum of the logarithms of positive numbers, from products of several, since a logarithm takes long."""
     total, product = 0.0, 1.0
     for j in range(distance.size):
         product *= distance[j]
@@ -111,7 +117,7 @@ def sum_of_logarithms(distance):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def relaxation(mu, least):
-    """Return how much farther away bounds are taken to be while the weight is mu, relative to their magnitudes."""
+    """Return the relaxation of bounds for the weight mu, relative to their magnitudes."""
     return min(RELAXED, max(least, PER_WEIGHT * mu))
 
 
@@ -131,7 +137,7 @@ def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
     return sum_of_logarithms(closer), moves
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, spare):
     """Return measures of the optimality conditions with the duals of bounds.
 
@@ -201,7 +207,7 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
     )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def terms(problem, grid, system, x, is_costless, vectors):
     """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition.
 
@@ -312,7 +318,7 @@ def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_co
     return is_solved(problem, grid, system, x, measures[1], scaled, tolerance, is_costless, vectors)
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, diagonal):
     """Fill right-hand side and diagonal of Newton's equations (13), given the gradient of the Lagrangian."""
     is_multiplier, (indices, side, _) = grid[4], bounds
@@ -326,7 +332,7 @@ def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, r
         diagonal[indices[j]] += duals[j] * inverse
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     """Fill `dual_step`; return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
 
@@ -351,7 +357,7 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     return slope, size > SINGULAR_STEP * largest, tau / primal, tau / dual
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed):
     """Fill the trial after parts of a step, its distances and duals; return the sum of logarithms of distances.
 
@@ -373,10 +379,10 @@ def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, t
 @njit(error_model="numpy")
 def lets_pass(pairs, count, violation, objective):
     """Return True if no pair of the filter is better both in violation and in objective (18)."""
+    passes = True
     for j in range(count):
-        if not (violation < pairs[j, 0] or objective < pairs[j, 1]):
-            return False
-    return True
+        passes = passes and (violation < pairs[j, 0] or objective < pairs[j, 1])
+    return passes
 
 
 @njit(error_model="numpy")
@@ -454,11 +460,37 @@ def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight
 
 
 @njit(error_model="numpy")
+def inaccuracy(gradient, step, left, is_multiplier):
+    """Return how large `left` (n,) is in the equations, and in all rows, relative to right-hand side and solution.
+
+    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
+    """
+    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            multiplier = max(multiplier, abs(step[i]))
+        else:
+            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            primal = max(primal, abs(step[i]))
+    most = LARGE_STEP * max(right, slope)
+    of_equations = unsolved / max(right + min(primal, most), 1e-300)
+    scale = max(right, slope) + min(max(primal, multiplier), most)
+    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
+
+
+@njit(error_model="numpy")
 def refined(problem, grid, system, x, vectors, room):
     """Refine the step of the work space until it is accurate, or only rounding remains; return if that lowered it.
 
     `room` (2 SOLVED_AGAIN + 2, n) takes corrections, what the matrix makes of them, and residuals. The products are
-    made orthogonal, so that each correction adds what lowers the residual most: generalised conjugate residuals.
+    made orthogonal, so that each correction adds what lowers the residual most: generalised conjugate residuals, with
+    the factors as preconditioner. Corrections one after the other need not converge where factors are inaccurate.
+    Sources: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz
+    (1983), Variational iterative methods for nonsymmetric systems of linear equations; the measure of the residual is
+    that of Waechter and Biegler (2006), section 3.10.
     """
     steps, n = grid[0], x.size
     tables, factors, orders, _, _, _, inverses, counts, equations, _, _ = system
@@ -502,7 +534,7 @@ def refined(problem, grid, system, x, vectors, room):
     return True
 
 
-@njit(error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping, careful, reals, integers, vectors,
                barriers, room):  # fmt: skip
     """Find a Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step.
@@ -521,7 +553,7 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
     else:
         least = max(1e-20, last / 3.0 ** min(1 + integers[LOWERED], 40)) if last > 0.0 else 1e-4
         at_once = least if before > 0.0 and least > SMALL_DELTA_W and not integers[WAS_SINGULAR] else 0.0
-    delta_c, shift_c = 0.0, DUAL_SHIFT * mu**0.25 if is_bounded else DUAL_SHIFT
+    delta_c, shift_c = 0.0, DUAL_SHIFT * max(mu, 1e-100) ** 0.25 if is_bounded else DUAL_SHIFT
     delta_w = max(damping, at_once)
     right, step = vectors[RIGHT], vectors[STEP]
     while delta_w < 1e20:
@@ -540,9 +572,7 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                 for i in range(n):
                     if not is_multiplier[i]:
                         size, largest = max(size, abs(step[i])), max(largest, abs(x[i]))
-                if (
-                    size > FAR * largest
-                ):  # where equations do not depend on anything, the first shift alone says how far
+                if size > FAR * largest:  # without dependent equations, the first shift alone sets the length
                     delta_w *= 100.0
                     continue
             is_refined = False
@@ -622,6 +652,7 @@ def descend(
     bounds : tuple
         indices, side, magnitude (m,).
     tolerance : float
+        Of residual and stationarity, as `is_solved` has it.
     limit, most : int
         Iterations in all, and in this call.
     reals, integers : (REALS,), (INTEGERS,)
@@ -661,14 +692,20 @@ def descend(
             converged = is_acceptable(
                 problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
             )  # fmt: skip
-        if integers[IS_WARM]:
-            # A search that begins near a solution may be there at once, but for rounding.
-            if not converged and error < np.inf and error > PROGRESS * reals[LAST_ERROR]:
-                at_rest = is_at_rounding_level(
+        if integers[SEEN] <= iteration:  # an iterate from which another call goes on has been looked at
+            integers[SEEN] = iteration + 1
+            is_closed = m == 0 or highest <= tolerance
+            if not converged and integers[IS_WARM] and PROGRESS * reals[LAST_ERROR] < error < np.inf:
+                # A search that begins near a solution may be there at once, but for rounding.
+                converged = is_closed and is_at_rounding_level(
                     problem, grid, system, x, residual, stationarity, is_costless, vectors
-                )  # fmt: skip
-                converged = at_rest and (m == 0 or highest <= tolerance)
-            reals[LAST_ERROR] = error
+                )
+            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not show in the second ones. Their
+            # rounding is larger than `terms` tells, and steps change neither cost nor error any more.
+            is_unchanged = cost == reals[LAST_COST] and abs(error - reals[LAST_ERROR]) <= UNCHANGED * error
+            integers[AT_REST] = integers[AT_REST] + 1 if is_unchanged and is_closed and error <= tolerance else 0
+            converged = converged or integers[AT_REST] >= REST
+            reals[LAST_ERROR], reals[LAST_COST] = error, cost
         if not error < np.inf:
             status = NON_FINITE
         elif converged:
@@ -727,7 +764,6 @@ def descend(
                         for j in range(grid[8].shape[0]):  # what equals a linking variable moves along
                             x[grid[8][j, 0]] += x[grid[8][j, 1]] - trial[grid[8][j, 1]]
                         measures, measured = evaluated(problem, grid, bounds, x, g, distance, duals, vectors)
-                        integers[EVALUATIONS] += 1
                         cost, residual, violation, stationarity, error = measures
                         _, gap, lowest, highest, mean, mean_dual, largest = measured
                 reals[MU] = mu = new
@@ -770,10 +806,9 @@ def descend(
                     # after all. If none is, all goes on from here: the watchdog technique, section 3.2.
                     integers[WATCHING] = FULL_STEPS
                     copy(x, vectors[WATCH_X])
-                    copy(g, vectors[WATCH_G])
                     copy(distance, barriers[WATCH_DISTANCE])
                     copy(duals, barriers[WATCH_DUALS])
-                    reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE], reals[WATCH_MU] = violation, objective, mu
+                    reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE] = violation, objective
                     reals[WATCH_SLOPE], reals[WATCH_LONGEST] = slope, longest
                 if integers[WATCHING]:
                     is_watched = True
@@ -786,7 +821,6 @@ def descend(
                     bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed
                 )
                 t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
-                integers[EVALUATIONS] += 1
                 if t_measures[4] < np.inf:
                     accepted = accepts(
                         pairs, integers, violation, objective, t_measures[2], t_measures[0] - mu * t_logarithms, slope,
@@ -837,7 +871,6 @@ def descend(
                                 pushed,
                             )  # fmt: skip
                             t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
-                            integers[EVALUATIONS] += 1
                             if t_measures[4] < np.inf:
                                 accepted = accepts(
                                     pairs, integers, violation, objective, t_measures[2],
@@ -854,24 +887,25 @@ def descend(
                 attempt = 1
                 continue
             # Were the equations linear, 1 - length of each would be left: more is curvature, or an inaccurate step.
-            if accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0):
-                if t_measures[1] > max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual):
-                    integers[DOUBTFUL] += 1
-                    if integers[DOUBTFUL] >= integers[ENOUGH]:
-                        fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
-                        left = fill_linear_residual(
-                            problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
-                        )
-                        if left > ACCURATE:
-                            if room.shape[0] == 0:
-                                status = ROOM
-                                break
-                            accepted, careful = False, True
-                            reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
-                            integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
-                            attempt = 2
-                            continue
-                        integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
+            expected = max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual)
+            is_tested = accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
+            if is_tested and t_measures[1] > expected:
+                integers[DOUBTFUL] += 1
+                if integers[DOUBTFUL] >= integers[ENOUGH]:
+                    fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
+                    left = fill_linear_residual(
+                        problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
+                    )
+                    if left > ACCURATE:
+                        if room.shape[0] == 0:
+                            status = ROOM
+                            break
+                        accepted, careful = False, True
+                        reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
+                        integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
+                        attempt = 2
+                        continue
+                    integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
             break
         if status == ROOM:
             integers[DOUBTFUL] = integers[ENOUGH]  # so that the step is made again, and refined
@@ -885,7 +919,6 @@ def descend(
                 bounds, x, step, longest, distance, duals, dual_step, dual_length, mu, trial, moved, pushed
             )
             t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
-            integers[EVALUATIONS] += 1
             better = t_measures[4] < np.inf and accepts(
                 pairs, integers, reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE], t_measures[2],
                 t_measures[0] - mu * t_logarithms, reals[WATCH_SLOPE], reals[WATCH_LONGEST], small,
@@ -900,7 +933,6 @@ def descend(
                 copy(barriers[WATCH_DUALS], pushed)
                 t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
                 t_logarithms = sum_of_logarithms(moved)
-                integers[EVALUATIONS] += 1
             else:
                 integers[WATCHING] -= 1
         elif has_step:
@@ -948,5 +980,4 @@ def descend(
         done += 1
     for i in range(5):
         reals[COST + i] = measures[i]
-    reals[LOGARITHMS] = logarithms
     return status

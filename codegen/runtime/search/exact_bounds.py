@@ -1,8 +1,8 @@
 """The end of an interior-point method: bounds, which were relaxed on the way, hold exactly.
 
-What lies beyond a bound, by its relaxation, is moved onto it. Where equations are steep or multipliers large, even a
-move of 1e-12 costs digits of the optimality conditions: Newton's steps of the barrier problem whose bounds are not
-relaxed then lead back to its optimum.
+An unknown that is outside its bound, by the relaxation, is moved onto it. Where equations are steep or multipliers
+large, even a move of 1e-12 costs digits of the optimality conditions. Newton's steps of the barrier problem without
+relaxation then lead back to its optimum.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ from codegen.runtime.search.iterates import measured_point, moved, newton_step, 
 from codegen.runtime.search.point import evaluate
 
 LAST_STEPS = 3
-WORSE = 2.0  # by which errors may grow where that is beyond the tolerance
+WORSE = 2.0  # largest growth of an error above the tolerance
 
 
 def within_bounds(search, iterate, tolerance):
-    """The point of an iterate inside its bounds, with errors measured there, or as it is where that costs accuracy."""
+    """Return the point of an iterate inside its bounds, with its errors, or as it is if that costs accuracy."""
     point = iterate.point
     if not point.error < np.inf:
         return point
@@ -33,7 +33,7 @@ def within_bounds(search, iterate, tolerance):
 
 
 def on_bounds(search, iterate):
-    """The point with what lies beyond a bound on it, its stationarity measured with the duals of bounds."""
+    """Return the point with unknowns beyond a bound moved onto it, and its stationarity with the duals of bounds."""
     grid, (lower, upper) = search.grid, search.box
     unknowns = iterate.point.unknowns.copy()
     if clip(unknowns, lower, upper, search.bounds.indices):
@@ -53,7 +53,7 @@ def clip(unknowns, lower, upper, indices):
 
 
 def last_step(search, iterate):
-    """The iterate after a Newton step of the barrier problem whose bounds are not relaxed; None where there is none.
+    """Return the iterate after a Newton step of the barrier problem with unrelaxed bounds; None if there is no step.
 
     An unknown that is no farther from its bound than by the relaxation keeps its distance, and is moved instead, so
     that complementarities stay as they are.

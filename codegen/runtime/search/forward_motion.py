@@ -18,7 +18,7 @@ BEYOND = 1e6  # a motion that grows by it runs away
 
 
 def motion_entries(s):
-    """Return entries (3, m) of an interval's Hessian that belong to the motion: number, row and column of its matrix."""
+    """Return the entries of an interval's Hessian that belong to the motion: (3, m), with number, row and column."""
     row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (s.motion_equations, s.motion_unknowns))
     pairs = list(enumerate(zip(s.rows.tolist(), s.columns.tolist(), strict=True)))
     found = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]
@@ -27,7 +27,7 @@ def motion_entries(s):
 
 
 def forward_motion(grid, unknowns):
-    """The unknowns (n,) of the motion under the controls of a guess (n,), no multipliers; None where there is none.
+    """Return the unknowns (n,) of the motion under the controls of a guess (n,), without multipliers, or None.
 
     Controls are moved inside their bounds. Everything is in the problem's own units.
     """
@@ -51,7 +51,7 @@ def forward_motion(grid, unknowns):
 
 
 def is_solved_for_motion(grid, k, piece, entries):
-    """Whether Newton's method finds the state after interval k, and its stages, from the state before it.
+    """Return True if Newton's method finds the state after interval k, and its stages, from the state before it.
 
     `piece` (element + root,) has the unknowns of the interval and both nodes, and those that no node owns.
     """

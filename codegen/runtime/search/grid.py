@@ -46,8 +46,8 @@ class Grid(NamedTuple):
     sizes: np.ndarray
     forces: np.ndarray
     weight: float
-    bounds: tuple
-    inner: tuple
+    bounds: tuple[np.ndarray, ...]
+    inner: tuple[int, ...]
     problem: ControlProblem
 
     @property

@@ -4,12 +4,13 @@ The Newton loop itself is compiled, see `descent`; restoration, exact bounds and
 """
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from codegen.runtime.search import descent
+from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
 from codegen.runtime.search.grid import Grid, free_unknowns, multiplier_unknowns, with_pinned_values
 from codegen.runtime.search.linear_system import (
@@ -17,15 +18,12 @@ from codegen.runtime.search.linear_system import (
     allocate_system,
     factor_kkt,
     is_factored,
-    refine,
     with_entry_factors,
 )
 from codegen.runtime.search.point import Point, evaluate, lagrangian
-from codegen.runtime.search.bounds import bounds_of
 
 LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
 LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
-SINGULAR_STEP = descent.SINGULAR_STEP
 LARGEST_KEPT = 4_000_000  # numbers of the storage that is kept between searches: 32 MB
 
 
@@ -103,10 +101,11 @@ class Workspace:
         self.reals, self.integers = np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64)
         self.pairs, self.room = np.empty((1000, 2)), np.empty((0, n))
 
-    @property
-    def spare(self):
-        """A vector (n,) that holds nothing between calls."""
-        return self.vectors[descent.SPARE]
+    def room_for_refinement(self):
+        """Return the storage of corrections, which is allocated when it is first needed."""
+        if not self.room.size:
+            self.room = np.empty((2 * descent.SOLVED_AGAIN + 2, self.vectors.shape[1]))
+        return self.room
 
     @cached_property
     def log(self):
@@ -125,9 +124,9 @@ class Search(NamedTuple):
     bounds: Bounds
     system: System
     equations: np.ndarray
-    box: tuple
+    box: tuple[np.ndarray, np.ndarray]
     work: Workspace
-    arguments: tuple
+    arguments: tuple[tuple[Any, ...], ...]
     least: float = LEAST_RELAXED
 
     @property
@@ -151,11 +150,10 @@ class Iterate(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A Newton step: primal and dual part, its right-hand side, and longest lengths."""
+    """A Newton step: primal and dual part, and their longest lengths."""
 
     primal: np.ndarray
     dual: np.ndarray
-    right: np.ndarray
     longest: float
     dual_length: float
 
@@ -169,7 +167,8 @@ def search_on(grid):
         system, work = allocate_system(grid), Workspace(n, bounds.side.size)
     else:
         system, work = with_entry_factors(grid, kept[0]), kept[1]
-    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments_of(grid, system, bounds))
+    arguments = *arguments_of(grid, system), (bounds.indices, bounds.side, bounds.magnitude)
+    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments)
 
 
 def keep_storage(search):
@@ -188,11 +187,11 @@ def on_grid(search, grid):
     """Return the search on a grid with the same bounds and so many intervals: its storage serves again."""
     if grid is search.grid:
         return search
-    return search._replace(grid=grid, arguments=arguments_of(grid, search.system, search.bounds))
+    return search._replace(grid=grid, arguments=(*arguments_of(grid, search.system), search.arguments[-1]))
 
 
-def arguments_of(grid, system, bounds):
-    """Return problem, grid, linear system and bounds as the compiled search takes them."""
+def arguments_of(grid, system):
+    """Return problem, grid and linear system as the compiled search takes them."""
     s = grid.problem.structure
     problem = (grid.problem.gradient.address, system.loop, system.address)
     data = (
@@ -203,7 +202,7 @@ def arguments_of(grid, system, bounds):
         system.tables, system.factors, system.orders, system.entries, system.scaled, system.costless, system.inverses,
         system.counts, system.equations, system.rows, system.columns,
     )  # fmt: skip
-    return problem, data, storage, (bounds.indices, bounds.side, bounds.magnitude)
+    return problem, data, storage
 
 
 def begin(search, unknowns, attempt):
@@ -277,33 +276,21 @@ def measured_point(search, iterate):
     point, bounds = iterate.point, search.bounds
     if not search.is_bounded:
         return point
-    stationarity = largest_slope(
-        point.gradient, search.grid.is_multiplier, bounds.indices, bounds.side, iterate.duals, search.work.spare
-    )
+    stationarity = descent.optimality(
+        point.gradient, point.unknowns, search.grid.is_multiplier, bounds.indices, bounds.side, iterate.distance,
+        iterate.duals, search.work.vectors[descent.SPARE],
+    )[0]  # fmt: skip
     error = max(point.residual, stationarity) if point.error < np.inf else np.inf
     return point._replace(stationarity=stationarity, error=error)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def largest_slope(gradient, is_multiplier, indices, side, duals, spare):
-    """Return the largest slope that no dual of a bound balances; `spare` (n,) is work space."""
-    spare[:] = gradient
-    for j in range(indices.size):
-        spare[indices[j]] -= side[j] * duals[j]
-    largest = 0.0
-    for i in range(spare.size):
-        if not is_multiplier[i]:
-            largest = max(largest, abs(spare[i]))
-    return largest
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def has_multipliers(unknowns, is_multiplier):
     """Return True if any multiplier is not zero."""
+    has_any = False
     for i in range(unknowns.size):
-        if is_multiplier[i] and unknowns[i] != 0.0:
-            return True
-    return False
+        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
+    return has_any
 
 
 def barrier_curvature(search, iterate):
@@ -315,59 +302,46 @@ def barrier_curvature(search, iterate):
 
 def newton_system(search, iterate, gradient, delta_w, delta_c):
     """Return right-hand side and diagonal (n,) of Newton's equations (13), given the gradient of the Lagrangian."""
-    bounds, is_multiplier = search.bounds, search.grid.is_multiplier
-    diagonal = np.where(is_multiplier, -delta_c, delta_w)
-    if not search.is_bounded:
-        return gradient, diagonal
-    right = np.where(is_multiplier & (np.abs(gradient) <= descent.ROUNDING), 0.0, gradient)
-    np.subtract.at(right, bounds.indices, iterate.mu * bounds.side / iterate.distance)
-    np.add.at(diagonal, bounds.indices, iterate.duals / iterate.distance)
+    right, diagonal = np.empty_like(gradient), np.empty_like(gradient)
+    descent.fill_newton_system(
+        *search.arguments[1::2], gradient, iterate.distance, iterate.duals, iterate.mu, delta_w, delta_c, right,
+        diagonal,
+    )  # fmt: skip
     return right, diagonal
 
 
 def step_along(search, iterate, right, primal):
-    """Return the step with a primal part: its dual part and its longest lengths (15)."""
-    if not search.is_bounded:
-        return Step(primal, search.bounds.side, right, 1.0, 1.0)
-    bounds, mu, tau = search.bounds, iterate.mu, max(0.99, 1.0 - iterate.mu)
-    change = bounds.side * primal[bounds.indices]
-    dual = (mu - iterate.duals * change) / iterate.distance - iterate.duals
-    longest = tau / max(tau, (-change / iterate.distance).max())
-    return Step(primal, dual, right, float(longest), float(tau / max(tau, (-dual / iterate.duals).max())))
+    """Return the step with a primal part for a right-hand side: its dual part and its longest lengths (15)."""
+    dual = np.empty_like(iterate.duals)
+    _, _, longest, dual_length = descent.measure_step(
+        *search.arguments[1::2], iterate.point.unknowns, right, primal, iterate.distance, iterate.duals, iterate.mu,
+        dual,
+    )  # fmt: skip
+    return Step(primal, dual, longest, dual_length)
 
 
 def moved(search, iterate, step, length):
     """Return the iterate after a length of a step's primal part and the longest of its dual part."""
-    bounds, unknowns = search.bounds, iterate.point.unknowns + length * step.primal
-    if not search.is_bounded:
-        return Iterate(evaluate(search.grid, unknowns), 0.0, bounds.side, bounds.side)
-    change = bounds.side * (length * step.primal[bounds.indices])
-    distance = np.maximum(iterate.distance + change, 1e-16 * iterate.distance)
-    centre = iterate.mu / distance
-    duals = np.maximum(np.minimum(iterate.duals + step.dual_length * step.dual, 1e10 * centre), 1e-10 * centre)
+    unknowns, distance, duals = (np.empty_like(x) for x in (iterate.point.unknowns, iterate.distance, iterate.duals))
+    descent.move(
+        search.arguments[3], iterate.point.unknowns, step.primal, length, iterate.distance, iterate.duals, step.dual,
+        step.dual_length, iterate.mu, unknowns, distance, duals,
+    )  # fmt: skip
     moved_to = Iterate(evaluate(search.grid, unknowns), iterate.mu, distance, duals)
     return moved_to._replace(point=measured_point(search, moved_to))
 
 
 def newton_step(search, iterate):
     """Return the refined Newton step with the least shift of the Hessian that makes it one of descent, or None."""
-    grid, system, point, delta_w = search.grid, search.system, iterate.point, 0.0
-    primal, delta_c = np.empty(point.unknowns.size), 0.0
-    while delta_w < 1e20:
-        right, diagonal = newton_system(search, iterate, point.gradient, delta_w, delta_c)
-        excess = factor_kkt(grid, point.unknowns, 1.0, diagonal, system, right, primal)
-        if excess == 0:
-            if delta_c == 0.0 and np.abs(primal).max() > SINGULAR_STEP * np.abs(right).max():
-                delta_c = descent.DUAL_SHIFT
-                continue
-            refine(grid, point.unknowns, diagonal, system, right, primal)
-            if np.isfinite(primal).all():
-                return step_along(search, iterate, right, primal)
-        elif delta_c == 0.0 and (excess is None or excess < 0):
-            delta_c = descent.DUAL_SHIFT
-            continue
-        delta_w = 100.0 * delta_w if delta_w else 1e-4
-    return None
+    work, point = search.work, iterate.point
+    is_found, _, longest, dual_length, _, _ = descent.regularise(
+        *search.arguments, point.unknowns, point.gradient, iterate.distance, iterate.duals, iterate.mu, 0.0, True,
+        np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64), work.vectors, work.barriers,
+        work.room_for_refinement(),
+    )  # fmt: skip
+    if not is_found:
+        return None
+    return Step(work.vectors[descent.STEP].copy(), work.barriers[descent.DUAL_STEP].copy(), longest, dual_length)
 
 
 def predicted_cost(search, iterate):

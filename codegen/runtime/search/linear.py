@@ -8,9 +8,9 @@ from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is
 from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.saddle_points import least_delta_w
 
-CONTRADICTORY = 1e-6  # part of the first residual that is left when equations have no common solution
-ROUNDINGS = 4.0  # errors of their terms that one Newton step leaves in the equations
-LARGE = 1e6  # steps beyond it lead to infinity
+CONTRADICTORY = 1e-6  # least violation of contradictory equations, relative to the first residual
+ROUNDINGS = 4.0  # rounding errors of their terms that one Newton step leaves in the equations
+LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem is unbounded
 
 
 def minimise(grid, unknowns, tolerance, log, system=None):
@@ -38,7 +38,7 @@ def minimise(grid, unknowns, tolerance, log, system=None):
 
 
 def without_minimum(grid, point, system):
-    """(status, point) where the KKT matrix is singular, or has another inertia than at a minimum."""
+    """Return (status, point) if the KKT matrix is singular, or has another inertia than at a minimum."""
     least = least_violation(grid, point, system)
     if least.residual > CONTRADICTORY * point.residual:
         return "infeasible", least
@@ -51,7 +51,7 @@ def without_minimum(grid, point, system):
 
 
 def least_violation(grid, point, system):
-    """The point nearest to a given one where the equations hold, or where they are violated least."""
+    """Return the point nearest to a given one where the equations hold, or where they are violated least."""
     step = np.empty_like(point.unknowns)
     point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
     for _ in range(5):

@@ -1,11 +1,4 @@
-"""The linear system of Newton's method on a grid: second derivatives, factorisation, solution, refinement.
-
-Refinement: residuals of a solution are solved for again. Corrections one after the other need not converge where
-factors are inaccurate; their best combination, by generalised conjugate residuals with the factors as preconditioner,
-does. Sources: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz
-(1983), Variational iterative methods for nonsymmetric systems of linear equations; the measure of the residual is that
-of Waechter and Biegler (2006), section 3.10.
-"""
+"""The linear system of Newton's method on a grid: second derivatives, factorisation, solution."""
 
 from typing import NamedTuple
 
@@ -14,12 +7,7 @@ from numba import njit
 
 from codegen.runtime.addresses import call_loop, call_system
 from codegen.runtime.kkt.system import SINGULAR, factor_sizes, root_index
-from codegen.runtime.search.grid import NONE, free_unknowns, layout_of
-
-ACCURATE = 1e-10  # residuals up to it, relative to the right-hand side and the solution, are as good as none
-LARGE_STEP = 1e6  # times the right-hand side: what is beyond does not excuse a residual
-SOLVED_AGAIN = 10  # times at most, as in IPOPT
-NEARLY_ACCURATE = 1e-6  # residuals up to it may be rounding of large solutions, where two corrections do not halve them
+from codegen.runtime.search.grid import NONE, layout_of
 
 
 class System(NamedTuple):
@@ -228,76 +216,3 @@ def call_hessians(loop, unknowns, steps, h, nodes, parameters, counts, entries):
     fill_entries(
         loop, unknowns, unknowns[:0], unknowns[:0], unknowns[:0], steps, h, nodes, parameters, counts, entries
     )  # fmt: skip
-
-
-def linear_residual(grid, unknowns, diagonal, gradient, step, system):
-    """Return KKT matrix . step + gradient (n,), which is zero for an exact step, and its size as `inaccuracy` says.
-
-    The matrix is as `factor_kkt` says.
-    """
-    s, left, vector, roots = grid.problem.structure, np.zeros(step.size), step, 1.0
-    if grid.sizes.size:
-        roots = np.sqrt(grid.sizes * grid.forces)
-        unknowns, vector = unknowns * grid.sizes, roots * step
-    entries = filled_entries(grid, unknowns, system)
-    multiply_entries(entries, system.rows, system.columns, grid.steps, system.counts, vector, left, False)
-    left = left * roots + diagonal * step + gradient
-    if s.is_tied:
-        add_tied(s, grid.steps, left)
-    left[~free_unknowns(grid)] = 0.0
-    return left, inaccuracy(gradient, step, left, grid.is_multiplier)
-
-
-def add_tied(s, steps, values):
-    """Add `values` (n,) of unknowns that equal linking variables to those of the latter."""
-    chain, root = steps * s.stride + s.node, values[values.size - s.root :]
-    for body, indices in enumerate(s.root_indices()):
-        np.add.at(root, indices[s.start_shared], values[body * chain + s.start_tied])
-        np.add.at(root, indices[s.end_shared], values[(body + 1) * chain - s.node + s.end_tied])
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def inaccuracy(gradient, step, left, is_multiplier):
-    """Return how large `left` (n,) is in the equations, and in all rows, relative to right-hand side and solution.
-
-    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
-    """
-    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(left.size):
-        if not abs(left[i]) < np.inf:
-            return np.nan
-        if is_multiplier[i]:
-            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
-            multiplier = max(multiplier, abs(step[i]))
-        else:
-            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
-            primal = max(primal, abs(step[i]))
-    most = LARGE_STEP * max(right, slope)
-    of_equations = unsolved / max(right + min(primal, most), 1e-300)
-    scale = max(right, slope) + min(max(primal, multiplier), most)
-    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
-
-
-def refine(grid, unknowns, diagonal, system, gradient, step):
-    """Refine `step` (n,) in place until it is accurate, or only rounding remains; return whether that lowered it.
-
-    The system is still factored, and the matrix as `factor_kkt` says. Each time the factors make one more correction of
-    the residual, and that sum of all corrections is added which leaves least.
-    """
-    zero, corrections, products, errors = np.zeros_like(step), [], [], []
-    left, error = linear_residual(grid, unknowns, diagonal, gradient, step, system)
-    for refinement in range(SOLVED_AGAIN):
-        errors.append(error)
-        if not ACCURATE < errors[-1] < np.inf:
-            return refinement > 0
-        if refinement == 2 and 0.5 * errors[0] < errors[-1] <= NEARLY_ACCURATE:
-            return False
-        corrections.append(np.empty_like(step))
-        solve_kkt(grid, system, left / np.linalg.norm(left), corrections[-1])
-        products.append(linear_residual(grid, unknowns, diagonal, zero, corrections[-1], system)[0])
-        if not np.isfinite(products[-1]).all():
-            return True
-        parts, *_ = np.linalg.lstsq(np.array(products).T, -left, rcond=None)
-        step += parts @ np.array(corrections)
-        left, error = linear_residual(grid, unknowns, diagonal, gradient, step, system)
-    return True

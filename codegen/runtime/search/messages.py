@@ -34,7 +34,7 @@ NAMED = 3  # how many equations a message names
 
 
 def describe(grid, guess, point, status):
-    """The status, judged once more, and the sentence; guess and point are in the problem's own units."""
+    """Return the final status and the sentence about it; guess and point are in the problem's own units."""
     if grid.problem.variable_bounds is not None:
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
@@ -59,12 +59,12 @@ def describe(grid, guess, point, status):
 
 
 def reached(point):
-    """How far the equations hold, and the optimality conditions."""
+    """Return a text on the accuracy of equations and of optimality conditions."""
     return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
 
 
 def finding(grid, guess, point, status):
-    """What was seen, by the names of the author."""
+    """Return a text on what was found, by the names of the author."""
     if status == "non-finite":
         return not_finite(grid, point)
     if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
@@ -81,13 +81,13 @@ def finding(grid, guess, point, status):
 
 
 def worst_row(grid, point):
-    """The equation that is farthest from zero, or the derivative where the equations hold."""
+    """Return a text on the equation with the largest residual, or on the largest slope if the equations hold."""
     size = np.where(grid.is_multiplier == (point.residual > HOLDS), np.abs(point.gradient), -1.0)
     return row_text(grid, point, int(np.argmax(size)))
 
 
 def row_text(grid, point, index):
-    """Name and value of a row of the optimality conditions."""
+    """Return name and value of a row of the optimality conditions."""
     value = point.gradient[index]
     if grid.is_multiplier[index]:
         return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
@@ -95,7 +95,7 @@ def row_text(grid, point, index):
 
 
 def violated(grid, point):
-    """The equations that are off most, each where it is worst, and the bounds that stand against them."""
+    """Return a text on the equations with the largest residuals, each where it is worst, and on active bounds."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
     if grid.problem.variable_bounds is not None:
@@ -112,7 +112,7 @@ def violated(grid, point):
 
 
 def dependent(grid, point):
-    """The equations with the largest multipliers, or the count where no multiplier is large."""
+    """Return the equations with the largest multipliers, or the count where no multiplier is large."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     indices = largest_by_name(grid, point.unknowns, rows)
     if indices and abs(point.unknowns[indices[0]]) > 1e3:
@@ -125,7 +125,7 @@ def dependent(grid, point):
 
 
 def largest_by_name(grid, values, rows):
-    """Indices of the largest values among some rows, one for each name, as long as they are comparable.
+    """Return the indices of the largest comparable values among some rows, one for each name.
 
     The first of them come first where they are as large as each other but for a thousandth.
     """
@@ -139,7 +139,7 @@ def largest_by_name(grid, values, rows):
 
 
 def diverging_unknown(grid, guess, point):
-    """The unknown that has grown most, or along which the cost falls for ever, or a duration that is not positive."""
+    """Return a text on the unknown that has grown most, on one without limit, or on a duration that is not positive."""
     if grid.problem.structure.shared and not least_duration(grid, point.unknowns) > 0.0:
         return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
     growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
@@ -153,13 +153,13 @@ def diverging_unknown(grid, guess, point):
 
 
 def negative_curvature_unknown(grid, point):
-    """The unknown that changes most along the direction in which the cost curves downwards most, or least upwards."""
+    """Return the name of the unknown that changes most along the direction of most negative curvature."""
     direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
     return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
 
 
 def not_finite(grid, point):
-    """The first derivative, share of the cost or second derivative that is infinite or NaN, and its kernel."""
+    """Return a text on the first derivative or share of the cost that is infinite or NaN, with its kernel."""
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
         index = int(bad[0])
@@ -179,7 +179,7 @@ def not_finite(grid, point):
 
 
 def cost_not_finite(grid, point):
-    """Where the discrete cost is infinite or NaN."""
+    """Return a text on the interval whose discrete cost is infinite or NaN."""
     costs = interval_parts(grid, point.unknowns)[..., -1]
     bad = np.argwhere(~np.isfinite(costs))
     if bad.size:
@@ -189,7 +189,7 @@ def cost_not_finite(grid, point):
 
 
 def kernel_name(grid, index):
-    """The kernels whose values add up to a row."""
+    """Return the kernels whose values add up to a row."""
     s = grid.problem.structure
     chain = grid.steps * s.stride + s.node
     if index >= grid.is_multiplier.size - s.couplings:
@@ -201,7 +201,7 @@ def kernel_name(grid, index):
 
 
 def unknown_name(grid, unknowns, index):
-    """What an unknown is called and where it lives, as in `r at node 3 (t = 0.2)`; a slack by its condition."""
+    """Return name and place of an unknown, as in `r at node 3 (t = 0.2)`; a slack is named by its condition."""
     name = local_name(grid, index)
     meaning = grid.problem.metadata["meanings"].get(name, "")
     where = whereabouts(grid, unknowns, index)
@@ -209,14 +209,14 @@ def unknown_name(grid, unknowns, index):
 
 
 def equation_name(grid, unknowns, index):
-    """What an equation is called and where it holds, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
+    """Return name and place of an equation, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
     name = local_name(grid, index)
     meaning = grid.problem.metadata["meanings"].get(name, name).removeprefix("multiplier of ")
     return with_location(meaning, whereabouts(grid, unknowns, index))
 
 
 def with_location(meaning, where):
-    """What something means, with its place where the meaning does not tell it; long conditions are shortened."""
+    """Return a meaning, shortened, with its place unless the meaning contains it."""
     for tail in (" at the start", " at the end", " of an interval", ""):
         if meaning.endswith(tail):
             condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
@@ -232,12 +232,12 @@ def with_location(meaning, where):
 
 
 def shortened(text):
-    """The beginning of a long text."""
+    """Return the beginning of a long text."""
     return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
 
 
 def local_name(grid, index):
-    """The name of an unknown without its place, or of a shared one with its body."""
+    """Return the name of an unknown without its place, or of a shared one with its body."""
     s, metadata = grid.problem.structure, grid.problem.metadata
     chain = grid.steps * s.stride + s.node
     if index >= s.bodies * chain:
@@ -246,7 +246,7 @@ def local_name(grid, index):
 
 
 def whereabouts(grid, unknowns, index):
-    """Node or interval, time and body of an unknown."""
+    """Return node or interval, time and body of an unknown."""
     s = grid.problem.structure
     chain = grid.steps * s.stride + s.node
     if index >= s.bodies * chain:

@@ -12,7 +12,6 @@ from codegen.runtime.search.iterates import (
     with_least_squares_multipliers,
     with_relaxed_bounds,
 )
-from codegen.runtime.search.linear_system import SOLVED_AGAIN
 from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import restore
 
@@ -70,7 +69,10 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
 
 
 def run(search, tolerance, max_iterations, log):
-    """Call the compiled search once, and log its iterates; return the number of its status, and "time limit" if late."""
+    """Call the compiled search once and log its iterates.
+
+    Return the number of its status, and "time limit" if the time is up, else "".
+    """
     grid, work = search.grid, search.work
     before, affordable = int(work.integers[descent.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
     most = log.iterations_per_call(before, work.log.shape[0] - 1, affordable)
@@ -81,7 +83,7 @@ def run(search, tolerance, max_iterations, log):
         )  # fmt: skip
         if status != ROOM:
             break
-        work.room = np.empty((2 * SOLVED_AGAIN + 2, grid.is_multiplier.size))
+        work.room_for_refinement()
     count = int(work.integers[descent.ITERATIONS]) - before
     # The row of an iterate from which the next call goes on is written again by that call.
     is_over = status != CONTINUE or int(work.integers[descent.ITERATIONS]) >= max_iterations

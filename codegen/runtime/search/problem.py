@@ -11,7 +11,8 @@ import numpy as np
 from numba import cfunc, config
 
 from codegen.runtime.addresses import LOOP
-from codegen.runtime.kept_code import fresh_folder, statistics_of
+from codegen.runtime.kept_code import fresh_folder
+from codegen.runtime.kernels import Addressed
 from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
 from codegen.runtime.linking import link_inner_functions
@@ -21,19 +22,12 @@ from codegen.runtime.search.structure import Structure
 MOST_KEPT = 4  # searches whose storage is kept, for as many threads
 
 
-class Loop:
-    """A loop over intervals, which is compiled when its address is first asked for.
-
-    With `is_interpreted`, or where numba is switched off, the address is that of a callback into the interpreter.
-    """
-
-    def __init__(self, function, is_interpreted=False):
-        self.function, self.is_interpreted = function, is_interpreted
-        self.__doc__ = function.__doc__
+class Loop(Addressed):
+    """A loop over intervals."""
 
     @cached_property
     def compiled(self):
-        """The compiled function, or the callback; what has the address must be kept."""
+        """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
             reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
             kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
@@ -45,17 +39,6 @@ class Loop:
         link_inner_functions(own)
         with packed_operations():
             return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
-
-    @cached_property
-    def address(self):
-        """The address of the function."""
-        found = self.compiled
-        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
-
-    @property
-    def stats(self):
-        """Where numba keeps machine code of the loop, and how often it was read from there or made."""
-        return statistics_of(self.function, self.__dict__.get("compiled"))
 
 
 def is_inner(value):

@@ -13,17 +13,17 @@ from codegen.runtime.search.linear_system import factor_kkt, is_factored
 from codegen.runtime.search.point import evaluate
 
 RESTORATION_STEPS = 200
-FIRST_DAMPING = 1e-2  # part of the squared slope of the residuals, along the way down, that damps the first step
+FIRST_DAMPING = 1e-2  # damping of the first step, relative to the squared slope of the residuals
 FEASIBILITY_STEPS = 1000  # of the search for the least violation
-STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # part of the residual that the violation's slope is where it is least
-WEIGHT = 1e-2  # of the barrier, in parts of the squared residual
+STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope of the least violation, relative to the residual
+WEIGHT = 1e-2  # the barrier's weight relative to the squared residual
 LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
-HOLDING, NONE_HELD = 1e16, slice(0)  # a curvature beside which no other counts, and no unknowns
+HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; no unknowns
 LARGEST_DUAL = 0.1  # at the start; with 1e3, half of the searches of the space shuttle from noise fail, not 2 of 30
 
 
 def restore(search, iterate, reduction, pairs, is_late):
-    """("restored", an iterate that the filter accepts), or (what went wrong, the last iterate); no multipliers.
+    """Lower the violation; return ("restored", an iterate that the filter accepts) or (status, the last iterate).
 
     When restored, the violation is at most `reduction` times the first. `pairs` (k, 2) are those of the filter,
     `is_late` tells when the time is up. With bounds, the weight and the duals are those of the restoration.
@@ -55,7 +55,7 @@ def restore(search, iterate, reduction, pairs, is_late):
 
 
 def least_violation(search, iterate, tolerance, is_late, held):
-    """("infeasible", the iterate where the violation is least), or ("restored", one where the equations hold).
+    """Minimise the violation; return ("infeasible", iterate at its minimum) or ("restored", one where it is zero).
 
     Otherwise (what went wrong, the last iterate). The first says that no small change of the unknowns brings the
     equations closer to zero, as far as first derivatives tell. The search begins inside the bounds, and its steps are
@@ -88,7 +88,7 @@ def least_violation(search, iterate, tolerance, is_late, held):
 
 
 def restoration_start(search, iterate):
-    """The iterate without multipliers; with bounds, small duals, and a weight small beside the squared residual."""
+    """Return the iterate without multipliers; with bounds, it has small duals and a small weight."""
     grid, unknowns, start = search.grid, iterate.point.unknowns, iterate
     if unknowns[grid.is_multiplier].any():
         start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
@@ -100,14 +100,14 @@ def restoration_start(search, iterate):
 
 
 def residual_gradient(grid, point):
-    """A' c, the gradient of half the squared residuals by primal unknowns, by the linearity of the Lagrangian."""
+    """Return A' c, the gradient of half the squared residuals by primal unknowns."""
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
     pull = evaluate(grid, with_residuals).gradient - point.gradient
     return np.where(grid.is_multiplier, 0.0, pull)
 
 
 def first_damping(grid, point, pull):
-    """Enough to keep the first step short where residuals hardly change, whatever the units.
+    """Return a damping that keeps the first step short where residuals hardly change, whatever the units.
 
     Without it the step would go far along directions that are hardly determined, away from the iterate for which the
     cost was lowered.
@@ -117,7 +117,7 @@ def first_damping(grid, point, pull):
 
 
 def restoration_error(search, current, pull):
-    """Error of the optimality conditions of the least violation."""
+    """Return the error of the optimality conditions of the least violation."""
     stationary, bounds = pull.copy(), search.bounds
     np.subtract.at(stationary, bounds.indices, bounds.side * current.duals)
     return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
@@ -131,7 +131,7 @@ def lower_weight(nu, error):
 
 
 def damped_step(search, current, pull, damping, largest, curved=False, held=NONE_HELD):
-    """(iterate, damping) after a step that lowers the sum of squares, or None where the largest damping finds none.
+    """Return (iterate, damping) after a step that lowers the sum of squares; None if the largest damping has none.
 
     The step is Newton's where it is to be `curved`, else that of Gauss and Newton. To the former any decrease will do,
     and none but rounding: close to bounds slopes promise more than a step can keep, and duals may still have to settle.
@@ -157,11 +157,11 @@ def damped_step(search, current, pull, damping, largest, curved=False, held=NONE
 
 
 def restoration_objective(grid, current):
-    """Half the sum of squared residuals, with the restoration's barrier where there are bounds."""
+    """Return half the sum of squared residuals, with the restoration's barrier where there are bounds."""
     return sum_of_squares(grid, current.point) - current.mu * np.log(current.distance).sum()
 
 
 def sum_of_squares(grid, point):
-    """Half the sum of the squares of all residuals."""
+    """Return half the sum of the squares of all residuals."""
     residual = point.gradient[grid.is_multiplier]
     return 0.5 * (residual @ residual)

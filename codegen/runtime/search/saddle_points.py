@@ -1,4 +1,4 @@
-"""Saddle points of the cost on the set where the equations hold: directions of negative curvature, steps beside them."""
+"""Saddle points of the cost on the set where the equations hold: directions of negative curvature and escape steps."""
 
 import numpy as np
 

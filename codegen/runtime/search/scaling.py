@@ -8,11 +8,11 @@ not depend on the scheme, nor on the number of intervals.
    values. Two bounds limit that factor. A slack has no factor from its guess.
 2. An unknown without a factor has the least factor with which it balances an equation. Each equation of the guess is
    linearised and applied to a smooth motion of each quantity. So v = x' has the factor of x divided by the duration.
-   An angle that is found so has one radian at most. What has no effect has its bound, or one.
+   An angle has a factor of one radian at most. An unknown without effect has its bound as its factor, or one.
 3. An equation has the largest sum |J_ij| times the factor of unknown j.
 4. The cost is divided by its largest change, of first or second order, when one quantity changes by its factor.
-5. Factors are rounded to powers of a million if these leave ordinary numbers, otherwise to powers of a thousand.
-   Problems in ordinary numbers are then solved as they are.
+5. Factors are rounded to powers of a million if scaled numbers are then between 10^-1.5 and 10^2.9, otherwise to
+   powers of a thousand. A problem whose factors are all one is not scaled.
 
 Betts (2010), Practical methods for optimal control, section 4.8, recommends 1 and the same factor for a state and its
 equation.
@@ -31,11 +31,11 @@ from codegen.runtime.search.parts import fill
 from codegen.runtime.search.point import evaluate
 
 SAMPLES = 4  # intervals on which derivatives are evaluated
-SMALL, LARGE = -1.5, 2.9  # powers of ten between which numbers are ordinary; none is round, by intention
+SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten; neither is round, by intention
 LEAST_OF_BOUNDS = 0.3  # part of the larger of two bounds that a factor has at least
-NO_SIZE = 1e-14  # part of the largest number of the guess below which a number is a zero
-CANCELLED = 1e-14  # part of its terms below which a sum is rounding
-LEAST = 1e-150  # what is below, or above its inverse, is no factor
+NO_SIZE = 1e-14  # part of the largest number of the guess below which a number counts as zero
+CANCELLED = 1e-14  # part of its terms below which a sum counts as rounding error
+LEAST = 1e-150  # a factor is above it, and below its inverse
 
 
 class Quantities(NamedTuple):
@@ -122,8 +122,9 @@ def scaled_grid(grid, unknowns):
 def with_scaling_factors(grid, point):
     """Return the same grid with scaling factors of unknowns and cost, or without if all are one.
 
-    The point is that of a guess without its multipliers. Of derivatives at a guess outside its bounds and on them, the
-    smaller ones count: outside a model may mean nothing, and the bounds may be far from where a solution is.
+    The point is that of a guess without its multipliers. If the guess violates bounds, derivatives are evaluated there
+    and on the bounds, and the smaller ones count: a model may be invalid outside its bounds, and the bounds may be far
+    from the solution.
     """
     problem, s = grid.problem, grid.problem.structure
     if s.linear_quadratic:
@@ -164,7 +165,7 @@ def second_derivatives(grid, unknowns):
 
 
 def kinds_of(problem, steps):
-    """Return the quantity (n,) of every unknown, as a number."""
+    """Return the number (n,) of the quantity of every unknown."""
     return quantities_of(problem).kind[problem.structure.kinds(steps)]
 
 
@@ -186,7 +187,7 @@ def sampled(problem, steps, inner):
 
 
 def lacking(s, steps, places):
-    """Return which unknowns of an element intervals at some places lack: (places, element + shared)."""
+    """Return a mask (places, element + shared) of the unknowns of an element that the given intervals lack."""
     found = np.zeros((places.size, s.element + s.shared), bool)
     if s.phases:
         phase, within = np.divmod(places, steps // s.phases)
@@ -204,8 +205,9 @@ def fill_scaling_factors(
 
     `primal` (n,) is the guess without multipliers, `slopes` (n,) the moduli of the gradient of the Lagrangian, `lower`
     and `upper` are (n,) or empty, `kinds` (n,) the numbers of quantities. `counts` are bodies, steps, phases, linking
-    variables, stride and node; `entries` the second derivatives at the guess, `others` those inside its bounds, if it
-    `is_moved` there; `places` the sampled intervals, which lack what `lacks` (places, element + shared) says.
+    variables, stride and node. `entries` are the second derivatives at the guess, `others` those on its bounds if it
+    `is_moved` there. `places` are the sampled intervals, `lacks` (places, element + shared) masks the unknowns that
+    these lack.
     """
     count, largest = q.stated.size, 0.0
     size, rest = np.zeros(count), np.zeros(count)
@@ -222,7 +224,7 @@ def fill_scaling_factors(
             size[j] = q.stated[j]
     terms, effect, curvature = np.zeros((count, count)), np.zeros((count, count)), np.zeros((count, count))
     measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect, curvature)
-    if is_moved:  # outside its bounds a model may mean nothing, and at a bound it may be far from a solution
+    if is_moved:  # a model may be invalid outside its bounds, and a bound may be far from the solution
         other = np.zeros((count, count)), np.zeros((count, count)), np.zeros((count, count))
         measure_derivatives(q, counts, nodes, places, lacks, others, *other)
         lessen(terms, other[0])
@@ -244,7 +246,7 @@ def fill_scaling_factors(
     equate_tied(q.tied, size)
     digits = digits_of(q, size)
     slope, curved = change_of_cost(q, slopes, kinds, size, curvature)
-    is_steep = slope >= curved  # then first steps follow the slope, and could throw unknowns onto bounds
+    is_steep = slope >= curved  # the first steps then follow the slope, and could end on bounds
     weight = 1.0 / rounded(max(slope, curved), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for j in range(count):
@@ -260,7 +262,7 @@ def fill_scaling_factors(
 
 @njit(error_model="numpy")
 def limit_by_bounds(q, lower, upper, kinds, size):
-    """Limit each `size` by two bounds; return the largest bounds of what has one bound and no size."""
+    """Limit each `size` by two bounds; return the largest bounds of quantities that have one bound and no size."""
     bound, between = np.zeros(size.size), np.zeros(size.size)
     for i in range(lower.size):
         if not q.is_slack[kinds[i]]:
@@ -279,7 +281,7 @@ def limit_by_bounds(q, lower, upper, kinds, size):
 
 @njit(error_model="numpy")
 def balance(q, size, rest, effect):
-    """Give unknowns without a size the least one with which they balance an equation, until nothing is new.
+    """Give unknowns without a size the least one with which they balance an equation, as long as any gets one.
 
     `rest` are the residuals of the guess, `effect` (kinds, kinds) the changes of equations by smooth motions.
     """
@@ -389,7 +391,7 @@ def add_couplings(q, counts, kinds, entries, terms, effect):
 
 @njit(error_model="numpy")
 def lessen(table, other):
-    """Give the entries of a table the smaller value of both, or the one that is a number."""
+    """Fill `table` with the smaller of both entries, or with the one that is not NaN."""
     for i in range(table.shape[0]):
         for j in range(table.shape[1]):
             if other[i, j] < table[i, j] or np.isnan(table[i, j]):
@@ -398,7 +400,7 @@ def lessen(table, other):
 
 @njit(error_model="numpy")
 def equate_tied(tied, size):
-    """Give unknowns at the ends and the linking variables that they equal one size, the largest."""
+    """Give unknowns at the ends and the linking variables that they equal the largest of their sizes."""
     for _ in range(tied.shape[0]):
         for i in range(tied.shape[0]):
             one, other = tied[i, 0], tied[i, 1]
@@ -409,8 +411,8 @@ def equate_tied(tied, size):
 def change_of_cost(q, slopes, kinds, size, curvature):
     """Return the largest changes of the cost, of first and of second order, by the size of one quantity everywhere.
 
-    Both are sums over all intervals, and do not depend on the number of intervals. The second one alone counts controls
-    that cost nothing at the guess.
+    Both are sums over all intervals, and do not depend on the number of intervals. Controls whose cost has no slope at
+    the guess count in the second one only.
     """
     slope, curved, total = 0.0, 0.0, np.zeros(size.size)
     for i in range(kinds.size):
@@ -425,7 +427,7 @@ def change_of_cost(q, slopes, kinds, size, curvature):
 
 @njit(error_model="numpy")
 def digits_of(q, size):
-    """Return 6.0 if dividing by powers of a million leaves ordinary numbers, otherwise 3.0."""
+    """Return 6.0 if sizes divided by powers of a million are below 10^LARGE, otherwise 3.0."""
     for i in range(size.size):
         if LEAST < size[i] < 1.0 / LEAST and not q.stated[i] > 0.0:
             above = np.log10(size[i]) - SMALL
@@ -436,7 +438,7 @@ def digits_of(q, size):
 
 @njit(error_model="numpy")
 def rounded(value, digits, finer):
-    """Return the highest power of a million (`digits` are six) or a thousand below some thirty values, or one.
+    """Return the highest power of a million (`digits` are six) or of a thousand below about 30 times `value`, or one.
 
     `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
     """

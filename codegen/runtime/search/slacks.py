@@ -8,7 +8,7 @@ from codegen.runtime.search.termination import HOLDS
 
 
 def with_slacks(grid, unknowns):
-    """A copy of `unknowns` (n,) whose slacks satisfy their equations where the inequalities hold; zero where not."""
+    """Return `unknowns` (n,) with slacks that satisfy their equations; zero if an inequality does not hold."""
     s, unknowns = grid.problem.structure, unknowns.copy()
     _, intervals = views(grid, unknowns)
     intervals[:, :, s.slacks - s.node] = 0.0
@@ -18,7 +18,7 @@ def with_slacks(grid, unknowns):
 
 
 def with_violations(grid, point):
-    """The point, in whose gradient (unknowns,) the row of an inequality g <= 0 is by how much g exceeds zero.
+    """Return the point, in whose gradient (unknowns,) the row of an inequality g <= 0 is by how much g exceeds zero.
 
     To the solver it is g + s, which may be huge where the inequality holds, while s is on its way. Rows stay what they
     are where nothing else is violated. Everything is in the problem's own units.

@@ -55,11 +55,13 @@ def solve_on(
     Parameters
     ----------
     grid : Grid
+        Intervals, parameters and the problem.
     guess : (n,) or None
         Unknowns to start from; None for the problem's own guess.
     tolerance : float
         Of residuals and stationarity, absolute where their terms exceed one, relative to these where they are smaller.
     max_iterations : int
+        Of all searches together.
     time_limit : float
         Seconds after which the search ends.
     warm : bool

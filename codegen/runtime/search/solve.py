@@ -152,7 +152,7 @@ def is_beyond(grid, guess, unknowns, least):
 
 
 def is_steeper(finer, grid):
-    """Return True if equations or cost are far steeper by a grid's factors, or without any, than by those of another."""
+    """Return True if equations or cost are far steeper with the factors of `finer`, or none, than those of `grid`."""
     forces = finer.forces if finer.sizes.size else 1.0
     return (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any()
 
@@ -163,7 +163,7 @@ def scaled_unknowns(grid, unknowns):
 
 
 def corrected_cost(grid, point):
-    """The cost of an optimum, in its own units, less what residuals and distances to active bounds are worth.
+    """Return the cost of an optimum in its own units, corrected for residuals and distances to active bounds.
 
     That is so to first order. A large correction belongs to multipliers without limit, as where equations force
     unknowns onto their bounds, and says nothing: the cost stays as it is.
@@ -186,7 +186,7 @@ def remaining_gap(unknowns, gradient, lower, upper):
 
 
 def unscaled_point(grid, point):
-    """A point in the problem's own units; its stationarity is the change of the cost with parts of sizes."""
+    """Return a point in the problem's own units; its stationarity is the change of the cost by scaling factors."""
     if not grid.sizes.size:
         return point
     stationarity = point.stationarity / grid.weight

@@ -17,12 +17,12 @@ NO_INDICES = np.zeros(0, np.int64)
 NO_MASK = np.zeros(0, bool)
 
 
-def _indices():
-    return field(default_factory=lambda: NO_INDICES)
+def _no_indices():
+    return NO_INDICES
 
 
-def _mask():
-    return field(default_factory=lambda: NO_MASK)
+def _no_mask():
+    return NO_MASK
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Structure:
     is_multiplier: np.ndarray
     start_pinned: np.ndarray
     end_pinned: np.ndarray
-    only_at_ends: np.ndarray = _indices()
+    only_at_ends: np.ndarray = field(default_factory=_no_indices)
     bodies: int = 1
     own: int = 0
     shared: int = 0
@@ -92,32 +92,32 @@ class Structure:
     linear_quadratic: bool = False
     costless: bool = False
     forward: bool = False
-    equations: np.ndarray = _indices()
-    start_tied: np.ndarray = _indices()
-    start_shared: np.ndarray = _indices()
-    end_tied: np.ndarray = _indices()
-    end_shared: np.ndarray = _indices()
-    start_rows: np.ndarray = _indices()
-    start_columns: np.ndarray = _indices()
-    end_rows: np.ndarray = _indices()
-    end_columns: np.ndarray = _indices()
-    slacks: np.ndarray = _indices()
-    slack_multipliers: np.ndarray = _indices()
-    motion_equations: np.ndarray = _indices()
-    motion_unknowns: np.ndarray = _indices()
-    shared_is_multiplier: np.ndarray = _mask()
+    equations: np.ndarray = field(default_factory=_no_indices)
+    start_tied: np.ndarray = field(default_factory=_no_indices)
+    start_shared: np.ndarray = field(default_factory=_no_indices)
+    end_tied: np.ndarray = field(default_factory=_no_indices)
+    end_shared: np.ndarray = field(default_factory=_no_indices)
+    start_rows: np.ndarray = field(default_factory=_no_indices)
+    start_columns: np.ndarray = field(default_factory=_no_indices)
+    end_rows: np.ndarray = field(default_factory=_no_indices)
+    end_columns: np.ndarray = field(default_factory=_no_indices)
+    slacks: np.ndarray = field(default_factory=_no_indices)
+    slack_multipliers: np.ndarray = field(default_factory=_no_indices)
+    motion_equations: np.ndarray = field(default_factory=_no_indices)
+    motion_unknowns: np.ndarray = field(default_factory=_no_indices)
+    shared_is_multiplier: np.ndarray = field(default_factory=_no_mask)
     inner_times: int = 0
     inner_first: int = 0
-    inner_unknowns: np.ndarray = _indices()
-    inner_present: np.ndarray = _mask()
-    inner_lacks: np.ndarray = _indices()
-    phase_lacks: np.ndarray = _mask()
-    switch_lacks: np.ndarray = _mask()
+    inner_unknowns: np.ndarray = field(default_factory=_no_indices)
+    inner_present: np.ndarray = field(default_factory=_no_mask)
+    inner_lacks: np.ndarray = field(default_factory=_no_indices)
+    phase_lacks: np.ndarray = field(default_factory=_no_mask)
+    switch_lacks: np.ndarray = field(default_factory=_no_mask)
     tabled: int = 0
     sample: int = 0
     first_sample: int = 0
-    coupling_rows: np.ndarray = _indices()
-    coupling_indices: np.ndarray = _indices()
+    coupling_rows: np.ndarray = field(default_factory=_no_indices)
+    coupling_indices: np.ndarray = field(default_factory=_no_indices)
 
     @cached_property
     def element(self):

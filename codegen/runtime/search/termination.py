@@ -8,16 +8,16 @@ from codegen.runtime.search.grid import least_duration, multiplier_unknowns, pri
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.point import evaluate
 
-GROWTH = 1e3  # an unknown has run away when it is so many times as large as its guess, or as one
-FALL = 0.5  # part of the first cost by which the cost has fallen where an unknown has run away with it
-HELD = 1e-6  # residuals above it, in parts of the largest unknown, are no equations that hold as it runs away
-HUGE = 1e6  # multipliers above it belong to equations that depend on each other
-VIOLATED = 1e-6  # residuals above it are no rounding
-HOLDS = 1e-9  # residuals below it are no reason to call equations contradictory
+GROWTH = 1e3  # an unknown diverges if it exceeds this multiple of max(1, |guess|)
+FALL = 0.5  # least fall of the cost, relative to the first one, if an unknown diverges
+HELD = 1e-6  # largest residual, relative to the largest unknown, if an unknown diverges
+HUGE = 1e6  # larger multipliers belong to dependent equations
+VIOLATED = 1e-6  # larger residuals are not rounding errors
+HOLDS = 1e-9  # equations with smaller residuals hold
 
 
 def final_status(grid, guess, point, status):
-    """The status that a solver gave, or a better one.
+    """Return the status of a solver, or a more precise one.
 
     Where unknowns grow and the cost falls, or a duration is not positive, the problem is unbounded. Where the equations
     hold, a solver that cannot go on has not found them infeasible, but dependent on each other. Where they do not hold
@@ -41,27 +41,27 @@ def final_status(grid, guess, point, status):
 
 
 def unscaled_unknowns(grid, unknowns):
-    """Unknowns in the problem's own units."""
+    """Return unknowns in the problem's own units."""
     return unknowns * grid.sizes if grid.sizes.size else unknowns
 
 
 def is_finite_matrix(grid, unknowns):
-    """Whether all second derivatives are finite."""
+    """Return True if all second derivatives are finite."""
     return all(np.isfinite(entries(grid, unknowns)[2]).all() for entries in (hessian, jacobian))
 
 
 def is_overdetermined(grid):
-    """Whether there are more equations than unknowns; they may still agree with each other."""
+    """Return True if there are more equations than unknowns; they may still agree with each other."""
     return multiplier_unknowns(grid).size > primal_unknowns(grid).size
 
 
 def largest_multiplier(grid, point):
-    """The largest modulus of a multiplier."""
+    """Return the largest modulus of a multiplier."""
     return np.abs(point.unknowns[grid.is_multiplier]).max(initial=0.0)
 
 
 def diverging_unknowns(grid, guess, point, is_stationary):
-    """Boolean mask of unknowns that have grown beyond reason, and that go on growing.
+    """Return a mask of the unknowns that diverge: they are large, and go on growing.
 
     At a stationary point only those are looked at that no node owns, such as a free duration: the cost may fall for
     ever as it grows, ever more slowly, and then Newton's step does not tend to zero relative to the unknown.
@@ -85,7 +85,7 @@ def diverging_unknowns(grid, guess, point, is_stationary):
 
 
 def newton_step(grid, point):
-    """Newton's step from a point, with what lies on its bounds held fast; infinite where there is none."""
+    """Return Newton's step with unknowns at their bounds held fixed; infinite if the inertia is wrong."""
     system, step, shift = allocate_system(grid), np.empty_like(point.unknowns), np.zeros(point.unknowns.size)
     shift[at_bounds(grid, point.unknowns) & ~grid.is_multiplier] = 1e12
     if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient, step) != 0:

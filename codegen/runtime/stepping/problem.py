@@ -88,7 +88,7 @@ class StepProblem:
         return tuple(map(int, outcome))
 
     def kernels(self):
-        """The kernels that a solution calls."""
+        """Return the kernels that a solution calls."""
         every = (
             self.all_steps, self.jacobian, self.explicit, self.predict, self.residual if self.is_constant else None,
             self.complete, self.equations, self.inputs, self.energy,

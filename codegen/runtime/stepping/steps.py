@@ -6,10 +6,10 @@ Implicit steps are solved by Newton's method, whose first correction is exact wh
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, njit  # type: ignore[attr-defined]
+from numba import carray, njit
 
-from codegen.runtime.addresses import ahead, integers_at, reals_at
-from codegen.runtime.kernels import ONLY_COMPILED, call, call_value, data_of
+from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
+from codegen.runtime.kernels import ONLY_COMPILED
 from codegen.runtime.lu import factor_matrix, solve_factored
 
 NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # why a step fails
