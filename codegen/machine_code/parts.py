@@ -121,13 +121,10 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)
     yield linear_system.multiply_entries, (REALS, INTEGERS, INTEGERS, int64, INTEGERS, REALS, REALS, boolean)
     yield linear_system.call_hessians, (int64, REALS, *grid, INTEGERS, REALS)
-    yield linear_system.inaccuracy, (REALS, REALS, REALS, MASK)
     yield parts.fill, (int64, REALS, *grid, REALS)
-    yield descent.relaxation, (float64, float64)
     yield iterates.has_multipliers, (REALS, MASK)
     if problem.variable_bounds is not None:
         yield iterates.push_inside, (REALS, REALS, REALS, INTEGERS, float64)
-        yield iterates.largest_slope, (REALS, MASK, INTEGERS, REALS, REALS, REALS)
         yield exact_bounds.clip, (REALS, REALS, REALS, INTEGERS)
         yield cascade.fill_active, (REALS, REALS, INTEGERS, REALS, REALS, REALS, float64, float64, REALS, REALS)
     if problem.data is not None:
