@@ -664,7 +664,6 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
                     problem, grid, system, x, residual, stationarity, is_costless, vectors
                 )  # fmt: skip
                 converged = at_rest and (m == 0 or highest <= tolerance)
-            reals[LAST_ERROR] = error
         if not error < np.inf:
             status = NON_FINITE
         elif converged:
@@ -693,6 +692,7 @@ def descend(problem, grid, system, bounds, tolerance, limit, most, reals, intege
             status = INFEASIBLE
         if status != CONTINUE or iteration >= limit or done >= most:
             break
+        reals[LAST_ERROR] = error  # not before: the next call begins with this iterate again
         # The barrier's weight, and bounds relaxed less with it.
         if m > 0:
             new = mu
