@@ -142,7 +142,8 @@ def test_a_search_begins_once(interpreted):
 @pytest.mark.parametrize("name", ["bouncing_ball", "two_stage_rocket"])
 def test_scaling_factors_and_iterates_do_not_depend_on_what_memory_held(interpreted, monkeypatch, name):
     """Durations and conditions between phases have second derivatives that no loop fills."""
-    module, own, empty = interpreted(name), [], np.empty
+    module, empty = interpreted(name), np.empty
+    own = [module.solve()]  # compiled code is loaded before functions of numpy are exchanged
 
     def filled_with(value):
         def allocated(*arguments, **named):
@@ -157,4 +158,5 @@ def test_scaling_factors_and_iterates_do_not_depend_on_what_memory_held(interpre
             patch.setattr(np, "empty", filled_with(value))
             own.append(module.solve())
     assert own[0].status == "solved"
-    np.testing.assert_array_equal(own[0].log, own[1].log)
+    for other in own[1:]:
+        np.testing.assert_array_equal(other.log, own[0].log)
