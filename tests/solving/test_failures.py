@@ -21,6 +21,7 @@ from codegen.errors import BoundaryError
 from codegen.interfaces import time_grid
 from codegen.naming import Choices
 from codegen.runtime.search.bounds import prescribed_beyond
+from codegen.runtime.search.solve import has_run_away
 from codegen.solutions.notes import notes
 from codegen.solutions.result import STATUSES
 
@@ -265,5 +266,5 @@ def test_rounding_of_unknowns_that_ran_away_is_no_solution(tmp_path):
     module = module_of(tmp_path, HEAD + "".join(f"    {line}\n" for line in IMPOSSIBLE["push"].splitlines()))
     grid = time_grid(module, 6)
     guess = module.initial_guess(grid)
-    assert not module.has_run_away(grid, guess, guess + 1.0)
-    assert module.has_run_away(grid, guess, guess + 1e9)
+    assert not has_run_away(grid, guess, guess + 1.0)
+    assert has_run_away(grid, guess, guess + 1e9)

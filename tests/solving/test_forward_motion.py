@@ -85,7 +85,7 @@ def test_the_motion_obeys_the_equations(scheme):
 def test_a_search_that_takes_long_begins_anew_at_a_motion(monkeypatch):
     """On 100 intervals it takes 169 iterations for 1142; here the first search may take ten."""
     module = of_problem(tuberculosis(20))
-    monkeypatch.setattr(module, "SLOW", 10)
+    monkeypatch.setattr(solve, "SLOW", 10)
     result = module.solve()
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(5152.0731, rel=2e-3)
@@ -96,8 +96,8 @@ def test_a_search_that_takes_long_begins_anew_at_a_motion(monkeypatch):
 def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
     """From its beginning, and as far as it would have gone without the attempt: iterates are the same."""
     module = of_problem(vaccination(1.0))
-    monkeypatch.setattr(module, "forward_motion", lambda grid, unknowns: None)
-    monkeypatch.setattr(module, "SLOW", 3000)
+    monkeypatch.setattr(solve, "forward_motion", lambda grid, unknowns: None)
+    monkeypatch.setattr(solve, "SLOW", 3000)
     own = module.solve(20)
     monkeypatch.setattr(solve, "SLOW", 3)
     result = module.solve(20)
@@ -137,4 +137,5 @@ def test_what_ends_prescribe_leaves_it_out(ends):
     start = {x: 0, v: 0} if ends.get("start", True) else {x: 0}
     end = {x: 1} if ends.get("end") else {}
     problem = Control(dynamics={x: v, v: u - v**3}, cost=u**2 + x**2, duration=1, start=start, end=end, steps=10)
-    assert not hasattr(of_problem(problem), "forward_motion")
+    assert not of_problem(problem).problem.structure.forward
+    assert of_problem(explosion()).problem.structure.forward

@@ -9,6 +9,7 @@ from sympy import cos, sin
 
 from codegen import Control, control, coordinates, solving, states
 from codegen.errors import ArgumentError
+from codegen.runtime.search import solve
 from codegen.runtime.search.grid import free_unknowns
 from codegen.solving.multistart import varied
 
@@ -46,7 +47,7 @@ def test_best_of_several_guesses(hoop):
 
 
 def test_where_no_guess_is_solved_the_first_failure_counts(hoop, monkeypatch):
-    monkeypatch.setattr(hoop, "minimise", lambda grid, unknowns, *rest: ("stalled", hoop.evaluate(grid, unknowns), 0))
+    monkeypatch.setattr(solve, "minimise", lambda grid, unknowns, *rest: ("stalled", hoop.evaluate(grid, unknowns), 0))
     result = solving.solve(hoop, guesses=3)
     assert result.status == "stalled"
     assert result.summary["guesses_solved"] == 0

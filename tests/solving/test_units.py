@@ -8,7 +8,7 @@ from gallery_units import GALLERY, UNITS, cost_factor, text_in_units
 from interpreted import without_compilation
 
 from codegen.runtime.search import solve
-from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.scaling import digits_of, quantities_of, rounded, scaled_grid
 
 OTHER_UNITS = [
     ("low_thrust", {"length_unit": 1e-6}),
@@ -63,17 +63,18 @@ def test_the_weight_of_a_cost_does_not_depend_on_the_number_of_intervals(interpr
 def test_sizes_are_rounded_as_a_whole(interpreted):
     """To powers of a million where that makes all ordinary numbers, to powers of a thousand where it does not."""
     module = interpreted("brachistochrone")
-    size = np.where(np.arange(module.KINDS) % 2, 0.04, 700.0)
+    quantities = quantities_of(module.problem)
+    size = np.where(np.arange(quantities.stated.size) % 2, 0.04, 700.0)
     for unit in (1e-6, 1.0, 1e6, 1e12):
         for digits, thousand in ((6.0, 1.0), (3.0, 1e3)):
-            assert module.digits_of(unit * size) == digits
-            assert module.rounded(unit * 0.04, digits, False) == pytest.approx(unit)
-            assert module.rounded(unit * 700.0, digits, False) == pytest.approx(unit * thousand)
+            assert digits_of(quantities, unit * size) == digits
+            assert rounded(unit * 0.04, digits, False) == pytest.approx(unit)
+            assert rounded(unit * 700.0, digits, False) == pytest.approx(unit * thousand)
             size[0] = 2e3
         for value, expected in ((0.08, 1.0), (24.0, 1.0), (40.0, 100.0), (2e3, 100.0), (4e3, 1e4)):
-            assert module.rounded(unit * value, 3.0, True) == pytest.approx(unit * expected)
+            assert rounded(unit * value, 3.0, True) == pytest.approx(unit * expected)
         size[0] = 700.0
-    assert module.rounded(0.0, 3.0, True) == module.rounded(np.inf, 6.0, False) == 1.0
+    assert rounded(0.0, 3.0, True) == rounded(np.inf, 6.0, False) == 1.0
 
 
 def test_iterates_are_logged_in_the_problem_s_own_units():
@@ -136,3 +137,26 @@ def test_a_search_begins_once(interpreted):
     assert solution.scaled.sizes.size > 0
     assert all(row[4] > 0.0 for row in solution.log[1:]), "a search began anew"
     assert solution.cost == pytest.approx(148.0813, rel=1e-6)  # IPOPT 3.14, which relaxes bounds: 148.0813028
+
+
+@pytest.mark.parametrize("name", ["bouncing_ball", "two_stage_rocket"])
+def test_scaling_factors_and_iterates_do_not_depend_on_what_memory_held(interpreted, monkeypatch, name):
+    """Durations and conditions between phases have second derivatives that no loop fills."""
+    module, empty = interpreted(name), np.empty
+    own = [module.solve()]  # compiled code is loaded before functions of numpy are exchanged
+
+    def filled_with(value):
+        def allocated(*arguments, **named):
+            array = empty(*arguments, **named)
+            array.fill(value)
+            return array
+
+        return allocated
+
+    for value in (0, 10**30):
+        with monkeypatch.context() as patch:
+            patch.setattr(np, "empty", filled_with(value))
+            own.append(module.solve())
+    assert own[0].status == "solved"
+    for other in own[1:]:
+        np.testing.assert_array_equal(other.log, own[0].log)

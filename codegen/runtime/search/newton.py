@@ -88,7 +88,11 @@ def run(search, tolerance, max_iterations, log):
     # The row of an iterate from which the next call goes on is written again by that call.
     is_over = status != CONTINUE or int(work.integers[descent.ITERATIONS]) >= max_iterations
     log.extend(search, work.log[: count + 1 if is_over else count])
-    return status, "time limit" if log.is_late() else ""
+    if not log.is_late():
+        return status, ""
+    if not is_over:
+        log.extend(search, work.log[count : count + 1])
+    return status, "time limit"
 
 
 def load(search, iterate):

@@ -158,7 +158,7 @@ def with_scaling_factors(grid, point):
 
 def second_derivatives(grid, unknowns):
     """Return all second derivatives, in the order of `hessian_loop`."""
-    entries = np.empty(grid.problem.structure.entry_count(grid.steps))
+    entries = np.zeros(grid.problem.structure.entry_count(grid.steps))  # loops leave out a root matrix without terms
     loop = grid.problem.hessians.address
     fill(loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, entries)
     return entries
