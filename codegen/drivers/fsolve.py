@@ -44,7 +44,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         )
     problem = ScaledProblem.on_grid(module, run)
     problem.require_at_most(LIMIT, "fsolve")
-    count = problem.primal.size
+    count, equation_count = problem.program.primal.size, problem.program.dual.size
 
     def equations(y: Vector) -> Vector:
         x, nu = y[:count], y[count:]
@@ -53,9 +53,9 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     def kkt_matrix(y: Vector) -> Matrix:
         jacobian = problem.jacobian(y[:count]).toarray()
         hessian = problem.hessian(y[:count], y[count:]).toarray()
-        return np.block([[hessian, jacobian.T], [jacobian, np.zeros((problem.dual.size, problem.dual.size))]])
+        return np.block([[hessian, jacobian.T], [jacobian, np.zeros((equation_count, equation_count))]])
 
-    start = np.concatenate([problem.start, np.zeros(problem.dual.size)])
+    start = np.concatenate([problem.program.x0, np.zeros(equation_count)])
     with quiet_single_thread():
         y, details, code, reason = fsolve(equations, start, fprime=kkt_matrix, full_output=True, xtol=1e-13)
     evaluations = int(details["nfev"])

@@ -23,7 +23,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
     problem = ScaledProblem.on_grid(module, run)
     problem.require_at_most(LIMIT, "slsqp")
-    start = problem.start
+    start = problem.program.x0
     equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}
     # SLSQP compares changes of the cost with ftol itself.
     ftol = 1e-12 * max(1.0, abs(problem.cost(start)))

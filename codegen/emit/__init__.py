@@ -62,9 +62,8 @@ def render(module: Module, origin: Origin) -> str:
 
 
 _PUBLIC = (
-    "constraints", "cost", "cost_gradient", "evaluate", "hessian", "initial_guess", "jacobian", "make_grid",
-    "metadata", "multiplier_unknowns", "primal_unknowns", "problem", "solve", "stationarity", "unpack", "views",
-    "with_pinned_values",
+    "evaluate", "initial_guess", "make_grid", "metadata", "multiplier_unknowns", "nlp", "primal_unknowns", "problem",
+    "solve", "unpack", "views", "with_pinned_values",
 )  # fmt: skip
 """Names for users of a module that solves an optimal control problem."""
 
@@ -79,8 +78,9 @@ _OF_PAIRS = (
 )  # fmt: skip
 _IMPORTED = {
     "control.py.j2": (
-        "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.callbacks",
-        "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses", *_OF_KERNELS,
+        "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.nlp",
+        "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses",
+        *_OF_KERNELS,
     ),
     "simulate.py.j2": ("kernels", "stepping.problem", "stepping.steps", "stepping.motion", *_OF_KERNELS),
     "connect.py.j2": (
