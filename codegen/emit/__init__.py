@@ -145,6 +145,13 @@ def is_whole(text: str) -> bool:
     return found is not None and _digest(text.replace(found[1], "", 1)) == found[1]
 
 
+def signed(text: str) -> str:
+    """A text that was changed, with the digest of all the rest in place of the one that it had."""
+    found = _IDENTITY.search(text)
+    assert found is not None, "a generated text holds its digest"
+    return text.replace(found[1], _digest(text.replace(found[1], "", 1)), 1)
+
+
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
