@@ -92,6 +92,16 @@ def program_on_grid(module: ControlModule, run: Run) -> NonlinearProgram:
     return module.nlp(run.steps, grid=run.grid, guess=run.guess)
 
 
+def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
+    """Refuse problems that would take a dense solver minutes and gigabytes."""
+    size = program.primal.size + program.dual.size
+    if size > limit:
+        raise ArgumentError(
+            f"driver {driver} uses dense matrices, and {program.grid.steps} steps make {size} unknowns and equations",
+            f"take fewer steps (at most {limit} unknowns and equations), or use newton or trust-constr",
+        )
+
+
 @dataclass(frozen=True)
 class ScaledProblem:
     """Minimise f J(x) such that r_i c_i(x) = 0, for optimisers that do not scale by themselves."""
@@ -202,13 +212,3 @@ class ScaledProblem:
         if not np.isfinite(nu).all():
             nu = np.linalg.lstsq(jacobian.T.toarray(), -gradient, rcond=None)[0]
         return np.asarray(nu, dtype=float)
-
-    def require_at_most(self, limit: int, driver: str) -> None:
-        """Refuse problems that would take a dense solver minutes and gigabytes."""
-        size = self.program.primal.size + self.program.dual.size
-        if size > limit:
-            raise ArgumentError(
-                f"driver {driver} uses dense matrices, and {self.program.grid.steps} steps make {size} unknowns and"
-                " equations",
-                f"take fewer steps (at most {limit} unknowns and equations), or use newton or trust-constr",
-            )

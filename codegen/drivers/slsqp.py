@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen.drivers.particles import minimised
-from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread, require_small
 from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 
@@ -22,7 +22,7 @@ _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank
 def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
     problem = ScaledProblem.on_grid(module, run)
-    problem.require_at_most(LIMIT, "slsqp")
+    require_small(problem.program, LIMIT, "slsqp")
     start = problem.program.x0
     equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}
     # SLSQP compares changes of the cost with ftol itself.

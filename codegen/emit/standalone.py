@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import resources
@@ -113,7 +114,7 @@ class File:
     def __init__(self, name: str, text: str) -> None:
         self.name, self.lines = name, text.splitlines()
         self.tree = ast.parse(text)
-        self.summary = (ast.get_docstring(self.tree) or "").partition("\n")[0]
+        self.summary = " ".join((ast.get_docstring(self.tree) or "").partition("\n\n")[0].split())
         self.blocks: list[Block] = []
         self.bound: dict[str, Target] = {}
         for node in self.tree.body:
@@ -255,7 +256,7 @@ class _Names(ast.NodeVisitor):
             self.imported.append(_bindings(node))
             self.block.dropped += range(node.lineno, (node.end_lineno or 0) + 1)
 
-    def _inside(self, names: set[str], nodes: list[ast.AST] | list[ast.stmt]) -> None:
+    def _inside(self, names: set[str], nodes: Sequence[ast.AST]) -> None:
         self.scopes.append(names)
         for node in nodes:
             self.visit(node)
@@ -305,18 +306,22 @@ def bundle(text: str) -> str:
     for name in order:
         file = files[name]
         kept = [block for block in file.blocks if any((name, n) in wanted for n in block.names)]
-        title = f"# ---- {name.removeprefix(RUNTIME + '.').replace('.', '/')}.py: {file.summary}"
-        parts.append("\n".join(textwrap.wrap(title, 120, subsequent_indent="# ", break_long_words=False)))
-        before: Block | None = None
-        for block in kept:
-            is_plain = block.names and before is not None and _is_assignment(file, before, block)
-            parts.append(("" if is_plain else "\n\n") + _rewritten(file, block, names))
-            before = block
+        parts.append(_title(name, file))
+        for before, block in zip([None, *kept], kept, strict=False):
+            is_close = before is not None and _are_assignments(file, before, block)
+            parts.append(("" if is_close else "\n" if before is None else "\n\n") + _rewritten(file, block, names))
         parts.append("\n")
-    return signed(_assembled(module, "\n".join(parts).rstrip(), names, [module, *(files[name] for name in order)], wanted))
+    used = [module, *(files[name] for name in order)]
+    return signed(_assembled(module, "\n".join(parts).rstrip(), names, _imports(used, wanted)))
 
 
-def _is_assignment(file: File, *blocks: Block) -> bool:
+def _title(name: str, file: File) -> str:
+    """Comments with the name of a file and the first paragraph of its description."""
+    lines = textwrap.wrap(file.summary, 118, initial_indent="# ", subsequent_indent="# ")
+    return "\n".join([f"# ---- {name.removeprefix(RUNTIME + '.').replace('.', '/')}.py ----", "#", *lines])
+
+
+def _are_assignments(file: File, *blocks: Block) -> bool:
     """Whether all blocks are assignments, which need no empty lines between them."""
     return all(isinstance(file.statement(block), (ast.Assign, ast.AnnAssign)) for block in blocks)
 
@@ -356,7 +361,7 @@ def _shape_of(text: str) -> tuple[int, ...]:
     return shape
 
 
-def _reached(module: File, file_of: Mapping[str, File] | object) -> set[tuple[str, str]]:
+def _reached(module: File, file_of: Callable[[str], File]) -> set[tuple[str, str]]:
     """Files and names of all definitions that a module uses, directly or not."""
     wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
     waiting += [target for target in module.bound.values() if not target.external and target.file]
@@ -364,7 +369,7 @@ def _reached(module: File, file_of: Mapping[str, File] | object) -> set[tuple[st
         target = waiting.pop()
         if target.external or not target.file or (target.file, target.name) in wanted:
             continue
-        file = file_of(target.file)  # type: ignore[operator]
+        file = file_of(target.file)
         assert file.bound.get(target.name) == target, f"{target.file} does not define {target.name}"
         for block in file.blocks:
             if target.name in block.names:
@@ -432,11 +437,9 @@ def _assembled(
     module: File,
     numerics: str,
     names: Mapping[tuple[str, str], str],
-    files: list[File],
-    wanted: set[tuple[str, str]],
+    imports: str,
 ) -> str:
     """The header, all imports, the numerics, and the rest of the module."""
-    imports = _imports(files, wanted)
     first = next(node for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
     header = "\n".join(module.lines[: first.lineno - 1]).rstrip()
     comments, quotes, docstring = header.partition('\n"""')
@@ -444,7 +447,8 @@ def _assembled(
     last = max(node.end_lineno or 0 for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
     rest = Block(last + 1, len(module.lines), (), [r for block in module.blocks for r in block.references])
     own = _rewritten(module, rest, names).strip("\n")
-    body = f"{comments}\n{_HEADER.rstrip()}{quotes}{docstring}\n\n{imports}\n\n{numerics}\n\n\n# ---- The problem ----\n\n{own}\n"
+    header = f"{comments}\n{_HEADER.rstrip()}{quotes}{docstring}\n\n{imports}\n\n"
+    body = f"{header}{numerics}\n\n\n# ---- The problem ----\n\n{own}\n"
     body = re.sub(r"`codegen\.runtime\.[\w.]*?(\w+)`", r"`\1`", body)
     return re.sub(r"\n{4,}", "\n\n\n", body)
 
@@ -467,5 +471,9 @@ def _imports(files: list[File], wanted: set[tuple[str, str]]) -> str:
                     of_packages.setdefault(target.file, set()).add(target.external)
                 else:
                     plain.add(target.external)
-    lines = [f"from {package} import {', '.join(sorted(of_packages[package]))}" for package in sorted(of_packages)]
-    return "\n".join([*sorted(plain), *lines])
+    lines = {f"from {package} import {', '.join(sorted(names))}": package for package, names in of_packages.items()}
+    lines |= {line: line.split()[1] for line in plain}
+    order = sorted(lines, key=lambda line: (line.startswith("from"), line))
+    is_standard = {line: lines[line].partition(".")[0] in sys.stdlib_module_names for line in order}
+    standard = [line for line in order if is_standard[line]]
+    return "\n".join([*standard, "", *(line for line in order if not is_standard[line])])
