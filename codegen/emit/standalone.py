@@ -114,6 +114,9 @@ class File:
     def __init__(self, name: str, text: str) -> None:
         self.name, self.lines = name, text.splitlines()
         self.tree = ast.parse(text)
+        nodes = list(ast.walk(self.tree))
+        self.identifiers = {n.id for n in nodes if isinstance(n, ast.Name)}
+        self.identifiers |= {n.arg for n in nodes if isinstance(n, ast.arg)}
         self.summary = " ".join((ast.get_docstring(self.tree) or "").partition("\n\n")[0].split())
         self.blocks: list[Block] = []
         self.bound: dict[str, Target] = {}
@@ -197,25 +200,26 @@ class _Names(ast.NodeVisitor):
             self._add(node, *_place_of_name(node, self.file.lines), node.name)
 
     def _add(self, node: ast.AST, line: int, start: int, end: int, name: str) -> None:
-        if any(name in scope for scope in self.scopes):
-            return
-        target = next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
+        target = self._target(name)
         if target is not None:
             self.block.references.append(Reference(line, start, end, target))
+
+    def _target(self, name: str) -> Target | None:
+        """What a name stands for, or None for a local one and one of Python's own."""
+        if any(name in scope for scope in self.scopes):
+            return None
+        return next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
 
     def visit_Name(self, node: ast.Name) -> None:
         self._add(node, node.lineno, node.col_offset, node.end_col_offset or 0, node.id)
 
     def visit_Attribute(self, node: ast.Attribute) -> None:
-        inner = node.value
-        if isinstance(inner, ast.Name) and not any(inner.id in scope for scope in self.scopes):
-            target = self.file.bound.get(inner.id)
-            if target is not None and not target.name and not target.external:  # a name in another file
-                reached = Target(target.file, node.attr)
-                place = node.lineno, node.col_offset, node.end_col_offset or 0
-                self.block.references.append(Reference(*place, reached))
-                return
-        self.generic_visit(node)
+        target = self._target(node.value.id) if isinstance(node.value, ast.Name) else None
+        if target is None or target.name:
+            self.generic_visit(node)
+        else:  # a name in another file
+            place = node.lineno, node.col_offset, node.end_col_offset or 0
+            self.block.references.append(Reference(*place, Target(target.file, node.attr)))
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
         arguments = node.args
@@ -401,9 +405,10 @@ def _new_names(
 ) -> dict[tuple[str, str], str]:
     """The name of each definition in the standalone text: its own, unless another one has it already."""
     names = {(t.file, t.name): name for name, t in module.bound.items() if t.file and not t.external and t.name}
-    taken = {name for name, target in module.bound.items()}
+    taken, identifiers = set(module.bound), set[str]()
     for file in (module, *(files[name] for name in order)):
         taken |= {name for name, target in file.bound.items() if target.external}
+        identifiers |= file.identifiers
     for name in order:
         for own in (n for block in files[name].blocks for n in block.names if (name, n) in wanted):
             if (name, own) in names:
@@ -411,7 +416,9 @@ def _new_names(
             new, stem = own, name.rpartition(".")[2]
             if new in taken:
                 new = f"_{stem}{own}" if own.startswith("_") else f"{stem}_{own}"
-            assert new not in taken, f"{name} and another file define {new}"
+                assert new not in taken | identifiers, (
+                    f"{new} means something else already, in place of {own} of {name}"
+                )
             names[name, own] = new
             taken.add(new)
     return names
