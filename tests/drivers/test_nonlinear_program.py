@@ -11,7 +11,9 @@ from control_variants import ANTIPHASE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
+from scipy.sparse import coo_array
 
+from codegen.drivers.ipopt import _Callbacks
 from codegen.drivers.scaled import quiet_single_thread
 
 PENDULUM = 4.546929903  # an independent program, N = 10; 4.530760981 in the limit
@@ -159,3 +161,17 @@ def test_sparse_matrices_need_scipy(interpreted, monkeypatch):
     assert np.isfinite(program.cost(program.x0))
     with pytest.raises(ImportError, match="need scipy: pip install scipy"):
         program.jacobian(program.x0)
+
+
+def test_ipopt_is_told_the_lower_triangle_and_both_patterns(program):
+    callbacks = _Callbacks(program)
+    x, multipliers, n = program.x0, np.ones(program.dual.size), program.x0.size
+    with np.errstate(all="ignore"):
+        lower = coo_array(
+            (callbacks.hessian(x, multipliers, 0.5), callbacks.hessianstructure()), shape=(n, n)
+        ).toarray()
+        whole = program.hessian(x, multipliers, 0.5).toarray()
+        np.testing.assert_array_equal(lower, np.tril(whole))
+        jacobian = coo_array((callbacks.jacobian(x), callbacks.jacobianstructure()), shape=(multipliers.size, n))
+        np.testing.assert_array_equal(jacobian.toarray(), program.jacobian(x).toarray())
+    assert callbacks.objective(x) == program.cost(x)
