@@ -62,6 +62,29 @@ class Unpacked(NamedTuple):
     multipliers: Matrix
 
 
+class NonlinearProgram(Protocol):
+    """Minimise a cost such that constraints are zero and unknowns within bounds: see `codegen.runtime.search.nlp`."""
+
+    grid: Grid
+    guess: Vector
+    primal: Indices
+    dual: Indices
+    x0: Vector
+    bounds: tuple[Vector, Vector]
+    constraint_bounds: tuple[Vector, Vector]
+    names: tuple[str, ...]
+
+    cost: Callable[[Vector], float]
+    gradient: Callable[[Vector], Vector]
+    constraints: Callable[[Vector], Vector]
+    stationarity: Callable[[Vector, Vector], Vector]
+    jacobian: Callable[[Vector], Any]
+    hessian: Callable[..., Any]
+    unknowns: Callable[..., Vector]
+    evaluate: Callable[..., Any]
+    unpack: Callable[..., Any]
+
+
 class ControlModule(Protocol):
     """The public functions of a generated module that solves an optimal-control problem.
 
@@ -77,14 +100,9 @@ class ControlModule(Protocol):
     make_grid: Callable[..., Grid]
     initial_guess: Callable[[Grid], Vector]
     with_pinned_values: Callable[[Grid, Vector], Vector]
+    nlp: Callable[..., NonlinearProgram]
     primal_unknowns: Callable[[Grid], Indices]
     multiplier_unknowns: Callable[[Grid], Indices]
-    cost: Callable[[Grid, Vector], float]
-    cost_gradient: Callable[[Grid, Vector], Vector]
-    constraints: Callable[[Grid, Vector], Vector]
-    jacobian: Callable[[Grid, Vector], Entries]
-    hessian: Callable[[Grid, Vector], Entries]
-    stationarity: Callable[[Grid, Vector], Vector]
     evaluate: Callable[[Grid, Vector], Any]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]

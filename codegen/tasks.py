@@ -83,8 +83,7 @@ TASKS = {
             "control",
             "optimisation",
             "warm doublings accuracy guesses tables observations sensitivities",
-            "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
-            "constraints jacobian hessian stationarity evaluate unpack",
+            "solve make_grid nlp initial_guess with_pinned_values primal_unknowns multiplier_unknowns evaluate unpack",
         ),
         _task(
             "connect",

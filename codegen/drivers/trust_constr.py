@@ -32,7 +32,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             0.0,
             jac=problem.jacobian,
             # scipy wants the equations' share alone.
-            hess=lambda x, nu: problem.hessian(x, nu) - problem.hessian(x),
+            hess=lambda x, nu: problem.hessian(x, nu, 0.0),
         )
         found = minimize(
             problem.cost,

@@ -62,9 +62,8 @@ def render(module: Module, origin: Origin) -> str:
 
 
 _PUBLIC = (
-    "constraints", "cost", "cost_gradient", "evaluate", "hessian", "initial_guess", "jacobian", "make_grid",
-    "metadata", "multiplier_unknowns", "primal_unknowns", "problem", "solve", "stationarity", "unpack", "views",
-    "with_pinned_values",
+    "evaluate", "initial_guess", "make_grid", "metadata", "multiplier_unknowns", "nlp", "primal_unknowns", "problem",
+    "solve", "unpack", "views", "with_pinned_values",
 )  # fmt: skip
 """Names for users of a module that solves an optimal control problem."""
 
@@ -79,7 +78,7 @@ _OF_PAIRS = (
 )  # fmt: skip
 _IMPORTED = {
     "control.py.j2": (
-        "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.callbacks",
+        "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.nlp",
         "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses",
         *_OF_KERNELS,
     ),
@@ -144,6 +143,13 @@ def is_whole(text: str) -> bool:
     """Whether a text is still as it was rendered: the name in it is the digest of all the rest."""
     found = _IDENTITY.search(text)
     return found is not None and _digest(text.replace(found[1], "", 1)) == found[1]
+
+
+def signed(text: str) -> str:
+    """A text that was changed, with the digest of all the rest in place of the one that it had."""
+    found = _IDENTITY.search(text)
+    assert found is not None, "a generated text holds its digest"
+    return text.replace(found[1], _digest(text.replace(found[1], "", 1)), 1)
 
 
 def _digest(text: str) -> str:

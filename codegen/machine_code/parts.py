@@ -220,11 +220,9 @@ def connect_small(module: Any) -> None:
 
 def control_touched(module: Any, steps: int) -> None:
     """Call the functions of optimisers at the first guess."""
-    grid = module.make_grid(steps)
-    unknowns = module.initial_guess(grid)
-    functions = module.cost, module.cost_gradient, module.constraints, module.jacobian, module.hessian
-    for evaluate in (*functions, module.stationarity):
-        evaluate(grid, unknowns)
+    program = module.nlp(steps)
+    for evaluate in (program.cost, program.gradient, program.constraints, program.jacobian, program.hessian):
+        evaluate(program.x0)
 
 
 def simulate_touched(module: Any, _steps: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.runtime.search import callbacks
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import worst_row
@@ -75,7 +76,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
     elif status != "solved" and not attempt.generated and not attempt.is_explained:
         # Optimisers of others number the rows; the module has names for them.
         message += f"; {worst_row(grid, module.evaluate(grid, unknowns))}"
-    cost = _cost(module, scaled, conditions.point) if status == "solved" else float(module.cost(grid, unknowns))
+    cost = _cost(module, scaled, conditions.point) if status == "solved" else float(callbacks.cost(grid, unknowns))
     return Verdict(status, message, cost, residual, stationarity)
 
 
@@ -177,7 +178,7 @@ def _is_accurate(
     unknowns, weight, grid = attempt.unknowns, scaled.weight, plain_grid(scaled)
     sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
-    steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
+    steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * callbacks.cost_gradient(grid, unknowns))
     scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
     # Multipliers without limit would forgive any slope. Linear-quadratic problems, which know no sizes, have no limit.
     if not grid.problem.structure.linear_quadratic and stationarity > STEEP * max(1.0, steepest):
@@ -196,7 +197,7 @@ def _mean_multiplier(module: ControlModule, scaled: Grid, unknowns: Vector, size
     grid = plain_grid(scaled)
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     below, above = bound_distances(module, scaled, unknowns)
-    slopes = weight * sizes[primal] * np.abs(module.stationarity(grid, unknowns))
+    slopes = weight * sizes[primal] * np.abs(callbacks.stationarity(grid, unknowns))
     bounded = np.isfinite(below) | np.isfinite(above)
     total = np.abs(unknowns[multipliers] / sizes[multipliers]).sum() + slopes[bounded].sum()
     return float(total / max(1, multipliers.size + bounded.sum()))
@@ -284,7 +285,7 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights
         sums = np.bincount(rows, np.abs(values) * x[columns], minlength=size)
         return np.asarray(np.where(terms >= max(grid.steps, MANY_TERMS), np.sqrt(terms), 1.0) * sums, dtype=float)
 
-    jacobian, hessian = module.jacobian(grid, unknowns), module.hessian(grid, unknowns)
+    jacobian, hessian = callbacks.jacobian(grid, unknowns), callbacks.hessian(grid, unknowns)
     equations = row_sums(jacobian, primal, dual.size)
     optimality = row_sums(hessian, primal, primal.size) + row_sums(jacobian, dual, primal.size, transposed=True)
     return float(np.finfo(float).eps) * max(
@@ -300,7 +301,7 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
     indices = np.arange(unknowns.size)
     at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
     equations = at_end[module.multiplier_unknowns(grid)]
-    return max(max_norm(_misses(module, grid, unknowns)), max_norm(module.constraints(grid, unknowns)[equations]))
+    return max(max_norm(_misses(module, grid, unknowns)), max_norm(callbacks.constraints(grid, unknowns)[equations]))
 
 
 def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, float]:

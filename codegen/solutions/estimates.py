@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import Grid, Matrix, Vector
+from codegen.runtime.search import callbacks
 from codegen.solutions.fit import Fit
 
 CONFIDENCE = 0.95
@@ -158,9 +159,9 @@ def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_],
 
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     size, equations = primal.size, dual.size
-    rows, columns, values = module.hessian(grid, unknowns)
+    rows, columns, values = callbacks.hessian(grid, unknowns)
     hessian = sparse.csc_matrix((values, (rows, columns)), shape=(size, size))
-    rows, columns, values = module.jacobian(grid, unknowns)
+    rows, columns, values = callbacks.jacobian(grid, unknowns)
     jacobian = sparse.csc_matrix((values, (rows, columns)), shape=(equations, size))
     whole = sparse.bmat([[hessian, jacobian.T], [jacobian, None]], format="csc")
     is_free = np.isin(primal, free)

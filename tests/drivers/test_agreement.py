@@ -45,7 +45,7 @@ BOUNDED = (
 ).split()
 
 ELSEWHERE = {
-    ("hovercraft", "fsolve"),  # stalls
+    ("hovercraft", "fsolve"),  # stalls on six intervals, and on ten
     ("hovercraft", "slsqp"),  # another local optimum
     *(("n_link_pendulum", driver) for driver in ("fsolve", "slsqp", "trust-constr")),  # another optimum
     *(("acrobot", driver) for driver in ("slsqp", "trust-constr")),  # which of two optima is found depends on rounding

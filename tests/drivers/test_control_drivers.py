@@ -163,8 +163,9 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
 def test_scaled_derivatives_against_differences(orbital_transfer):
     problem = ScaledProblem.on_grid(orbital_transfer, Run(5))
     generator = np.random.default_rng(1)
-    x = problem.start + 0.1 * generator.standard_normal(problem.start.size)
-    nu = generator.standard_normal(problem.dual.size)
+    start = problem.program.x0
+    x = start + 0.1 * generator.standard_normal(start.size)
+    nu = generator.standard_normal(problem.program.dual.size)
     step = 1e-6 * generator.standard_normal(x.size)
 
     def lagrangian(y):

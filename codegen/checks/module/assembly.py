@@ -24,6 +24,7 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps, other_symbols
 from codegen.expressions import checks as expressions
 from codegen.model import Model
+from codegen.runtime.search import callbacks
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.couplings import shared_symbols
@@ -176,9 +177,9 @@ def _kkt_matrix(module: Any, grid: Any, unknowns: Vector) -> Vector:
     """The dense KKT matrix from the module's Jacobian and Hessian; zero in what is given."""
     matrix = np.zeros((unknowns.size, unknowns.size))
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    rows, columns, values = module.hessian(grid, unknowns)
+    rows, columns, values = callbacks.hessian(grid, unknowns)
     np.add.at(matrix, (primal[rows], primal[columns]), values)
-    rows, columns, values = module.jacobian(grid, unknowns)
+    rows, columns, values = callbacks.jacobian(grid, unknowns)
     np.add.at(matrix, (dual[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], dual[rows]), values)
     return matrix

@@ -87,7 +87,12 @@ def body_of(name):
         first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
         between = "\n\n" if isinstance(node, ast.FunctionDef) else ""
         kept.append(between + "\n".join(lines[first - 1 : node.end_lineno]))
-    return re.sub(r"\(shape\)", "()", re.sub(r"\bshape,\s+", "", "\n".join(kept)))
+    return without_shape("\n".join(kept))
+
+
+def without_shape(text):
+    """Return the text of functions without their arguments `shape`."""
+    return re.sub(r"\(shape\)", "()", re.sub(r"\bshape,\s+", "", text))
 
 
 @lru_cache(maxsize=256)
