@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, config, float64, int64, njit, types  # type: ignore[attr-defined]
+from numba import carray, cfunc, config, float64, int64, njit, types
 
 from codegen.loading import load
 from codegen.machine_code.parts import Part, parts_of
