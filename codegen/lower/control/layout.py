@@ -95,7 +95,7 @@ def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple
     }  # fmt: skip
     named = [name for name in named if name not in _FLAGS] + [name for name, there in others.items() if there]
     fields = [(_FIELDS.get(name, name.lower()), name) for name in named]
-    return (*fields, *((name, "True" if flag else "False") for name, flag in flags.items()))
+    return (*fields, *((name, "True") for name, flag in flags.items() if flag))
 
 
 _FLAGS = ("BACKWARD", "BORDERED", "CARRIED", "CURVED", "START_COUNT", "END_COUNT", "LINKING")

@@ -85,7 +85,7 @@ class Structure:
     couplings: int = 0
     phases: int = 0
     backward: bool = False
-    bordered: bool = True
+    bordered: bool = False
     carried: bool = False
     constant: bool = False
     inequalities: bool = False
