@@ -78,22 +78,15 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=Non
     is added to the diagonal of the whole matrix. Where it was factored, `step` (n,), if given, is Newton's: the
     solution of KKT matrix . step = -gradient. Everything is scaled where the grid is.
     """
-    right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
-    excess = factor_system(
-        grid, unknowns, system, weight, diagonal, right, NONE if step is None else step, step is not None
-    )
-    return None if excess == SINGULAR else excess
-
-
-def factor_system(grid, unknowns, system, weight, diagonal, right, step, is_wanted):
-    """Fill the second derivatives, factor, and solve if that `is_wanted`; return the excess of negative pivots."""
     steps, h, nodes, _, parameters, _, sizes, *_ = grid
     factors = system.scaled if weight == 1.0 else system.costless
-    return factor_at(
+    right = unknowns if gradient is None else gradient  # not read without a step
+    excess = factor_at(
         system.loop, system.address, unknowns, sizes, np.empty(sizes.size), factors, steps, h, nodes, parameters,
         system.tables, system.entries, right, diagonal, system.equations, system.factors, system.orders,
-        system.inverses, system.counts, step, is_wanted,
+        system.inverses, system.counts, NONE if step is None else step, step is not None,
     )  # fmt: skip
+    return None if excess == SINGULAR else excess
 
 
 def is_factored(excess):
