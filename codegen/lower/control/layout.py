@@ -90,7 +90,6 @@ def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple
         "PHASES": bool(program.phases), "PHASE_LACKS": bool(program.phases), "SWITCH_LACKS": bool(program.phases),
         **dict.fromkeys(("INNER_TIMES", "INNER_FIRST", "INNER_UNKNOWNS", "INNER_PRESENT"), bool(program.inner.times)),
         "INNER_LACKS": bool(program.inner.lacking),
-        **dict.fromkeys(("COUPLING_ROWS", "COUPLING_INDICES"), bool(program.couplings)),
         **dict.fromkeys(("SAMPLE", "FIRST_SAMPLE"), bool(program.sample)),
     }  # fmt: skip
     named = [name for name in named if name not in _FLAGS] + [name for name, there in others.items() if there]

@@ -63,8 +63,6 @@ class Structure:
         Unknowns that intervals of each phase, and the first after each switch, lack.
     tabled, sample, first_sample : int
         Numbers of tables behind the parameters; numbers of a sample, and the place of the first one.
-    coupling_rows, coupling_indices : array of int
-        Row and linking variables of each term of the conditions.
     inequalities, linear_quadratic, costless, forward : bool
         Features of the problem: bounds; one Newton step suffices; any feasible motion will do; a motion follows from
         the start.
@@ -116,8 +114,6 @@ class Structure:
     tabled: int = 0
     sample: int = 0
     first_sample: int = 0
-    coupling_rows: np.ndarray = field(default_factory=_no_indices)
-    coupling_indices: np.ndarray = field(default_factory=_no_indices)
 
     @cached_property
     def element(self):
