@@ -158,3 +158,11 @@ print(codegen.solve({str(made.path)!r}).status)
         assert done.stdout == "solved\n"
         assert f"damaged machine code is made anew ({file})" in done.stderr
         assert len(file.read_bytes()) > len(whole) // 2
+
+
+def test_a_solve_without_numba_names_the_variable_that_switches_it_off(tmp_path):
+    command = [sys.executable, "-m", "codegen", "solve", str(PROBLEM)]
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "CODEGEN_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "unset NUMBA_DISABLE_JIT" in done.stderr
