@@ -12,13 +12,13 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import jinja2
-
 from codegen.emit.specialise import specialise
 from codegen.files import refused, write_text
 from codegen.mangling import renamed, renamed_arguments
 
-if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
+if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy, or jinja2
+    import jinja2
+
     from codegen.lower.module import Module, Origin
 
 
@@ -129,6 +129,8 @@ _OF_NUMBA = ("carray", "njit", "prange")
 @cache
 def _environment() -> jinja2.Environment:
     """Where templates are found; it keeps them translated, which takes longer than filling them in."""
+    import jinja2
+
     return jinja2.Environment(
         loader=jinja2.PackageLoader("codegen.emit"),
         undefined=jinja2.StrictUndefined,

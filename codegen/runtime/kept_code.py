@@ -6,7 +6,10 @@ code therefore says with which files of the runtime, and by which numba, the cod
 """
 
 import hashlib
+import io
 import os
+import pickletools
+import sys
 from collections import Counter
 from contextlib import suppress
 from functools import lru_cache
@@ -18,6 +21,8 @@ from numba import config, njit
 
 STAMP = "codegen-runtime"
 RUNTIME = Path(__file__).parent
+PICKLES = {".nbi": 2, ".nbc": 1}
+"""How many pickles stand in an index of numba, and in a file of machine code."""
 
 
 class Statistics(NamedTuple):
@@ -40,7 +45,7 @@ def statistics_of(function, compiled):
 def fresh_folder(file):
     """Return the folder in which numba keeps machine code of a file, None if numba is switched off.
 
-    Machine code in it that was made with another runtime is removed.
+    Machine code in it that was made with another runtime, or was cut off, is removed.
     """
     folder = code_folder(file)
     if folder is None:
@@ -50,12 +55,28 @@ def fresh_folder(file):
         is_fresh = stamp.read_text(encoding="ascii") == fingerprint()
     except (OSError, UnicodeDecodeError):
         is_fresh = False
+    remove_cut_off(folder)
     if not is_fresh:
         for index in Path(folder).glob("*.nbi"):
             index.unlink(missing_ok=True)  # another process may be quicker
         with suppress(OSError):  # on a full disk machine code is not kept either
             stamp.write_text(fingerprint(), encoding="ascii")
     return folder
+
+
+def remove_cut_off(folder):
+    """Remove files of machine code in a folder that were cut off, which numba would fail to read, and say so."""
+    for suffix, pickles in PICKLES.items():
+        for file in Path(folder).glob(f"*{suffix}"):
+            with suppress(FileNotFoundError):  # another process may be quicker
+                stream = io.BytesIO(file.read_bytes())
+                try:
+                    for _ in range(pickles):
+                        for _ in pickletools.genops(stream):
+                            pass
+                except ValueError:
+                    file.unlink(missing_ok=True)
+                    print(f"codegen: note: damaged machine code is made anew ({file})", file=sys.stderr)
 
 
 @lru_cache

@@ -1,6 +1,7 @@
 """Machine code that a first solve does not have to wait for, and that is not older than the runtime."""
 
 import os
+import pickle
 import subprocess
 import sys
 from contextlib import nullcontext
@@ -122,11 +123,11 @@ def test_no_machine_code_is_left_that_was_made_with_another_runtime(tmp_path, ru
         return index.exists()
 
     is_left_after_another_look()
-    index.write_text("machine code")
+    index.write_bytes(2 * pickle.dumps("machine code"))
     assert is_left_after_another_look()
     (tmp_path / "runtime" / "numerics.py").write_text("x = 2\n")
     assert not is_left_after_another_look()
-    index.write_text("machine code")
+    index.write_bytes(2 * pickle.dumps("machine code"))
     assert is_left_after_another_look()
     os.utime(tmp_path / "runtime" / "numerics.py", (0, 0))  # an older file in place of a newer one
     assert not is_left_after_another_look()
@@ -139,3 +140,29 @@ def test_folders_that_cannot_be_written_to_are_no_reason_to_fail(tmp_path, runti
     (tmp_path / "__pycache__").mkdir()
     (tmp_path / "__pycache__" / kept_code.STAMP).mkdir()  # no file can be written in its place
     assert kept_code.fresh_folder(str(file)) == str(tmp_path / "__pycache__")
+
+
+def test_machine_code_that_was_cut_off_is_made_anew(tmp_path):
+    """In every file of a module, and of an index; it is said where it was."""
+    made = build(PROBLEM, out=tmp_path)
+    ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)
+    program = f"""
+import codegen
+print(codegen.solve({str(made.path)!r}).status)
+"""
+    files = [next((tmp_path / "__pycache__").glob(f"*.energy-*{suffix}")) for suffix in (".nbi", ".nbc")]
+    for file in files:
+        whole = file.read_bytes()
+        file.write_bytes(whole[: len(whole) // 2])
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        assert done.stdout == "solved\n"
+        assert f"damaged machine code is made anew ({file})" in done.stderr
+        assert len(file.read_bytes()) > len(whole) // 2
+
+
+def test_a_solve_without_numba_names_the_variable_that_switches_it_off(tmp_path):
+    command = [sys.executable, "-m", "codegen", "solve", str(PROBLEM)]
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "CODEGEN_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "unset NUMBA_DISABLE_JIT" in done.stderr
