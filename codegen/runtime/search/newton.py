@@ -18,6 +18,8 @@ from codegen.runtime.search.restoration import restore
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 WORK_PER_CALL = 5_000_000  # unknowns times iterations between looks at the clock: a fraction of a second
 FILTERED = 1e-4  # part of the first violation up to which the switching condition asks for descent
+BETWEEN_MARKS = 300  # iterations after which a search has to have made progress
+HALVED, UNCHANGED = 0.5, 1e-3  # part of error or violation that progress leaves at most; least relative change of cost
 
 
 def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
@@ -42,8 +44,9 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
         reals[descent.KNOWN], integers[descent.HAS_KNOWN] = known, 1
     work.pairs[0], integers[descent.PAIRS] = (attempt.funnel * first, -np.inf), 1
     load(search, iterate)
+    marked, until = reals[[descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]], BETWEEN_MARKS
     while True:
-        status, watched = run(search, tolerance, max_iterations, log)
+        status, watched = run(search, tolerance, max_iterations, log, until)
         iterations = int(integers[descent.ITERATIONS])
         if status == RESTORE:
             iterate = stored(search)
@@ -64,18 +67,30 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
         if status == CONTINUE and iterations < max_iterations:
             if watched == "time limit":
                 return watched, stored(search), iterations
+            if iterations >= until:
+                before, until = marked, iterations + BETWEEN_MARKS
+                marked = reals[[descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]]
+                if is_stagnant(before, marked):
+                    return "stalled", stored(search), iterations
             continue
         return WORDS[status], stored(search), iterations
 
 
-def run(search, tolerance, max_iterations, log):
-    """Call the compiled search once and log its iterates.
+def is_stagnant(before, now):
+    """Return True if the barrier's weight, cost, violation and error of an iterate are nearly those of many before."""
+    (mu, cost, violation, error), (new_mu, new_cost, new_violation, new_error) = before, now
+    is_same = new_mu == mu and abs(new_cost - cost) <= UNCHANGED * max(1.0, abs(cost))
+    return is_same and new_error > HALVED * error and new_violation > min(HALVED * violation, descent.ROUNDED)
+
+
+def run(search, tolerance, max_iterations, log, until):
+    """Call the compiled search once, up to so many iterations in all at most, and log its iterates.
 
     Return the number of its status, and "time limit" if the time is up, else "".
     """
     grid, work = search.grid, search.work
     before, affordable = int(work.integers[descent.ITERATIONS]), WORK_PER_CALL // max(1, grid.is_multiplier.size)
-    most = log.iterations_per_call(before, work.log.shape[0] - 1, affordable)
+    most = log.iterations_per_call(before, work.log.shape[0] - 1, max(1, min(affordable, until - before)))
     while True:
         status = descent.descend(
             *search.arguments, tolerance, max_iterations, most, work.reals, work.integers, work.vectors, work.barriers,
