@@ -734,7 +734,6 @@ def descend(
             status = INFEASIBLE
         if status != CONTINUE or iteration >= limit or done >= most:
             break
-        reals[LAST_ERROR] = error  # not before: the next call begins with this iterate again
         # The barrier's weight, and bounds relaxed less with it.
         if m > 0:
             new = mu
