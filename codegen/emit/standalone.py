@@ -60,6 +60,33 @@ def system_address(shape):
     """Return the address of the linear system; all grids of this problem have one `shape`."""
     return compiled_system().address
 '''
+_KEPT_CODE = '''"""Machine code that numba keeps beside this file, and makes anew when the file has changed."""
+
+from collections import Counter
+from typing import Any, NamedTuple
+
+from numba import njit
+
+
+class Statistics(NamedTuple):
+    """Where numba keeps machine code of a function, and how often it was read from there or made, by signature."""
+
+    cache_path: str | None
+    cache_hits: Counter[Any]
+    cache_misses: Counter[Any]
+
+
+def statistics_of(function, compiled):
+    """Return the statistics of a function and of what `cfunc` has made of it, or None if it was not compiled."""
+    read, made = Counter(), Counter()
+    if hasattr(compiled, "cache_hits"):
+        (read if compiled.cache_hits else made)[str(compiled.native_name)] += 1
+    return Statistics(njit(cache=True)(function).stats.cache_path, read, made)
+
+
+def fresh_folder(file):
+    """Do nothing: all that becomes part of functions in this file is in this file."""
+'''
 _ANY_SHAPE = '''"""Loops that the interpreter runs use the same linear system as others."""
 
 from codegen.runtime.kkt.specialised import compiled_system
@@ -335,6 +362,8 @@ def _replaced(name: str, text: str) -> str:
     folder, _, stem = name.rpartition(".")
     if name == f"{RUNTIME}.linking":
         return _LINKING
+    if name == f"{RUNTIME}.kept_code":
+        return _KEPT_CODE
     if folder == f"{RUNTIME}.kkt":
         if stem in ("specialised", "any_shape"):
             return _SYSTEM if stem == "specialised" else _ANY_SHAPE

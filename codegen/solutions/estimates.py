@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import Grid, Matrix, Vector
-from codegen.runtime.search import callbacks
 from codegen.solutions.fit import Fit
 
 CONFIDENCE = 0.95
@@ -156,6 +155,8 @@ def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_],
     """The Hessian of the cost by `free` unknowns when all others follow them; None where they do not."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
+
+    from codegen.runtime.search import callbacks  # which imports numba
 
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     size, equations = primal.size, dual.size

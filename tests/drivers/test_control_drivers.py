@@ -17,6 +17,7 @@ from codegen.drivers.newton import control as newton
 from codegen.drivers.quiet import quiet_single_thread
 from codegen.drivers.scaled import ScaledProblem
 from codegen.errors import ArgumentError, NumericsError
+from codegen.runtime.search.nlp import NonlinearProgram
 from codegen.solutions.control import control_result
 from codegen.solutions.result import STATUSES, Run
 
@@ -149,11 +150,11 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
     """Whatever it runs on elsewhere."""
     seen = set()
 
-    def constraints(self, x, original=ScaledProblem.constraints):
+    def constraints(self, x, original=NonlinearProgram.constraints):
         seen.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
         return original(self, x)
 
-    monkeypatch.setattr(ScaledProblem, "constraints", constraints)
+    monkeypatch.setattr(NonlinearProgram, "constraints", constraints)
     with threadpool_limits(2, "blas"):
         assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
         solving.solve(orbital_transfer, name, steps=10)
