@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,11 +100,14 @@ def test_functions_of_modules_are_packed(module, monkeypatch):
     assert (found, config.SLP_VECTORIZE) == ([1], 0)
 
 
-def test_linear_systems_are_packed(tmp_path, monkeypatch):
-    text = "from types import SimpleNamespace\nfrom numba import config\n"
-    text += "system = SimpleNamespace(address=config.SLP_VECTORIZE)\n"
+def test_linear_systems_are_packed(monkeypatch):
+    """What numba is told while a linear system is compiled, and what it is told afterwards."""
+    found = []
     monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
-    monkeypatch.setenv("CODEGEN_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(specialised, "text_of", lambda shape: text)
-    assert specialised.system_address.__wrapped__(Shape(*[0] * 11)) == 1
-    assert config.SLP_VECTORIZE == 0
+    monkeypatch.setattr(specialised, "system_module", lambda shape: SimpleNamespace(system=shape))
+    monkeypatch.setattr(
+        specialised, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape
+    )
+    shape = Shape(*[0] * 11)
+    assert specialised.compiled_system.__wrapped__(shape) is shape
+    assert (found, config.SLP_VECTORIZE) == ([1], 0)
