@@ -37,8 +37,8 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Solve residual = 0 and stationarity = 0 for unknowns and multipliers together.
 
     Finds a stationary point, which need not be a minimum. Equations are not scaled: the method finds scales of the
-    unknowns by itself. Of 60 searches (four problems, 10 to 30 steps) 55 were solved so, and fewer than half with scaled
-    rows.
+    unknowns by itself. Of 60 searches (four problems, 10 to 30 steps) 55 were solved so, and fewer than half
+    by scaled rows.
     """
     if module.metadata["inequalities"]:
         raise ArgumentError(
