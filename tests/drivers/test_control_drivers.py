@@ -12,7 +12,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from codegen import drivers, solving
-from codegen.drivers import scaled
+from codegen.drivers import quiet
 from codegen.drivers.newton import control as newton
 from codegen.drivers.quiet import quiet_single_thread
 from codegen.drivers.scaled import ScaledProblem
@@ -196,7 +196,7 @@ def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(mon
             yield
             threads[0] = before
 
-    monkeypatch.setattr(scaled, "_libraries", Libraries)
+    monkeypatch.setattr(quiet, "_libraries", Libraries)
     filters = list(warnings.filters)
     first, second = quiet_single_thread(), quiet_single_thread()
     first.__enter__()
