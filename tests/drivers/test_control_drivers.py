@@ -224,3 +224,13 @@ def test_iterations_can_be_limited(interpreted, driver):
     module = interpreted("brachistochrone")
     result = solving.solve(module, driver, steps=6, max_iterations=2)
     assert (result.status, result.iterations) == ("iteration limit", 2)
+
+
+@pytest.mark.parametrize("name", ["slsqp", "trust-constr", "fsolve"])
+def test_other_values_of_parameters_reach_every_driver(orbital_transfer, name):
+    given = {"r1": 5.9}
+    reference = solving.solve(orbital_transfer, steps=10, parameters=given)
+    result = solving.solve(orbital_transfer, name, steps=10, parameters=given)
+    assert result.status == "solved", result.message
+    assert result.cost == pytest.approx(reference.cost, rel=1e-8)
+    assert reference.cost == pytest.approx(0.0411138940489, rel=1e-9)  # by SLSQP of version 0.2, to its tolerance
