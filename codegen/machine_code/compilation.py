@@ -26,6 +26,7 @@ from numba import carray, cfunc, config, float64, int64, njit, types
 from codegen.loading import load
 from codegen.machine_code.parts import Part, parts_of
 from codegen.machine_code.processes import COUNT, DONE
+from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folders
 from codegen.runtime.packing import packed_operations
 from codegen.tasks import task_of
 
@@ -35,6 +36,7 @@ def compile_all(module: Any) -> None:
     with np.errstate(all="ignore"), packed_operations():
         for part in parts_of(module):
             part.make()
+            protect(part)
     task_of(module).small(module)
 
 
@@ -136,7 +138,15 @@ def compile_parts(parts: Iterable[Part], count: int) -> None:
     with np.errstate(all="ignore"), packed_operations():
         for part in parts:
             part.make()
+            protect(part)
             os.write(sys.stdout.fileno(), f"{DONE}\n".encode())
+
+
+def protect(part: Part) -> None:
+    """Add checksums to the machine code of the folders that a part may have added to."""
+    folders = [] if part.serves == "problem" else [code_folder(part.function.__code__.co_filename)]
+    for folder in {*folders, *(runtime_folders() if part.serves == "runtime" else [])}:
+        add_checksums(folder)
 
 
 def failed(error: Exception) -> int:

@@ -7,6 +7,7 @@ all problems calls it by an integer, the address, which does not take part in nu
 import ctypes
 import inspect
 from functools import cached_property
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,8 @@ from numba import cfunc, config, njit, types
 
 from codegen.runtime.addresses import REALS
 from codegen.runtime.arguments import with_counts
-from codegen.runtime.kept_code import fresh_folder, statistics_of
+from codegen.runtime.identity import name_by_text
+from codegen.runtime.kept_code import add_checksums, fresh_folder, start_of, statistics_of
 from codegen.runtime.packing import packed_operations
 
 NUMBERS = {
@@ -26,6 +28,11 @@ ONLY_COMPILED: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of functions that only compiled functions call: numba leaves out entries by which Python and C call them."""
 
 
+def problem_of(module):
+    """Return the problem of a generated module, by the name of the module."""
+    return import_module(module).problem
+
+
 class Addressed:
     """A function that is compiled when its address is first asked for.
 
@@ -34,12 +41,29 @@ class Addressed:
 
     def __init__(self, function, is_interpreted=False):
         self.function, self.is_interpreted, self.__doc__ = function, is_interpreted, function.__doc__
+        self.__name__, self.__module__ = function.__name__, function.__module__
+        if not is_interpreted:
+            name_by_text(function)
+
+    def __reduce__(self):
+        """Pickle the function as its name, by which another process finds it."""
+        return self.__name__
 
     @cached_property
     def address(self):
         """The address of the function; `compiled` has to be kept with it."""
         found = self.compiled
         return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+
+    def compiled_as(self, signature, **options):
+        """Return what `cfunc` makes of the function, or reads from the disk."""
+        name = name_by_text(self.function)  # others in its file were defined since
+        folder = fresh_folder(self.function.__code__.co_filename, name)
+        with packed_operations():
+            made = cfunc(signature, cache=True, error_model="numpy", **options)(self.function)
+        if not made.cache_hits:
+            add_checksums(folder, start_of(self.function))
+        return made
 
     @property
     def stats(self):
@@ -58,7 +82,6 @@ class Kernel(Addressed):
 
     def __init__(self, function, is_interpreted=False):
         super().__init__(function, is_interpreted)
-        self.__name__, self.__module__ = function.__name__, function.__module__
         self.names = tuple(inspect.signature(function).parameters)
         self.kinds = [NUMBERS.get(name, REALS) for name in self.names]
 
@@ -68,9 +91,7 @@ class Kernel(Addressed):
         if self.is_interpreted or config.DISABLE_JIT:
             returns = _CTYPES.get(self.returns)
             return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
-        fresh_folder(self.function.__code__.co_filename)
-        with packed_operations():
-            return cfunc(self.returns(*self.kinds), cache=True, error_model="numpy", **self.options)(self.function)
+        return self.compiled_as(self.returns(*self.kinds), **self.options)
 
     @cached_property
     def inlined(self):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.runtime.kernels import Kernel, Value
+from codegen.runtime.kernels import Kernel, Value, problem_of
 from codegen.runtime.particles.steps import Pairs
 from codegen.runtime.particles.tracers import Tracers
 
@@ -77,6 +77,10 @@ class PairProblem:
         """Keep the coefficients of the scheme as one array: substeps (s, 3), or rows and weights (s + 1, s)."""
         table = self.substeps or (*self.rows, self.weights)
         object.__setattr__(self, "coefficients", np.array(table, dtype=float))
+
+    def __reduce__(self):
+        """Pickle the problem as the name of its module, which another process imports."""
+        return problem_of, (self.hamiltonian.__module__,)
 
     @property
     def points(self):

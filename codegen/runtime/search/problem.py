@@ -4,19 +4,16 @@ import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numba import cfunc, config
+from numba import config
 
 from codegen.runtime.addresses import LOOP
-from codegen.runtime.kept_code import fresh_folder
-from codegen.runtime.kernels import Addressed
+from codegen.runtime.kernels import Addressed, problem_of
 from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
 from codegen.runtime.linking import link_inner_functions
-from codegen.runtime.packing import packed_operations
 from codegen.runtime.search.structure import Structure
 
 MOST_KEPT = 4  # searches whose storage is kept, for as many threads
@@ -32,13 +29,11 @@ class Loop(Addressed):
             reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
             kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
             return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
-        fresh_folder(self.function.__code__.co_filename)
         # Functions of the runtime may be called from Python elsewhere.
         space = self.function.__globals__
         own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
         link_inner_functions(own)
-        with packed_operations():
-            return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
+        return self.compiled_as(LOOP)
 
 
 def is_inner(value):
@@ -131,11 +126,6 @@ class Storage:
         """Keep arrays under a key, unless enough are kept."""
         if len(self.kept) < MOST_KEPT:
             self.kept.append((key, arrays))
-
-
-def problem_of(module):
-    """Return the problem of a generated module, by the name of the module."""
-    return import_module(module).problem
 
 
 @dataclass(frozen=True, eq=False)

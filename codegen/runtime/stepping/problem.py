@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.runtime.kernels import Kernel, Value
+from codegen.runtime.kernels import Kernel, Value, problem_of
 from codegen.runtime.stepping.steps import Scheme, follow, memory_for
 
 
@@ -61,6 +61,10 @@ class StepProblem:
     ranges: Any = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
+
+    def __reduce__(self):
+        """Pickle the problem as the name of its module, which another process imports."""
+        return problem_of, (self.energy.__module__,)
 
     @cached_property
     def scheme(self):
