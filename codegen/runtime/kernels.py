@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import cfunc, config, njit, types
 
-from codegen.runtime.addresses import REALS
+from codegen.runtime.addresses import CTYPES, REALS, Reals, callback
 from codegen.runtime.arguments import with_counts
 from codegen.runtime.kept_code import fresh_folder, statistics_of
 from codegen.runtime.packing import packed_operations
@@ -38,8 +38,7 @@ class Addressed:
     @cached_property
     def address(self):
         """The address of the function; `compiled` has to be kept with it."""
-        found = self.compiled
-        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+        return self.compiled.address
 
     @property
     def stats(self):
@@ -66,8 +65,7 @@ class Kernel(Addressed):
     def compiled(self):
         """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
-            returns = _CTYPES.get(self.returns)
-            return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
+            return callback(self.returns(*self.kinds), self._interpreted)
         fresh_folder(self.function.__code__.co_filename)
         with packed_operations():
             return cfunc(self.returns(*self.kinds), cache=True, error_model="numpy", **self.options)(self.function)
@@ -80,8 +78,8 @@ class Kernel(Addressed):
     @cached_property
     def _called(self):
         """The function for calls from Python."""
-        kinds = [ctypes.c_void_p if kind is REALS else _CTYPES[kind] for kind in self.kinds]
-        return ctypes.CFUNCTYPE(_CTYPES.get(self.returns), *kinds)(self.address)
+        kinds = [ctypes.c_void_p if kind is REALS else CTYPES[kind] for kind in self.kinds]
+        return ctypes.CFUNCTYPE(CTYPES[self.returns], *kinds)(self.address)
 
     def __call__(self, *values):
         """Call the function with arrays and numbers; ValueError for an array of other than floating-point numbers."""
@@ -100,15 +98,13 @@ class Kernel(Addressed):
         return result
 
     def _interpreted(self, *values):
-        """Call the function of Python with numbers that divide by zero as those of machine code do.
+        """Call the function of Python.
 
         A function that does not make arrays of its pointers gets arrays, whose length is not known here.
         """
-        makes_arrays = "carray" in self.function.__code__.co_names
-        numbers = (np.float64(value) if isinstance(value, float) else value for value in values)
-        if makes_arrays:
-            return self.function(*numbers)
-        return self.function(*(np.ctypeslib.as_array(v, (LONG,)) if isinstance(v, Reals) else v for v in numbers))
+        if "carray" in self.function.__code__.co_names:
+            return self.function(*values)
+        return self.function(*(np.ctypeslib.as_array(v, (LONG,)) if isinstance(v, Reals) else v for v in values))
 
 
 class Value(Kernel):
@@ -123,16 +119,5 @@ class Contracted(Kernel):
     options: ClassVar[dict[str, Any]] = {"fastmath": {"contract"}}
 
 
-class Reals(ctypes.POINTER(ctypes.c_double)):  # type: ignore[misc]
-    """A pointer to numbers, which the interpreter reads as numbers of numpy's type."""
-
-    _type_ = ctypes.c_double
-
-    def __getitem__(self, index):
-        """Return a number."""
-        return np.float64(super().__getitem__(index))
-
-
 LONG = 1 << 24
 """Entries of an array of which only the beginning is there."""
-_CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals}

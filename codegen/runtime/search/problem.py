@@ -1,6 +1,5 @@
 """What is special about an optimal control problem, as its generated module states it."""
 
-import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -8,9 +7,9 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numba import cfunc, config
+from numba import config
 
-from codegen.runtime.addresses import LOOP
+from codegen.runtime.addresses import LOOP, callback, entry_of
 from codegen.runtime.kept_code import fresh_folder
 from codegen.runtime.kernels import Addressed
 from codegen.runtime.kkt.any_shape import any_shape_address
@@ -29,16 +28,14 @@ class Loop(Addressed):
     def compiled(self):
         """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
-            reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
-            kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
-            return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
+            return callback(LOOP, self.function)
         fresh_folder(self.function.__code__.co_filename)
         # Functions of the runtime may be called from Python elsewhere.
         space = self.function.__globals__
         own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
         link_inner_functions(own)
         with packed_operations():
-            return cfunc(LOOP, cache=True, error_model="numpy")(self.function)
+            return entry_of(LOOP, self.function)
 
 
 def is_inner(value):
@@ -201,7 +198,7 @@ class ControlProblem:
     @cached_property
     def system(self):
         """The address of the linear system of Newton's method; interpreted problems share one for all shapes."""
-        if self.gradient.is_interpreted:
+        if self.gradient.is_interpreted or config.DISABLE_JIT:
             return any_shape_address()
         return system_address(self.structure.shape)
 
