@@ -30,9 +30,7 @@ _SYSTEM = '''"""The linear system of this problem, the numbers of whose shape ar
 
 from functools import lru_cache
 
-from numba import cfunc
-
-from codegen.runtime.addresses import SYSTEM
+from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kkt.system import solve_system
 from codegen.runtime.packing import packed_operations
 
@@ -40,20 +38,19 @@ from codegen.runtime.packing import packed_operations
 @lru_cache(maxsize=1)
 def compiled_system():
     """Return the compiled function, which has the address."""
-    with packed_operations():
 
-        @cfunc(SYSTEM, cache=True, error_model="numpy")
-        def system(
+    def system(
+        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
+    ):  # fmt: skip
+        """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+        return solve_system(
             is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
             is_wanted,
-        ):  # fmt: skip
-            """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
-            return solve_system(
-                is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
-                is_wanted,
-            )  # fmt: skip
+        )  # fmt: skip
 
-    return system
+    with packed_operations():
+        return entry_of(SYSTEM, system)
 
 
 def system_address(shape):

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import cfunc, config, njit, types
 
-from codegen.runtime.addresses import REALS
+from codegen.runtime.addresses import CTYPES, REALS, Reals, callback
 from codegen.runtime.arguments import with_counts
 from codegen.runtime.identity import name_by_text
 from codegen.runtime.kept_code import add_checksums, fresh_folder, start_of, statistics_of
@@ -52,8 +52,7 @@ class Addressed:
     @cached_property
     def address(self):
         """The address of the function; `compiled` has to be kept with it."""
-        found = self.compiled
-        return found.address if hasattr(found, "address") else ctypes.cast(found, ctypes.c_void_p).value
+        return self.compiled.address
 
     def compiled_as(self, signature, **options):
         """Return what `cfunc` makes of the function, or reads from the disk."""
@@ -89,8 +88,7 @@ class Kernel(Addressed):
     def compiled(self):
         """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
-            returns = _CTYPES.get(self.returns)
-            return ctypes.CFUNCTYPE(returns, *[_CTYPES[kind] for kind in self.kinds])(self._interpreted)
+            return callback(self.returns(*self.kinds), self._interpreted)
         return self.compiled_as(self.returns(*self.kinds), **self.options)
 
     @cached_property
@@ -101,8 +99,8 @@ class Kernel(Addressed):
     @cached_property
     def _called(self):
         """The function for calls from Python."""
-        kinds = [ctypes.c_void_p if kind is REALS else _CTYPES[kind] for kind in self.kinds]
-        return ctypes.CFUNCTYPE(_CTYPES.get(self.returns), *kinds)(self.address)
+        kinds = [ctypes.c_void_p if kind is REALS else CTYPES[kind] for kind in self.kinds]
+        return ctypes.CFUNCTYPE(CTYPES[self.returns], *kinds)(self.address)
 
     def __call__(self, *values):
         """Call the function with arrays and numbers; ValueError for an array of other than floating-point numbers."""
@@ -121,15 +119,13 @@ class Kernel(Addressed):
         return result
 
     def _interpreted(self, *values):
-        """Call the function of Python with numbers that divide by zero as those of machine code do.
+        """Call the function of Python.
 
         A function that does not make arrays of its pointers gets arrays, whose length is not known here.
         """
-        makes_arrays = "carray" in self.function.__code__.co_names
-        numbers = (np.float64(value) if isinstance(value, float) else value for value in values)
-        if makes_arrays:
-            return self.function(*numbers)
-        return self.function(*(np.ctypeslib.as_array(v, (LONG,)) if isinstance(v, Reals) else v for v in numbers))
+        if "carray" in self.function.__code__.co_names:
+            return self.function(*values)
+        return self.function(*(np.ctypeslib.as_array(v, (LONG,)) if isinstance(v, Reals) else v for v in values))
 
 
 class Value(Kernel):
@@ -144,16 +140,5 @@ class Contracted(Kernel):
     options: ClassVar[dict[str, Any]] = {"fastmath": {"contract"}}
 
 
-class Reals(ctypes.POINTER(ctypes.c_double)):  # type: ignore[misc]
-    """A pointer to numbers, which the interpreter reads as numbers of numpy's type."""
-
-    _type_ = ctypes.c_double
-
-    def __getitem__(self, index):
-        """Return a number."""
-        return np.float64(super().__getitem__(index))
-
-
 LONG = 1 << 24
 """Entries of an array of which only the beginning is there."""
-_CTYPES = {types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals}

@@ -9,11 +9,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from numba import config
-
 from codegen.drivers import Driver
 from codegen.drivers.quiet import quiet_single_thread
-from codegen.errors import ModuleError, NumericsError
+from codegen.errors import NumericsError
 from codegen.interfaces import GeneratedModule
 from codegen.loading import machine_code_counts
 from codegen.machine_code.ahead_of_time import unwritable_cache_error
@@ -29,7 +27,6 @@ def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: in
     out: a driver may call functions for the first time.
     """
     task = task_of(module)
-    require_numba(module)
     require_memory(task.numbers(module.metadata, run), run.steps)
     function = driver.function(task.name)
     compiled_before = machine_code_counts(module)[0]
@@ -57,12 +54,6 @@ def _get_ready(module: GeneratedModule, driver: Driver, task: Task, steps: int) 
     if machine_code_counts(module) == (0, 0):
         with quiet_single_thread():
             task.small(module)
-
-
-def require_numba(module: Any) -> None:
-    """Refuse a module that imports the runtime if numba is switched off: the runtime calls functions by address."""
-    if config.DISABLE_JIT and type(module.problem).__module__.startswith("codegen.runtime."):  # type: ignore[attr-defined]
-        raise ModuleError("numba is switched off, and modules call compiled functions", "unset NUMBA_DISABLE_JIT")
 
 
 def require_memory(numbers: int, steps: int) -> None:

@@ -6,9 +6,7 @@ and small, as in tests, that is quicker.
 
 from functools import lru_cache
 
-from numba import cfunc
-
-from codegen.runtime.addresses import SYSTEM
+from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.system import solve_system
 from codegen.runtime.kkt.tables import SHAPE, place_of
@@ -18,7 +16,6 @@ from codegen.runtime.kkt.tables import SHAPE, place_of
 def compiled_system():
     """Return the compiled function, which has the address."""
 
-    @cfunc(SYSTEM, cache=True, error_model="numpy")
     def system(
         is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
         is_wanted,
@@ -34,7 +31,7 @@ def compiled_system():
             step, is_wanted,
         )  # fmt: skip
 
-    return system
+    return entry_of(SYSTEM, system)
 
 
 def any_shape_address():

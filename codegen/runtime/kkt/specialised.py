@@ -14,9 +14,7 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-from numba import cfunc
-
-from codegen.runtime.addresses import SYSTEM
+from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kept_code import fingerprint, fresh_folder
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.packing import packed_operations
@@ -131,7 +129,7 @@ def digest_of(text):
 def compiled_system(shape):
     """Return the compiled linear system of a shape, which has the address."""
     with packed_operations():
-        return cfunc(SYSTEM, cache=True, error_model="numpy")(system_module(shape).system)
+        return entry_of(SYSTEM, system_module(shape).system)
 
 
 def system_address(shape):

@@ -1,6 +1,5 @@
 """What is special about an optimal control problem, as its generated module states it."""
 
-import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import config
 
-from codegen.runtime.addresses import LOOP
+from codegen.runtime.addresses import LOOP, callback
 from codegen.runtime.kernels import Addressed, problem_of
 from codegen.runtime.kkt.any_shape import any_shape_address
 from codegen.runtime.kkt.specialised import system_address
@@ -26,9 +25,7 @@ class Loop(Addressed):
     def compiled(self):
         """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
-            reals, integer = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
-            kinds = reals, integer, ctypes.c_double, reals, reals, integer, reals
-            return ctypes.CFUNCTYPE(ctypes.c_double, *kinds)(self.function)
+            return callback(LOOP, self.function)
         # Functions of the runtime may be called from Python elsewhere.
         space = self.function.__globals__
         own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
@@ -191,7 +188,7 @@ class ControlProblem:
     @cached_property
     def system(self):
         """The address of the linear system of Newton's method; interpreted problems share one for all shapes."""
-        if self.gradient.is_interpreted:
+        if self.gradient.is_interpreted or config.DISABLE_JIT:
             return any_shape_address()
         return system_address(self.structure.shape)
 
