@@ -124,7 +124,7 @@ def test_texts_know_whether_they_are_whole(box):
         assert not emit.is_whole(other)
 
 
-@pytest.mark.parametrize(("kind", "size"), [("build", 0), ("build", 30_000), ("solve", 10_000)])
+@pytest.mark.parametrize(("kind", "size"), [("build", 0), ("build", 15_000), ("solve", 10_000)])
 def test_files_that_may_not_grow(box, size, kind):
     for path in [*box.cached_texts(), *box.machine_code()]:
         path.unlink()
