@@ -8,6 +8,7 @@ Where numba is switched off by NUMBA_DISABLE_JIT, the same names are functions o
 """
 
 import ctypes
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -36,7 +37,7 @@ class Reals(ctypes.POINTER(ctypes.c_double)):  # type: ignore[misc]
         return np.float64(super().__getitem__(index))
 
 
-CTYPES = {
+CTYPES: dict[Any, Any] = {
     types.void: None, types.float64: ctypes.c_double, types.int64: ctypes.c_int64, REALS: Reals,
     INTEGERS: ctypes.POINTER(ctypes.c_int64),
 }  # fmt: skip
