@@ -1,5 +1,6 @@
 """Machine code that a first solve does not have to wait for, and that is not older than the runtime."""
 
+import json
 import os
 import pickle
 import subprocess
@@ -160,9 +161,23 @@ print(codegen.solve({str(made.path)!r}).status)
         assert len(file.read_bytes()) > len(whole) // 2
 
 
-def test_a_solve_without_numba_names_the_variable_that_switches_it_off(tmp_path):
-    command = [sys.executable, "-m", "codegen", "solve", str(PROBLEM)]
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "CODEGEN_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "unset NUMBA_DISABLE_JIT" in done.stderr
+@pytest.mark.parametrize("bounds", ["", "bounds={u: (-9, 9)},"])
+def test_a_solve_where_numba_is_switched_off_compiles_nothing_and_is_exact(tmp_path, bounds):
+    """The least effort by the midpoint rule on N steps is 12 / (1 - 1 / N**2), with bounds that are not active too."""
+    (tmp_path / "push.py").write_text(f'''"""Push a mass from rest to rest."""
+from codegen import Control, control, states
+
+def problem():
+    x, v = states("x v")
+    u = control("u")
+    return Control(
+        dynamics={{x: v, v: u}}, cost=u**2, duration=1, start={{x: 0, v: 0}}, end={{x: 1, v: 0}}, {bounds}
+    )
+''')
+    command = [sys.executable, "-m", "codegen", "solve", "push.py", "--steps", "4", "--json"]
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "CODEGEN_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=True)
+    solution = json.loads(done.stdout)
+    assert solution["status"] == "solved"
+    assert solution["cost"] == pytest.approx(12.8, rel=1e-9)
+    assert not [file for suffix in ("nbi", "nbc") for file in tmp_path.rglob(f"*.{suffix}")]
