@@ -105,9 +105,7 @@ def test_linear_systems_are_packed(monkeypatch):
     found = []
     monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
     monkeypatch.setattr(specialised, "system_module", lambda shape: SimpleNamespace(system=shape))
-    monkeypatch.setattr(
-        addresses, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape
-    )
+    monkeypatch.setattr(addresses, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape)
     shape = Shape(*[0] * 11)
     assert specialised.compiled_system.__wrapped__(shape) is shape
     assert (found, config.SLP_VECTORIZE) == ([1], 0)
