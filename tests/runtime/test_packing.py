@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import config, njit
 
-from codegen.runtime import kernels
+from codegen.runtime import addresses, kernels
 from codegen.runtime.kkt import specialised
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.packing import packed_operations
@@ -94,7 +94,7 @@ def test_functions_of_modules_are_packed(module, monkeypatch):
         """Nothing."""
 
     monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
-    monkeypatch.setattr(module, "cfunc", noted)
+    monkeypatch.setattr(kernels if module is kernels else addresses, "cfunc", noted)
     made = module.Kernel(fill) if module is kernels else module.Loop(fill)
     assert made.compiled is fill
     assert (found, config.SLP_VECTORIZE) == ([1], 0)
@@ -105,9 +105,7 @@ def test_linear_systems_are_packed(monkeypatch):
     found = []
     monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
     monkeypatch.setattr(specialised, "system_module", lambda shape: SimpleNamespace(system=shape))
-    monkeypatch.setattr(
-        specialised, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape
-    )
+    monkeypatch.setattr(addresses, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape)
     shape = Shape(*[0] * 11)
     assert specialised.compiled_system.__wrapped__(shape) is shape
     assert (found, config.SLP_VECTORIZE) == ([1], 0)
