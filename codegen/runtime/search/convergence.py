@@ -11,7 +11,7 @@ from codegen.runtime.search.linear_system import allocate_system
 def sizes_of_terms(grid, unknowns, system=None):
     """Return the largest sums of absolute terms in an equation, and in a stationarity condition, as `terms`, scaled."""
     problem, data, storage = arguments_of(grid, system or allocate_system(grid))
-    vectors, is_costless = np.empty((descent.VECTORS, unknowns.size)), grid.problem.structure.costless
+    vectors, is_costless = np.empty((descent.VECTORS, unknowns.size)), int(grid.problem.structure.costless)
     return descent.terms(problem, data, storage, unknowns, is_costless, vectors)
 
 
