@@ -1,4 +1,4 @@
-"""Derive, emit and solve discrete mechanics: problems in sympy become self-contained numba solvers."""
+"""Derive, emit and solve discrete mechanics: problems in sympy become numba solvers."""
 
 from __future__ import annotations
 

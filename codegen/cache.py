@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import marshal
 import os
 import re
 import threading
@@ -19,7 +20,6 @@ from codegen.author.data_files import digest_of
 from codegen.author.sources import Source, input_digest, source_of
 from codegen.errors import FileError
 from codegen.naming import Choices, choice_texts, chosen, module_name, versions
-from codegen.runtime.machine_code_cache import remove_partial_bytecode
 
 GENERATED = Path("generated")
 """The folder, below the current one, in which modules are kept that someone wants to read."""
@@ -43,8 +43,22 @@ class Entry:
         target = folder / self.path.name
         written = emit.write(target, self.text)
         with suppress(OSError):  # where it may not be removed, Python may not have written it either
-            remove_partial_bytecode(cache_from_source(target))  # type: ignore[no-untyped-call]
+            _remove_partial_bytecode(Path(cache_from_source(target)))
         return target, written
+
+
+def _remove_partial_bytecode(file: Path) -> None:
+    """Remove the bytecode that Python keeps of a module where it could not be read to its end; there may be none.
+
+    Where the disk is full, Python before 3.13 keeps a part, which would end every later import.
+    """
+    header = 16  # bytes before the code itself
+    try:
+        marshal.loads(file.read_bytes()[header:])
+    except (EOFError, ValueError, TypeError):
+        file.unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
 
 
 _DERIVING = threading.Lock()

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,16 +51,20 @@ def build(
     controls: str = "interval",
     general: bool = False,
     sensitivities: bool = False,
+    standalone: bool = False,
     out: Path | str | None = None,
     time_limit: float = BUILD,
+    deriving: Callable[[], None] = lambda: None,
 ) -> Build:
     """Derive, emit and write the module of a problem file, or of an object, into the folder `out`.
 
     `arguments` are those of problem(), as values or as the text that `--set` takes. With `sensitivities` the module of
-    an optimisation has what derivatives of its solutions by parameters and boundary values need. Without `out` the
+    an optimisation has what derivatives of its solutions by parameters and boundary values need. A `standalone` module
+    is one file with the numerics that it uses, and runs where this package is not installed. Without `out` the
     module stays in the user's cache, unless ./generated already holds the very same text: then that file is used, and
     with it the machine code that numba keeps beside it. A derivation may take `time_limit` seconds of processor time;
-    what takes longer is a SizeError, which names the stage and what is large. Raises a kind of CodegenError when the
+    what takes longer is a SizeError, which names the stage and what is large. `deriving` is called when a derivation
+    begins. Raises a kind of CodegenError when the
     problem or a choice is unusable; then nothing is written.
     """
     begin = time.perf_counter()
@@ -68,7 +73,16 @@ def build(
     for key, value in settings.items():
         if not value.isprintable():
             raise ArgumentError(f"--set {key}={value!r} holds control characters", "leave them out")
-    entry = cache.entry_of(source, settings, choices, lambda: generate(source, settings, choices, time_limit))
+
+    def derived() -> str:
+        deriving()
+        return generate(source, settings, choices, time_limit)
+
+    entry = cache.entry_of(source, settings, choices, derived)
+    if standalone:
+        from codegen.emit.standalone import bundle
+
+        entry = cache.entry_of(source, settings, replace(choices, standalone=True), partial(bundle, entry.text))
     path, written = (entry.as_found(), entry.is_new) if out is None else entry.written_to(Path(out))
     return Build(path, entry.path.stem, time.perf_counter() - begin, not entry.is_new, written)
 

@@ -30,6 +30,7 @@ class Grid(Protocol):
     sizes: Vector
     weight: float
     inner: tuple[int, ...]
+    problem: Any
 
 
 class ControlSolution(Protocol):
@@ -61,41 +62,51 @@ class Unpacked(NamedTuple):
     multipliers: Matrix
 
 
+class NonlinearProgram(Protocol):
+    """Minimise a cost such that constraints are zero and unknowns within bounds: see `codegen.runtime.search.nlp`."""
+
+    grid: Grid
+    guess: Vector
+    primal: Indices
+    dual: Indices
+    x0: Vector
+    bounds: tuple[Vector, Vector]
+    constraint_bounds: tuple[Vector, Vector]
+    names: tuple[str, ...]
+
+    cost: Callable[[Vector], float]
+    gradient: Callable[[Vector], Vector]
+    constraints: Callable[[Vector], Vector]
+    stationarity: Callable[[Vector, Vector], Vector]
+    jacobian: Callable[[Vector], Any]
+    hessian: Callable[..., Any]
+    unknowns: Callable[..., Vector]
+    evaluate: Callable[..., Any]
+    unpack: Callable[..., Any]
+
+
 class ControlModule(Protocol):
     """The public functions of a generated module that solves an optimal-control problem.
 
-    `variable_bounds` and `prescribed_beyond` are there if metadata["inequalities"]; COUPLINGS is the number of
-    conditions between bodies, ROOT that of unknowns that no node owns. Views are of nodes and intervals, bodies first.
+    `variable_bounds` is there if metadata["inequalities"]. `problem` is the ControlProblem that all grids of the module
+    carry; what else there is to ask of a grid, `codegen.runtime.search` answers. Views are of nodes and intervals,
+    bodies first.
     """
 
     metadata: Mapping[str, Any]
+    problem: Any
 
     solve: Callable[..., ControlSolution]
     make_grid: Callable[..., Grid]
     initial_guess: Callable[[Grid], Vector]
     with_pinned_values: Callable[[Grid, Vector], Vector]
+    nlp: Callable[..., NonlinearProgram]
     primal_unknowns: Callable[[Grid], Indices]
     multiplier_unknowns: Callable[[Grid], Indices]
-    cost: Callable[[Grid, Vector], float]
-    cost_gradient: Callable[[Grid, Vector], Vector]
-    constraints: Callable[[Grid, Vector], Vector]
-    jacobian: Callable[[Grid, Vector], Entries]
-    hessian: Callable[[Grid, Vector], Entries]
-    stationarity: Callable[[Grid, Vector], Vector]
     evaluate: Callable[[Grid, Vector], Any]
-    scaled_grid: Callable[[Grid, Vector], Grid]
-    plain_grid: Callable[[Grid], Grid]
-    corrected_cost: Callable[[Grid, Any], float]
-    sizes_of_terms: Callable[[Grid, Vector], tuple[float, float]]
-    worst_row: Callable[[Grid, Any], str]
-    not_finite: Callable[[Grid, Any], str]
     unpack: Callable[[Grid, Vector], Unpacked]
     views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
     variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
-    bounds_of: Callable[[Grid], tuple[Vector, Vector]]
-    prescribed_beyond: Callable[[Grid, Vector], str]
-    COUPLINGS: int
-    ROOT: int
 
 
 class StepGrid(Protocol):
@@ -129,6 +140,7 @@ class SimulateModule(Protocol):
     solve: Callable[..., SimulateSolution]
     make_grid: Callable[..., StepGrid]
     energy: Callable[[Vector, float, Vector], float]
+    step: Callable[[StepGrid, Vector, float], Vector]
     path_residual: Callable[[StepGrid, Matrix], float]
 
 

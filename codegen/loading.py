@@ -35,20 +35,11 @@ def load(path: Path | str) -> GeneratedModule:
     return cast(GeneratedModule, importlib.import_module(_name(path.resolve(), text)))
 
 
-def has_machine_code(path: Path, module: GeneratedModule) -> bool:
-    """Whether numba keeps machine code of a generated module on the disk, wherever it keeps it."""
-    return any(any(Path(folder).glob(f"{path.stem}.*.nbi")) for folder in code_folders(module))
-
-
-def code_folders(module: GeneratedModule) -> set[str]:
-    """Where numba keeps machine code of a generated module."""
-    statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]
-    return {str(entry.cache_path) for entry in statistics if getattr(entry, "cache_path", None)}
-
-
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
-    """How many functions of a module numba has compiled in this process, and how many it has read from disk."""
-    statistics: list[Any] = [getattr(value, "stats", None) for value in vars(module).values()]
+    """Return how many functions of a module and of the runtime numba has compiled in this process, and has read."""
+    runtime = [vars(other) for name, other in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
+    functions = {id(value): value for space in (vars(module), *runtime) for value in list(space.values())}
+    statistics: list[Any] = [getattr(value, "stats", None) for value in functions.values()]
     counted = [entry for entry in statistics if hasattr(entry, "cache_misses")]
     return sum(entry.cache_misses.total() for entry in counted), sum(entry.cache_hits.total() for entry in counted)
 

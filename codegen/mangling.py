@@ -22,24 +22,22 @@ MARK = "\ua78f"
 """A letter, so that marked names are identifiers, which nobody writes."""
 
 _TEMPLATES = {
-    "control": ("head", "identity", "kernel", "control"),
-    "simulate": ("head", "identity", "kernel", "simulate"),
-    "particles": ("head", "identity", "kernel", "pair_loop", "particle_loop", "particles"),
-    "connect": (
-        *("head", "identity", "kernel", "pair_loop", "particle_loop", "connect"),
-        *("gathered_loop", "passive_loop"),
-    ),
+    "control": ("header", "kernel", "control"),
+    "simulate": ("header", "kernel", "simulate"),
+    "particles": ("header", "pair_loop", "particle_loop", "particles"),
+    "connect": ("header", "pair_loop", "particle_loop", "gathered_loop", "passive_loop", "connect"),
 }
 """The templates that make the module of each kind of problem."""
 _IN_KERNELS = {
     "control": "unknowns t h parameters gradient hessian block values slopes curvatures common duration body own "
     "shared_views lower_own upper_own lower_common upper_common NODE START END BODIES PHASES node_times interval_times "
     "with_slacks checked_grid with_inner_times with_tables with_observations",
-    "simulate": "unknowns t h parameters state lengths interval residual jacobian",
+    "simulate": "unknowns t h parameters state lengths interval residual jacobian inputs Kernel Value step_inputs",
 }
 _IN_LOOPS = (
     "z own parameters singles rates gradient hessian products directions margin place fraction start target energy "
-    "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row"
+    "half row_i row_j slope velocity matrix accurate_dot x_minus_log1p log1p_minus_ratio CLOSEST BLOCK factor i j row "
+    "count columns carray Kernel Value Contracted energy"
 )
 """What lowering calls arguments and locals of kernels and loops, and functions of other files that they call."""
 _AT_NODES = re.compile(r"(_k|_k1|_stage\d+)$|^_")

@@ -27,7 +27,8 @@ class Choices:
     """What a user chooses beside the problem: None stands for the default.
 
     `general` forces the form of a module that leaves nothing out, to measure what leaving out saves; no command has it.
-    With `sensitivities` the module makes derivatives of solutions by parameters and boundary values.
+    With `sensitivities` the module makes derivatives of solutions by parameters and boundary values. A `standalone`
+    module holds the numerics that it uses.
     """
 
     scheme: str | None = None
@@ -35,6 +36,7 @@ class Choices:
     controls: str = "interval"
     general: bool = False
     sensitivities: bool = False
+    standalone: bool = False
 
 
 def chosen(
@@ -101,6 +103,8 @@ def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choi
         parts.append("sensitivities")
     if choices.general:
         parts.append("general_form")
+    if choices.standalone:
+        parts.append("standalone")
     parts += [f"{key}_{value}" for key, value in sorted(arguments.items())]
     name = "_".join(parts)
     plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
@@ -125,5 +129,5 @@ def choice_texts(choices: Choices) -> tuple[str, ...]:
     """The choices as a digest takes them; ArgumentError where controls live nowhere."""
     if choices.controls not in ("interval", "nodal", "stages"):
         raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages or nodal")
-    words = [word for word in ("general", "sensitivities") if getattr(choices, word)]
+    words = [word for word in ("general", "sensitivities", "standalone") if getattr(choices, word)]
     return (choices.scheme or "", choices.method or "", choices.controls, *words)

@@ -52,10 +52,6 @@ class Task:
     """(module, name of the driver, run, attempt) -> Result: residuals evaluated anew, false claims taken back."""
     numbers: Home
     """(metadata, run) -> how many floating-point numbers a run keeps."""
-    parts: Home
-    """(module) -> calls that compile, together, what a solution calls, the longest first."""
-    is_whole: bool
-    """Whether those parts are all that a solution calls."""
     touch: Home
     """(module, steps): have machine code ready of what drivers of scipy call."""
     small: Home
@@ -64,7 +60,7 @@ class Task:
     """(module, name of the driver, run, attempt) -> Outline: as `result`, without what is told of it beside."""
 
 
-def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = True) -> Task:
+def _task(name: str, noun: str, options: str, functions: str) -> Task:
     """A row: what the functions are called that parts of the package have for a task."""
     return Task(
         name,
@@ -73,8 +69,6 @@ def _task(name: str, noun: str, options: str, functions: str, is_whole: bool = T
         tuple(functions.split()),
         result=Home(f"solutions.{name}", f"{name}_result"),
         numbers=Home(f"solutions.{name}", "stored_numbers"),
-        parts=Home("machine_code.parts", f"{name}_parts"),
-        is_whole=is_whole,
         touch=Home("machine_code.parts", f"{name}_touched"),
         small=Home("machine_code.parts", f"{name}_small"),
         outline=Home(f"solutions.{name}", f"{name}_outline"),
@@ -89,15 +83,13 @@ TASKS = {
             "control",
             "optimisation",
             "warm doublings accuracy guesses tables observations sensitivities",
-            "solve make_grid initial_guess with_pinned_values primal_unknowns multiplier_unknowns cost cost_gradient "
-            "constraints jacobian hessian stationarity evaluate worst_row not_finite unpack",
+            "solve make_grid nlp initial_guess with_pinned_values primal_unknowns multiplier_unknowns evaluate unpack",
         ),
         _task(
             "connect",
             "particles that are connected",
             "points",
             "solve solve_case make_case residual jacobian path_cost path_errors hamiltonian",
-            is_whole=False,
         ),
     )
 }

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from codegen.cache import cache_folder
 from codegen.interfaces import GeneratedModule
-from codegen.loading import has_machine_code, load
+from codegen.loading import load
+from codegen.machine_code.parts import has_machine_code
 
 
 def compiled(path: Path) -> GeneratedModule:
@@ -20,7 +21,7 @@ def compiled(path: Path) -> GeneratedModule:
     cache_folder().mkdir(parents=True, exist_ok=True)
     with (cache_folder() / f"{path.stem}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not has_machine_code(path, module):
-            command = [sys.executable, "-m", "codegen.machine_code.compilation", "all"]
+        if not has_machine_code(module):
+            command = [sys.executable, "-m", "codegen.machine_code.compilation", "0/1"]
             subprocess.run(command, input=os.fsencode(path.absolute()), check=True, capture_output=True)
     return module

@@ -17,7 +17,6 @@ os.environ.update(
 
 from pathlib import Path
 
-import machine_coded
 import numpy as np
 import pytest
 from compiled_modules import compiled
@@ -57,11 +56,6 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Import no other files of tests where `-m fast` is all that is asked for."""
     is_other = collection_path.suffix == ".py" and collection_path.stem.removeprefix("test_") not in FAST
     return True if is_other and config.option.markexpr == "fast" else None
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Compile nothing where only fast tests are asked for."""
-    machine_coded.Switch.on = config.option.markexpr != "fast"
 
 
 def pytest_collection_finish() -> None:

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.grid import free_unknowns
+
 DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
 from sympy import cos, pi
 from codegen import Control, controls, coordinates, parameters
@@ -50,6 +53,7 @@ def problem() -> Control:
 PUSHED = '''"""A damped pendulum, pushed at a slant, in a forced periodic motion with little effort."""
 from sympy import cos, pi, sin
 from codegen import Control, control, coordinate, time
+from codegen.runtime.search import callbacks
 def problem() -> Control:
     q, v = coordinate("q")
     u, t = control("u"), time()
@@ -81,7 +85,7 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
 
 def trial_point(module: Any, grid: Any, seed: int, scale: float) -> np.ndarray:
     """Unknowns at a random distance from the guess; those that are given, or equal shared ones, keep to that."""
-    free = module.free_unknowns(grid)
+    free = free_unknowns(grid)
     noise = np.random.default_rng(seed).normal(scale=scale, size=free.size)
     return module.with_pinned_values(grid, module.initial_guess(grid) + np.where(free, noise, 0.0))
 
@@ -90,9 +94,9 @@ def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
     """The KKT matrix from the callbacks; rows and columns of what is given are zero."""
     matrix = np.zeros((unknowns.size, unknowns.size))
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    rows, columns, values = module.hessian(grid, unknowns)
+    rows, columns, values = callbacks.hessian(grid, unknowns)
     np.add.at(matrix, (primal[rows], primal[columns]), values)
-    rows, columns, values = module.jacobian(grid, unknowns)
+    rows, columns, values = callbacks.jacobian(grid, unknowns)
     np.add.at(matrix, (multipliers[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], multipliers[rows]), values)
     return matrix
@@ -101,15 +105,15 @@ def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
 def shifts(module: Any, grid: Any, shift: float, delta_c: float) -> np.ndarray:
     """A diagonal to be added to the KKT matrix, for free unknowns only."""
     diagonal = np.where(grid.is_multiplier, -delta_c, shift)
-    return np.where(module.free_unknowns(grid), diagonal, 0.0)
+    return np.where(free_unknowns(grid), diagonal, 0.0)
 
 
 def eliminated_blocks_are_positive(module: Any, grid: Any, matrix: np.ndarray) -> bool:
     """Whether what the module eliminates inside each interval has a positive definite block of the KKT matrix."""
-    chain = grid.steps * module.STRIDE + module.NODE
-    first = module.STRIDE - module.CONDENSED
+    chain = grid.steps * module.problem.structure.stride + module.problem.structure.node
+    first = module.problem.structure.stride - module.problem.structure.condensed
     indices = [
-        body * chain + k * module.STRIDE + first + np.arange(module.CONDENSED)
+        body * chain + k * module.problem.structure.stride + first + np.arange(module.problem.structure.condensed)
         for body in range(module.BODIES)
         for k in range(grid.steps)
     ]

@@ -58,12 +58,13 @@ from codegen.solutions.result import ControlAttempt
 
 def control(module, run):
     problem = ScaledProblem.on_grid(module, run)
-    count = problem.primal.size
+    program = problem.program
+    count = program.primal.size
 
     def equations(y):
         return np.concatenate([problem.stationarity(y[:count], y[count:]), problem.constraints(y[:count])])
 
-    y = np.concatenate([problem.start, np.zeros(problem.dual.size)])
+    y = np.concatenate([program.x0, np.zeros(program.dual.size)])
     if run.max_iterations != 1:
         y = root(equations, y, method="lm", options={"xtol": 1e-15, "ftol": 1e-15}).x
     return ControlAttempt("solved", "it says so", 1, problem.unknowns(y[:count], y[count:]), 1e-8)

@@ -1,6 +1,6 @@
-"""Generated modules run by the Python interpreter, uncompiled: what tests on many variants and few intervals need.
+"""Generated modules whose kernels and loops run by the Python interpreter: for tests on many variants, few intervals.
 
-Only the elimination of dense rows, which is the same text in all of them, is machine code (`machine_coded.py`).
+What is common to all of them is machine code, compiled once: the search, and the linear system of any shape.
 """
 
 import math
@@ -13,31 +13,67 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machine_coded import for_module
+from numba import carray  # noqa: F401  what modules import
 
 from codegen.author.problem import Control, Phases
 from codegen.compiler import build
+from codegen.runtime import kernels
+from codegen.runtime.search import problem
 
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
     """Execute the text of a generated module with numba's decorator replaced by one that does nothing."""
     module = types.ModuleType(name)
     exec(_code(text, name), module.__dict__)
-    module.__dict__.update(for_module(text))
     return module
 
 
 @lru_cache(maxsize=100)
 def _code(text: str, name: str) -> types.CodeType:
     """What is executed anew for each module of the same text, whose translation takes a hundred times as long."""
-    assert text.count("\nfrom numba import ") == 1
-    return compile(text.replace("\nfrom numba import ", "\nfrom interpreted import "), f"<{name}>", "exec")
+    for before, after in _REPLACED.items():
+        text = text.replace(before, after)
+    return compile(text, f"<{name}>", "exec")
 
 
-def as_machine_code(text: str, name: str = "interpreted") -> types.ModuleType:
-    """The same with functions that return NaN and infinity, as in machine code, where Python's raise errors."""
-    assert text.count("import math\n") == 1
-    return without_compilation(text.replace("import math\n", "from interpreted import silent_math as math\n"), name)
+_REPLACED = {
+    "import math\n": "from interpreted import silent_math as math\n",
+    "\nfrom numba import ": "\nfrom interpreted import ",
+    "\nfrom codegen.runtime.kernels import ": "\nfrom interpreted import ",
+    "import ControlProblem, Loop": "import ControlProblem\nfrom interpreted import Loop",
+    "import ControlProblem, DataDerivatives, Loop": (
+        "import ControlProblem, DataDerivatives\nfrom interpreted import Loop"
+    ),
+}
+"""Imports of a generated module, and those in their place."""
+
+
+class Loop(problem.Loop):
+    """A loop that runs by the interpreter, with NaN where Python's numbers raise errors and machine code does not."""
+
+    def __init__(self, function):
+        def quiet(*arguments):
+            with np.errstate(all="ignore"):
+                try:
+                    return function(*arguments)
+                except (ValueError, OverflowError, ZeroDivisionError):
+                    arguments[-1][0] = np.nan
+                    return np.nan
+
+        super().__init__(quiet, is_interpreted=True)
+
+
+def Kernel(function):
+    """A kernel that fills arrays, by the interpreter."""
+    return kernels.Kernel(function, True)
+
+
+def Value(function):
+    """A kernel that returns a number, by the interpreter."""
+    return kernels.Value(function, True)
+
+
+Contracted = Kernel
 
 
 @contextmanager
@@ -45,7 +81,7 @@ def all_uncompiled() -> Iterator[None]:
     """Let all that loads generated modules have them run by the interpreter, and nothing be compiled."""
 
     def loaded(path: Path | str) -> types.ModuleType:
-        module = as_machine_code(Path(path).read_text(encoding="utf-8"), Path(path).stem)
+        module = without_compilation(Path(path).read_text(encoding="utf-8"), Path(path).stem)
         module.__file__ = str(path)  # which solutions are asked for
         return module
 

@@ -30,7 +30,7 @@ if __name__ == "__main__":
     with ProcessPoolExecutor(2, context) as pool:
         found = list(pool.map(module.solve, steps))
     for one, other in zip(alone, found, strict=True):
-        assert type(other) is module.Solution, type(other)
+        assert type(other) is type(one), type(other)
         assert one.status == other.status == "solved"
         assert (one.q == other.q).all() and one.q.shape == other.q.shape
     print("the same")
@@ -98,6 +98,8 @@ def test_solutions_and_grids_are_pickled_copied_and_read_by_another_process(tmp_
     np.testing.assert_array_equal(copy.deepcopy(solution).q, solution.q)
     grid = explicit_pendulum.make_grid(20)
     assert pickle.loads(pickle.dumps(grid)).steps == 20
+    assert pickle.loads(pickle.dumps(grid)).problem is explicit_pendulum.problem
+    assert pickle.loads(pickle.dumps(explicit_pendulum.energy)) is explicit_pendulum.energy
     (tmp_path / "solution.pickle").write_bytes(pickle.dumps(solution))
     words = [sys.executable, "-c", UNPICKLED, "solution.pickle"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
@@ -105,12 +107,33 @@ def test_solutions_and_grids_are_pickled_copied_and_read_by_another_process(tmp_
     assert done.stdout.split() == ["solved", str(solution.q[-1, 0])]
 
 
-def test_a_solution_of_a_module_that_changed_says_so(tmp_path, explicit_pendulum):
+def test_what_a_changed_module_has_pickled(tmp_path, explicit_pendulum):
+    """A motion is numbers alone, which are read whatever became of the module; a grid is of no use without it."""
     path = tmp_path / "pendulum.py"
     text = Path(explicit_pendulum.__file__).read_text()
     path.write_text(text)
-    (tmp_path / "solution.pickle").write_bytes(pickle.dumps(codegen.load(path).solve(5)))
+    module = codegen.load(path)
+    solution = module.solve(5)
+    (tmp_path / "solution.pickle").write_bytes(pickle.dumps(solution))
+    (tmp_path / "grid.pickle").write_bytes(pickle.dumps(module.make_grid(5)))
     path.write_text(text.replace('"steps": 200', '"steps": 300'))
+
+    def unpickled(name):
+        words = [sys.executable, "-c", UNPICKLED, name]
+        return subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+
+    assert unpickled("solution.pickle").stdout.split() == ["solved", str(solution.q[-1, 0])]
+    assert "pendulum.py is not what it was" in unpickled("grid.pickle").stderr
+
+
+def test_a_solution_of_a_control_module_that_changed_says_so(tmp_path, orbital_transfer):
+    """It holds its grid, on which it is gone on with."""
+    path = tmp_path / "orbital_transfer.py"
+    text = Path(orbital_transfer.__file__).read_text()
+    path.write_text(text)
+    solution = codegen.load(path).solve(4, max_iterations=1)
+    (tmp_path / "solution.pickle").write_bytes(pickle.dumps(solution))
+    path.write_text(text.replace("do not edit", "do not edit this"))
     words = [sys.executable, "-c", UNPICKLED, "solution.pickle"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
-    assert "pendulum.py is not what it was" in done.stderr
+    assert "orbital_transfer.py is not what it was" in done.stderr

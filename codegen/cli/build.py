@@ -23,6 +23,9 @@ def build(
     sensitivities: Annotated[
         bool, typer.Option("--sensitivities", help="With what derivatives of solutions need.")
     ] = False,
+    standalone: Annotated[
+        bool, typer.Option("--standalone", help="As one file that needs numpy and numba alone; it is compiled later.")
+    ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the module.")] = Path("generated"),
     no_compile: Annotated[bool, typer.Option("--no-compile", help="Leave compilation to the first solve.")] = False,
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
@@ -30,22 +33,24 @@ def build(
     """Derive and write the module that solves a problem, and compile it."""
     from codegen import compiler
     from codegen.author.problem_file import parse_arguments
+    from codegen.loading import load
     from codegen.machine_code import ahead_of_time
     from codegen.machine_code.processes import compilers
     from codegen.solutions import notes, output
 
     output.require_folder(out, "--out", may_be_made=True)
     begin, arguments = time.perf_counter(), parse_arguments(set_, problem)
-    with nullcontext() if no_compile else compilers() as processes:
+    with nullcontext() if no_compile or standalone else compilers() as processes:
         with working("Deriving"):
             made = compiler.build(
                 problem, arguments, scheme=scheme, method=method, controls=controls.value, out=out,
-                time_limit=time_limit, sensitivities=sensitivities,
+                time_limit=time_limit, sensitivities=sensitivities, standalone=standalone,
+                deriving=(lambda: None) if processes is None else processes.start,
             )  # fmt: skip
+        said: list[str] = []
         if processes is not None:
-            with working("Compiling"):
-                ahead_of_time.prepare(made.path, processes)
-    for line in processes.said if processes is not None else ():
+            said = ahead_of_time.require(made.path, load(made.path), made.written, working, processes)[1]
+    for line in said:
         typer.echo(line, err=True)
     seconds = time.perf_counter() - begin
     state = "written" if made.written else "up to date"

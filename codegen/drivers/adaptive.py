@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.result import ConnectAttempt, Run, max_norm
 
@@ -31,6 +30,8 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
 
     start = np.concatenate([case.start.ravel(), np.ravel(momenta)])
     times = np.linspace(0.0, case.duration, case.steps + 1)
+    from scipy.integrate import solve_ivp  # only now: no other driver needs it
+
     found = solve_ivp(
         field, (0.0, case.duration), start, method=code, t_eval=times, rtol=max(tolerance, 2.3e-14), atol=tolerance
     )

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen.drivers.particles import require_at_most, require_method, verdict
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, Run

@@ -11,10 +11,13 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from scipy.sparse import tril
 
-from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import claim, program_on_grid
 from codegen.errors import ArgumentError
-from codegen.interfaces import ControlModule, Vector
+from codegen.interfaces import ControlModule, Indices, NonlinearProgram, Vector
+from codegen.runtime.search.messages import not_finite
 from codegen.solutions.result import ControlAttempt, Run
 
 TOLERANCE = 1e-8
@@ -53,13 +56,11 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
         raise ArgumentError(
             "driver ipopt needs the package cyipopt", "install variational-codegen[ipopt], or use another driver"
         ) from None
-    problem = ScaledProblem.on_grid(module, run, is_scaled=False)
-    lower, upper = problem.bounds
-    zero = np.zeros(problem.dual.size)
+    program = program_on_grid(module, run)
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
     with quiet_single_thread():
-        callbacks = _Callbacks(problem, run.time_limit)
-        program = cyipopt.Problem(problem.primal.size, problem.dual.size, callbacks, lower, upper, zero, zero)
+        callbacks, limits = _Callbacks(program, run.time_limit), (*program.bounds, *program.constraint_bounds)
+        solver = cyipopt.Problem(program.primal.size, program.dual.size, callbacks, *limits)
         options = {
             "print_level": 0,
             "sb": "yes",
@@ -68,12 +69,12 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             "honor_original_bounds": "yes",
         }
         for name, value in options.items():
-            program.add_option(name, value)
-        x, details = program.solve(problem.start)
+            solver.add_option(name, value)
+        x, details = solver.solve(program.x0)
     code = int(details["status"])
     status = _STATUSES.get(code, "stalled")
-    unknowns = problem.unknowns(x, details["mult_g"])
-    reason = _cause(problem, code, x, callbacks.iterations)
+    unknowns = program.unknowns(x, details["mult_g"])
+    reason = _cause(program, code, x, callbacks.iterations)
     if reason:
         message = f"{status}: {reason}"
         return ControlAttempt(status, message, callbacks.iterations, unknowns, 10 * tolerance, is_explained=True)
@@ -82,17 +83,23 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     return claim("IPOPT", status, callbacks.iterations, unknowns, 10 * tolerance, remedy)
 
 
-def _cause(problem: ScaledProblem, code: int, x: Vector, iterations: int) -> str:
+def _cause(program: NonlinearProgram, code: int, x: Vector, iterations: int) -> str:
     """What was wrong and the remedy, where that is not an equation which does not hold; else nothing."""
     if code == _TOO_FEW_UNKNOWNS:
-        lower, upper = problem.bounds
-        sizes = f"{np.count_nonzero(lower < upper)} unknowns for {problem.dual.size} equations"
+        lower, upper = program.bounds
+        sizes = f"{np.count_nonzero(lower < upper)} unknowns for {program.dual.size} equations"
         return f"IPOPT takes no problem with fewer unknowns than equations, {sizes}; leave out conditions, or {OTHER}"
     if code == _NOT_FINITE:
-        point = problem.module.evaluate(problem.grid, problem.unknowns(x))
+        point = program.evaluate(x)
         where = "at the guess" if not iterations else f"after {iterations} iterations of IPOPT"
-        return f"{problem.module.not_finite(problem.grid, point)} {where}; {NOT_FINITE}"
+        return f"{not_finite(program.grid, point)} {where}; {NOT_FINITE}"
     return ""
+
+
+def _pattern(matrix: Any) -> tuple[Indices, Indices]:
+    """Rows and columns of the entries of a sparse matrix, also of those that are zero."""
+    entries = matrix.tocoo()
+    return entries.row, entries.col
 
 
 class _Callbacks:
@@ -101,41 +108,21 @@ class _Callbacks:
     After `time_limit` seconds IPOPT is told to stop: its own limit is one of the processor's time, before IPOPT 3.14.
     """
 
-    def __init__(self, problem: ScaledProblem, time_limit: float = math.inf) -> None:
-        self.problem, self.iterations, self.late = problem, 0, perf_counter() + time_limit
-        module, grid, base = problem.module, problem.grid, problem.base
-        self.jacobian_pattern = module.jacobian(grid, base)[:2]
-        rows, columns, _ = module.hessian(grid, base)
-        self.is_lower = rows >= columns
-        self.hessian_pattern = rows[self.is_lower], columns[self.is_lower]
-
-    def objective(self, x: Vector) -> float:
-        return self.problem.cost(x)
-
-    def gradient(self, x: Vector) -> Vector:
-        return self.problem.cost_gradient(x)
-
-    def constraints(self, x: Vector) -> Vector:
-        return self.problem.constraints(x)
+    def __init__(self, program: NonlinearProgram, time_limit: float = math.inf) -> None:
+        self.program, self.iterations, self.late = program, 0, perf_counter() + time_limit
+        self.objective, self.gradient, self.constraints = program.cost, program.gradient, program.constraints
 
     def jacobianstructure(self) -> Any:
-        return self.jacobian_pattern
+        return _pattern(self.program.jacobian(self.program.x0))
 
     def jacobian(self, x: Vector) -> Vector:
-        problem = self.problem
-        rows, _, values = problem.module.jacobian(problem.grid, problem.unknowns(x))
-        return values * problem.row_scale[rows]
+        return np.asarray(self.program.jacobian(x).data)
 
     def hessianstructure(self) -> Any:
-        return self.hessian_pattern
+        return _pattern(tril(self.program.hessian(self.program.x0)))
 
-    def hessian(self, x: Vector, nu: Vector, weight: float) -> Vector:
-        problem = self.problem
-        module, grid = problem.module, problem.grid
-        values = module.hessian(grid, problem.unknowns(x, nu))[2]
-        if weight != 1.0:
-            values = values + (weight - 1.0) * module.hessian(grid, problem.unknowns(x))[2]
-        return problem.cost_scale * values[self.is_lower]
+    def hessian(self, x: Vector, multipliers: Vector, weight: float) -> Vector:
+        return np.asarray(tril(self.program.hessian(x, multipliers, weight)).data)
 
     def intermediate(self, _mode: int, iterations: int, *_measures: float) -> bool:
         self.iterations = iterations

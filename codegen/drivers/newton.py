@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers.adaptive import adaptive
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.interfaces import ConnectModule, ControlModule, SimulateModule, is_of_particles
 from codegen.solutions.connect import case_of

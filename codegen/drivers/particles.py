@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.connect import case_of
@@ -36,14 +36,19 @@ def verdict(
     module: ConnectModule, driver: str, case: Any, path: Any, iterations: int, tolerance: float, reason: str
 ) -> ConnectAttempt:
     """Solved is what satisfies the equations, whatever the driver says about itself."""
-    errors, end = module.path_errors(case, path)
-    error = max(max_norm(errors.ravel()), max_norm(end))
+    error = largest_error(module, case, path)
     if error <= tolerance:
         text = f"{driver} connects the points with residual {error:.1e} after {iterations} iterations"
         return ConnectAttempt("solved", text, iterations, path, tolerance)
     said = " ".join(str(reason).split())
     text = f"stalled: {driver} stopped with residual {error:.1e} ({said}); try driver newton, or more steps"
     return ConnectAttempt("stalled", text, iterations, path, tolerance)
+
+
+def largest_error(module: ConnectModule, case: Any, path: Any) -> float:
+    """The largest error of the equations on a path, and of its end."""
+    errors, end = module.path_errors(case, path)
+    return max(max_norm(errors.ravel()), max_norm(end))
 
 
 def finite(values: Any) -> Any:

@@ -7,12 +7,8 @@ scaled. With the multipliers nu of the scaled problem, lambda = r nu / f belongs
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import cache, cached_property
-from threading import Lock
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,28 +16,13 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
-from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.interfaces import ControlModule, Entries, Grid, Indices, Vector, time_grid
+from codegen.interfaces import ControlModule, NonlinearProgram, Vector
 from codegen.solutions.result import ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Libraries with threads of their own; looking for them takes longer than many a solve."""
-    return ThreadpoolController()
-
-
-@contextmanager
-def _of_the_process() -> Iterator[None]:
-    """One BLAS thread, and no warnings: settings of the whole process."""
-    with _libraries().limit(limits=1), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def claim(
@@ -54,138 +35,91 @@ def claim(
     return ControlAttempt(status, message, iterations, unknowns, tolerance)
 
 
-class _Shared:
-    """A context that several threads may be in at once: the first enters it, and the last leaves it."""
-
-    def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
-        self.make, self.lock, self.inside = make, Lock(), 0
-
-    def __enter__(self) -> None:
-        with self.lock:
-            if not self.inside:
-                self.context = self.make()
-                self.context.__enter__()
-            self.inside += 1
-
-    def __exit__(self, *error: object) -> None:
-        with self.lock:
-            self.inside -= 1
-            if not self.inside:
-                self.context.__exit__(None, None, None)
+def program_on_grid(module: ControlModule, run: Run) -> NonlinearProgram:
+    """The nonlinear program on N intervals, from the guess that is asked for, else the problem's own."""
+    return module.nlp(run.steps, grid=run.grid, guess=run.guess)
 
 
-_QUIET = _Shared(_of_the_process)
-
-
-@contextmanager
-def quiet_single_thread() -> Iterator[None]:
-    """One BLAS thread, because more only wait for each other on small matrices, and no warnings.
-
-    What would be warned of, a singular matrix or an overflow, shows in the status and in the residuals.
-    """
-    with _QUIET, np.errstate(all="ignore"):
-        yield
+def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
+    """Refuse problems that would take a dense solver minutes and gigabytes."""
+    size = program.primal.size + program.dual.size
+    if size > limit:
+        raise ArgumentError(
+            f"driver {driver} uses dense matrices, and {program.grid.steps} steps make {size} unknowns and equations",
+            f"take fewer steps (at most {limit} unknowns and equations), or use newton or trust-constr",
+        )
 
 
 @dataclass(frozen=True)
 class ScaledProblem:
-    """Minimise f J(x) such that r_i c_i(x) = 0; `base` holds the values of pinned unknowns.
+    """Minimise f J(x) such that r_i c_i(x) = 0, for optimisers that do not scale by themselves."""
 
-    The factors are one for an optimiser that scales by itself.
-    """
-
-    module: ControlModule
-    grid: Grid
-    base: Vector
-    primal: Indices
-    dual: Indices
-    is_scaled: bool = True
+    program: NonlinearProgram
 
     @classmethod
-    def on_grid(cls, module: ControlModule, run: Run, is_scaled: bool = True) -> ScaledProblem:
+    def on_grid(cls, module: ControlModule, run: Run) -> ScaledProblem:
         """The problem on N intervals, from the guess that is asked for, else the problem's own."""
-        grid = time_grid(module, run.steps, run.grid)
-        base = module.initial_guess(grid) if run.guess is None else module.with_pinned_values(grid, run.guess)
-        return cls(module, grid, base, module.primal_unknowns(grid), module.multiplier_unknowns(grid), is_scaled)
-
-    @property
-    def start(self) -> Vector:
-        """Free primal unknowns of the initial guess."""
-        return self.base[self.primal]
-
-    @property
-    def inner_start(self) -> Vector:
-        """The same, moved off and inside the bounds, which some optimisers insist on."""
-        lower, upper = self.bounds
-        push = 1e-2 * np.minimum(np.maximum(1.0, np.abs(self.start)), upper - lower)
-        return np.clip(self.start, lower + push, upper - push)
+        return cls(program_on_grid(module, run))
 
     @cached_property
-    def bounds(self) -> tuple[Vector, Vector]:
-        """Lower and upper bounds of the free primal unknowns."""
-        if not self.module.metadata["inequalities"]:
-            return np.full(self.primal.size, -np.inf), np.full(self.primal.size, np.inf)
-        lower, upper = self.module.variable_bounds(self.grid)
-        return lower[self.primal], upper[self.primal]
+    def inner_start(self) -> Vector:
+        """The initial guess, moved off and inside the bounds, which some optimisers insist on."""
+        (lower, upper), start = self.program.bounds, self.program.x0
+        push = 1e-2 * np.minimum(np.maximum(1.0, np.abs(start)), upper - lower)
+        return np.clip(start, lower + push, upper - push)
 
     @property
     def scipy_bounds(self) -> Bounds | None:
-        """The bounds as scipy.optimize wants them; iterates stay within them."""
-        if not self.module.metadata["inequalities"]:
+        """The bounds as scipy.optimize wants them, None where there are none; iterates stay within them."""
+        lower, upper = self.program.bounds
+        if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
             return None
-        return Bounds(*self.bounds, keep_feasible=True)
+        return Bounds(lower, upper, keep_feasible=True)
 
     @cached_property
     def row_scale(self) -> Vector:
         """The factors r of the equations."""
-        if not self.is_scaled:
-            return np.ones(self.dual.size)
-        rows, _, values = self.module.jacobian(self.grid, self.base)
-        size = np.zeros(self.dual.size)
-        np.maximum.at(size, rows, np.abs(values))
-        return 1.0 / np.where((size > 0.0) & np.isfinite(size), size, 1.0)
+        jacobian = abs(self.program.jacobian(self.program.x0))
+        size = jacobian.max(axis=1).toarray().ravel()
+        return np.asarray(1.0 / np.where((size > 0.0) & np.isfinite(size), size, 1.0), dtype=float)
 
     @cached_property
     def cost_scale(self) -> float:
         """The factor f of the cost."""
-        if not self.is_scaled:
-            return 1.0
-        size = max_norm(self.module.cost_gradient(self.grid, self.base))
+        size = max_norm(self.program.gradient(self.program.x0))
         return 1.0 / max(1.0, size) if np.isfinite(size) else 1.0
 
-    def unknowns(self, x: Vector, nu: Vector | None = None) -> Vector:
-        """All unknowns, for free primal unknowns x and scaled multipliers nu (default zero)."""
-        unknowns = self.base.copy()
-        unknowns[self.primal] = x
-        unknowns[self.dual] = 0.0 if nu is None else self.row_scale * nu / self.cost_scale
-        # Unknowns at the ends may equal shared ones, which have just been changed.
-        return self.module.with_pinned_values(self.grid, unknowns) if self.module.ROOT else unknowns
+    def unscaled(self, nu: Vector) -> Vector:
+        """The multipliers of the problem itself for those of the scaled one."""
+        return self.row_scale * nu / self.cost_scale
+
+    def unknowns(self, x: Vector, nu: Vector) -> Vector:
+        """All unknowns, for free primal unknowns x and scaled multipliers nu."""
+        return self.program.unknowns(x, self.unscaled(nu))
 
     def cost(self, x: Vector) -> float:
         """The scaled cost."""
-        return self.cost_scale * self.module.cost(self.grid, self.unknowns(x))
+        return self.cost_scale * self.program.cost(x)
 
     def cost_gradient(self, x: Vector) -> Vector:
         """Its gradient."""
-        return self.cost_scale * self.module.cost_gradient(self.grid, self.unknowns(x))
+        return self.cost_scale * self.program.gradient(x)
 
     def constraints(self, x: Vector) -> Vector:
         """The scaled equations."""
-        return self.row_scale * self.module.constraints(self.grid, self.unknowns(x))
+        return self.row_scale * self.program.constraints(x)
 
     def jacobian(self, x: Vector) -> Any:
         """Their Jacobian, a sparse matrix."""
-        rows, columns, values = self.module.jacobian(self.grid, self.unknowns(x))
-        return self._sparse((rows, columns, values * self.row_scale[rows]), self.dual.size)
+        return scipy.sparse.diags_array(self.row_scale) @ self.program.jacobian(x)
 
-    def hessian(self, x: Vector, nu: Vector | None = None) -> Any:
-        """Hessian of the scaled Lagrangian, a sparse matrix; without nu that of the cost."""
-        rows, columns, values = self.module.hessian(self.grid, self.unknowns(x, nu))
-        return self._sparse((rows, columns, self.cost_scale * values), self.primal.size)
+    def hessian(self, x: Vector, nu: Vector | None = None, weight: float = 1.0) -> Any:
+        """Hessian of the scaled Lagrangian, a sparse matrix, whose cost has a weight; without nu that of the cost."""
+        return self.cost_scale * self.program.hessian(x, None if nu is None else self.unscaled(nu), weight)
 
     def stationarity(self, x: Vector, nu: Vector) -> Vector:
         """Gradient of the scaled Lagrangian."""
-        return self.cost_scale * self.module.stationarity(self.grid, self.unknowns(x, nu))
+        return self.cost_scale * self.program.stationarity(x, self.unscaled(nu))
 
     def multipliers(self, x: Vector) -> Vector:
         """Scaled multipliers that minimise the 2-norm of the stationarity.
@@ -194,7 +128,7 @@ class ScaledProblem:
         sign, multipliers and duals are found together by bounded least squares, unless the matrix is too large.
         """
         jacobian, gradient = self.jacobian(x), self.cost_gradient(x)
-        lower, upper = self.bounds
+        lower, upper = self.program.bounds
         scale = 1e-6 * np.maximum(1.0, np.abs(x))
         held = np.where(x - lower <= scale, 1.0, 0.0) - np.where(upper - x <= scale, 1.0, 0.0)
         nu = self._balanced(jacobian, gradient, held == 0.0)
@@ -210,7 +144,7 @@ class ScaledProblem:
 
     def unbalanced(self, x: Vector, nu: Vector) -> float:
         """The largest slope times the distance to the bound that it leads to, one where that is farther away."""
-        slope, (lower, upper) = self.stationarity(x, nu), self.bounds
+        slope, (lower, upper) = self.stationarity(x, nu), self.program.bounds
         return max_norm(slope * np.clip(np.where(slope > 0.0, x - lower, upper - x), 0.0, 1.0))
 
     def _balanced(self, jacobian: Any, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
@@ -218,24 +152,11 @@ class ScaledProblem:
         jacobian, gradient = jacobian[:, inside], gradient[inside]
         identity = scipy.sparse.identity(gradient.size)
         system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
-        right = np.concatenate([-gradient, np.zeros(self.dual.size)])
+        right = np.concatenate([-gradient, np.zeros(jacobian.shape[0])])
         try:
             nu = scipy.sparse.linalg.splu(system).solve(right)[gradient.size :]
         except RuntimeError:  # exactly singular
-            nu = np.full(self.dual.size, np.nan)
+            nu = np.full(right.size - gradient.size, np.nan)
         if not np.isfinite(nu).all():
             nu = np.linalg.lstsq(jacobian.T.toarray(), -gradient, rcond=None)[0]
         return np.asarray(nu, dtype=float)
-
-    def require_at_most(self, limit: int, driver: str) -> None:
-        """Refuse problems that would take a dense solver minutes and gigabytes."""
-        size = self.primal.size + self.dual.size
-        if size > limit:
-            raise ArgumentError(
-                f"driver {driver} uses dense matrices, and {self.grid.steps} steps make {size} unknowns and equations",
-                f"take fewer steps (at most {limit} unknowns and equations), or use newton or trust-constr",
-            )
-
-    def _sparse(self, entries: Entries, height: int) -> Any:
-        rows, columns, values = entries
-        return scipy.sparse.csr_array((values, (rows, columns)), shape=(height, self.primal.size))

@@ -5,16 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
-from codegen.drivers.particles import minimised
-from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
+from codegen.drivers.particles import largest_error, minimised
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim, require_small
 from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
 LIMIT = 3000
 MAX_ITERATIONS = 1000
+ARRIVED = 1e-8
+"""Error of the equations of particles at which the search ends."""
 
 _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank-deficient", 9: "iteration limit"}
 
@@ -22,8 +25,8 @@ _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank
 def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Minimise the cost; multipliers are the least-squares estimate at the solution."""
     problem = ScaledProblem.on_grid(module, run)
-    problem.require_at_most(LIMIT, "slsqp")
-    start = problem.start
+    require_small(problem.program, LIMIT, "slsqp")
+    start = problem.program.x0
     equations = {"type": "eq", "fun": problem.constraints, "jac": lambda x: problem.jacobian(x).toarray()}
     # SLSQP compares changes of the cost with ftol itself.
     ftol = 1e-12 * max(1.0, abs(problem.cost(start)))
@@ -48,17 +51,33 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     return minimised(module, run, "slsqp", _action)
 
 
+class _Arrived(Exception):
+    """The equations hold."""
+
+
 def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
+    """Minimise until the equations hold: near the minimum changes of the cost are rounding, and say nothing."""
     equations = {
         "type": "eq",
         "fun": lambda x: module.action_constraints(case, x),
         "jac": lambda x: module.action_jacobian(case, x),
     }
-    return minimize(
-        lambda x: module.action_cost(case, x),
-        start,
-        jac=lambda x: module.action_cost_gradient(case, x),
-        constraints=[equations],
-        method="SLSQP",
-        options={"maxiter": 1000, "ftol": 1e-14 * max(1.0, abs(module.action_cost(case, start)))},
-    )
+    iterates: list[Vector] = []
+
+    def stop(x: Vector) -> None:
+        iterates.append(x.copy())
+        if largest_error(module, case, module.action_path(case, x)) <= ARRIVED:
+            raise _Arrived
+
+    try:
+        return minimize(
+            lambda x: module.action_cost(case, x),
+            start,
+            jac=lambda x: module.action_cost_gradient(case, x),
+            constraints=[equations],
+            method="SLSQP",
+            callback=stop,
+            options={"maxiter": MAX_ITERATIONS, "ftol": 1e-16 * max(1.0, abs(module.action_cost(case, start)))},
+        )
+    except _Arrived:
+        return OptimizeResult(x=iterates[-1], nit=len(iterates), message="the equations hold")

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.drivers.particles import minimised
-from codegen.drivers.scaled import ScaledProblem, claim, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem, claim
 from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 
@@ -31,7 +32,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             0.0,
             jac=problem.jacobian,
             # scipy wants the equations' share alone.
-            hess=lambda x, nu: problem.hessian(x, nu) - problem.hessian(x),
+            hess=lambda x, nu: problem.hessian(x, nu, 0.0),
         )
         found = minimize(
             problem.cost,

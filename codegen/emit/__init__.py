@@ -5,61 +5,132 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import fields
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import jinja2
 
 from codegen.emit.specialise import specialise
 from codegen.files import refused, write_text
 from codegen.mangling import renamed, renamed_arguments
 
-if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy
+if TYPE_CHECKING:  # a build that the cache answers writes files without ever importing sympy, or jinja2
+    import jinja2
+
     from codegen.lower.module import Module, Origin
 
 
 _NAME = "@@digest@@"
 """Where a text's own name comes, which depends on all the rest of the text."""
-_IDENTITY = re.compile(r'^_IDENTITY = "codegen_\w+?_([0-9a-f]{16})"$', re.MULTILINE)
+_IDENTITY = re.compile(r"^# Text: sha256 ([0-9a-f]{16})$", re.MULTILINE)
 """The line that tells it."""
-_BEGINNING = '\n_IDENTITY = "'
-_SPECIAL = ("polygamma", "sinc_derivative")
 
 
 def render(module: Module, origin: Origin) -> str:
     """The text of a generated module; its template asks for values by name, and decides nothing."""
     values = {field.name: getattr(module, field.name) for field in fields(module)}
     values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
-    # Functions that kernels call and Python does not have: a file for each.
-    special = tuple(name for name in _SPECIAL if f"{name}(" in repr(module) or f"{name})(" in repr(module))
-    runtime = ("packing", *special, *module.runtime)
     names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
     values |= {
         "description": (*module.description, *renamed_arguments(names)),
-        "numba_names": numba_names(runtime),
-        "runtime": runtime_source(runtime, module.sizes),
-        "machine_code_cache": runtime_source(("machine_code_cache",)),
-        "imports": standard_imports(runtime),
         "title": _in_docstring(module.title),
         "title_code": repr(module.title),
         "left_out_code": [repr(line) for line in module.left_out],
+        "imports": (),
+        "numba_imports": (),
     }
-    named = renamed(_tidy(_environment().get_template(module.template).render(values, identity=_NAME)))
-    # numba's cache needs a name that belongs to this text alone; see the end of a generated module.
+    if module.template == "control.py.j2":
+        sizes = dict(module.sizes)
+        loops = resources.files("codegen.emit").joinpath("templates/loops.txt").read_text(encoding="utf-8")
+        values["loops"] = specialise(loops, sizes).strip()
+        values["public"] = (
+            *_PUBLIC,
+            *(("variable_bounds",) if sizes["INEQUALITIES"] else ()),
+            *(("sensitivities", "unpacked_rates") if sizes["SENSITIVE"] else ()),
+        )
+    template = _environment().get_template(module.template)
+    body = template.render(values, identity=_NAME)
+    lines = _imports_of(body, values["public"], _IMPORTED[module.template])
+    values["numba_imports"] = [line for line in lines if line.startswith("from numba ")]
+    values["imports"] = [line for line in lines if not line.startswith("from numba ")]
+    named = renamed(_tidy(template.render(values, identity=_NAME)))
     text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
     compile(text, f"{module.name}.py", "exec")
     return text
 
 
+_PUBLIC = (
+    "evaluate", "initial_guess", "make_grid", "metadata", "multiplier_unknowns", "nlp", "primal_unknowns", "problem",
+    "solve", "unpack", "views", "with_pinned_values",
+)  # fmt: skip
+"""Names for users of a module that solves an optimal control problem."""
+
+
+_OF_KERNELS = (
+    "inner_number", "special.polygamma", "special.sinc_derivative", "tabulated.table_cells", "tabulated.table_curves",
+    "tabulated.table_surfaces",
+)  # fmt: skip
+_OF_PAIRS = (
+    "kernels", "particles.problem", "particles.packed_logarithms", "particles.pair_accurate", "particles.pair_algebra",
+    "particles.pair_special",
+)  # fmt: skip
+_IMPORTED = {
+    "control.py.j2": (
+        "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.nlp",
+        "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses",
+        *_OF_KERNELS,
+    ),
+    "simulate.py.j2": ("kernels", "stepping.problem", "stepping.steps", "stepping.motion", *_OF_KERNELS),
+    "connect.py.j2": (
+        *_OF_PAIRS, "particles.case", "particles.shooting", "particles.cascade", "particles.least_action",
+        "particles.callbacks", "particles.action", "particles.tracers",
+    ),
+    "particles.py.j2": (*_OF_PAIRS, "particles.motion"),
+}  # fmt: skip
+"""Modules of the runtime from which generated modules import, by their template."""
+
+
+@cache
+def _importable(files: tuple[str, ...]) -> dict[str, str]:
+    """Names that a module may import, with the modules of the runtime that define them."""
+    found = {}
+    for path in files:
+        file = resources.files("codegen.runtime").joinpath(*path.split(".")[:-1], f"{path.split('.')[-1]}.py")
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+                found[node.name] = f"codegen.runtime.{path}"
+    return found
+
+
+def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tuple[str, ...]:
+    """The lines that import what a text uses and does not define, and what it offers."""
+    tree, wanted = ast.parse(text), dict[str, set[str]]()
+    used = set(public)
+    for part in tree.body:
+        names = {node for node in ast.walk(part) if isinstance(node, ast.Name)}
+        own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
+        own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
+        used |= {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
+    defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    for name in used - defined:
+        if name in _importable(files):
+            wanted.setdefault(_importable(files)[name], set()).add(name)
+        elif name in _OF_NUMBA:
+            wanted.setdefault("numba", set()).add(name)
+    return tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
+
+
+_OF_NUMBA = ("carray", "njit", "prange")
+
+
 @cache
 def _environment() -> jinja2.Environment:
     """Where templates are found; it keeps them translated, which takes longer than filling them in."""
+    import jinja2
+
     return jinja2.Environment(
         loader=jinja2.PackageLoader("codegen.emit"),
         undefined=jinja2.StrictUndefined,
@@ -72,78 +143,19 @@ def _environment() -> jinja2.Environment:
 
 def is_whole(text: str) -> bool:
     """Whether a text is still as it was rendered: the name in it is the digest of all the rest."""
-    if text.count(_BEGINNING) != 1:  # found forty times as fast as by the expression, in texts of 100,000 characters
-        return False
-    found = _IDENTITY.match(text, text.index(_BEGINNING) + 1)
+    found = _IDENTITY.search(text)
     return found is not None and _digest(text.replace(found[1], "", 1)) == found[1]
+
+
+def signed(text: str) -> str:
+    """A text that was changed, with the digest of all the rest in place of the one that it had."""
+    found = _IDENTITY.search(text)
+    assert found is not None, "a generated text holds its digest"
+    return text.replace(found[1], _digest(text.replace(found[1], "", 1)), 1)
 
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def runtime_source(names: tuple[str, ...], sizes: tuple[tuple[str, int], ...] = ()) -> str:
-    """The runtime files one after the other, without docstrings, imports and what concerns only sizes that are zero."""
-    return "\n\n\n".join(
-        _specialised(name, tuple((size, number) for size, number in sizes if size in _runtime_file(name)[0]))
-        for name in names
-    )
-
-
-@lru_cache(maxsize=1000)
-def _specialised(name: str, sizes: tuple[tuple[str, int], ...]) -> str:
-    """One of them; sizes are those that it names, so that most problems have most files in common."""
-    text, tree = _runtime_file(name)
-    docstring = ast.get_docstring(tree, clean=True) or ""
-    head = max((node.end_lineno or 0 for node in tree.body if _is_head(node)), default=0)
-    body = specialise("\n".join(text.splitlines()[head:]), dict(sizes)).strip()
-    comment = "\n".join(f"# {line}".rstrip() for line in docstring.splitlines())
-    return f"{comment}\n\n\n{body}" if body.startswith(("@", "def", "class")) else f"{comment}\n\n{body}"
-
-
-def numba_names(names: tuple[str, ...]) -> list[str]:
-    """What a module imports of numba: `njit`, and what else its runtime files import."""
-    found = {alias.name for node in _imports(names) if node.module == "numba" for alias in node.names}
-    return sorted({"njit"} | found)
-
-
-def standard_imports(names: tuple[str, ...]) -> list[str]:
-    """What runtime files import from the standard library, beside what every module does."""
-    every = ("contextlib", "typing")
-    found: dict[str, set[str]] = {}
-    for node in _imports(names):
-        if node.module in sys.stdlib_module_names and node.module not in every:
-            found.setdefault(node.module, set()).update(ast.unparse(alias) for alias in node.names)
-    return [f"from {module} import {', '.join(sorted(found[module]))}" for module in sorted(found)]
-
-
-def _imports(names: tuple[str, ...]) -> Iterator[ast.ImportFrom]:
-    """The lines `from ... import ...` of runtime files."""
-    for name in names:
-        yield from (node for node in _runtime_file(name)[1].body if isinstance(node, ast.ImportFrom))
-
-
-@cache
-def _runtime_file(name: str) -> tuple[str, ast.Module]:
-    """The text of a runtime file, and what it means."""
-    text = runtime_files()[name].read_text(encoding="utf-8")
-    return text, ast.parse(text)
-
-
-@cache
-def runtime_files() -> dict[str, Traversable]:
-    """The files of `codegen/runtime` by name, which is the same in no two of its folders."""
-    root = resources.files("codegen.runtime")
-    folders = [root, *(entry for entry in root.iterdir() if entry.is_dir())]
-    files = [file for folder in folders for file in folder.iterdir() if file.name.endswith(".py")]
-    return {file.name.removesuffix(".py"): file for file in files}
-
-
-def _is_head(node: ast.stmt) -> bool:
-    """Whether a statement is an import or the docstring of the file, which a module does not repeat."""
-    return isinstance(node, (ast.Import, ast.ImportFrom)) or (
-        isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-    )
 
 
 def write(path: Path, text: str) -> bool:

@@ -1,8 +1,8 @@
-"""Leave out of the numerics what a scene lacks: branches, loops and summands for features of which there are none.
+"""Leave out of the loops over intervals what a problem lacks: branches, loops and summands for absent features.
 
-The files of `codegen/runtime` are written for every scene. Sizes such as SHARED are literal numbers in a generated
-module, so `if SHARED:` and `for j in range(SHARED):` are decided when it is made: what they guard is included, without
-the test, or left out.
+The loops in `templates/loops.txt` are written for every problem. Sizes such as SHARED are literal numbers in a
+generated module, so `if SHARED:` and `for j in range(SHARED):` are decided when the module is made: their bodies are
+included, without the test, or left out.
 """
 
 from __future__ import annotations

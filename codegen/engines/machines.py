@@ -32,7 +32,7 @@ class Target:
 def target() -> Target:
     """That of this machine."""
     import numba
-    from llvmlite import binding  # type: ignore[import-untyped]
+    from llvmlite import binding
 
     settings: Any = numba.config
     processor = settings.CPU_NAME or binding.get_host_cpu_name()

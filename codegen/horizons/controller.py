@@ -26,6 +26,12 @@ from codegen.horizons.pace import Pace
 from codegen.horizons.shift import shift_by
 from codegen.horizons.values import Moving, Values
 from codegen.interfaces import Grid, Matrix, Vector
+from codegen.runtime.search import linear
+from codegen.runtime.search.cascade import factor_nearby, minimise
+from codegen.runtime.search.messages import describe, reached
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import optimise
+from codegen.runtime.search.termination import final_status
 from codegen.solutions.result import Run
 
 BEFORE, OF_START, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
@@ -125,6 +131,7 @@ class Controller:
         self._state: Vector | None = None
         self._feasible = math.sqrt(tolerance)
         self._lock, self._scaling, self._is_plain = Lock(), scaling, False
+        self._is_linear = grid.problem.structure.linear_quadratic
         self._pace = self._warm_up(grid)
 
     _clock = staticmethod(perf_counter)
@@ -170,9 +177,8 @@ class Controller:
             given, guess = self._values.given(self._start_of_plan(t), parameters), self._shift(self._plan)
             grid, search = self._grids.at(given, self._state), self._grids.search
             is_factored = False
-            if self._is_plain and search is not None:
-                with self.module.packed_operations():
-                    is_factored = self.module.factor_nearby(grid, guess, self.options.tolerance, search)
+            if self._is_plain and search is not None and not self._is_linear:
+                is_factored = factor_nearby(grid, guess, self.options.tolerance, search)
             self._ahead = Ahead(given, guess, is_factored)
 
     def first_state(self) -> Vector:
@@ -217,7 +223,8 @@ class Controller:
         guess, what = self._guess(grid)
         limit = math.inf if deadline is None else self._pace.limit(deadline - (clock() - begin))
         most = None if self._plan is None else self.options.newton_steps
-        log = BestIterate(limit, self._feasible, clock, math.inf if self._plan is None else max(MOST_WARM, most or 0))
+        allowed = math.inf if self._plan is None else max(MOST_WARM, most or 0)
+        log = BestIterate(limit, self._feasible, clock, allowed, self._pace.rest.seconds)
         best, fell_back, status, message, iterations = self._judged(grid, guess, what, log, most, is_known)
         self._plan = best.unknowns
         end = clock()
@@ -258,15 +265,15 @@ class Controller:
             status, message, point, iterations = self._solve(grid, guess, what is not OWN_GUESS, log, most)
             if log.is_exhausted and status != "solved":
                 status = "iteration limit"
-                message = f"{status} after {iterations} iterations and {log.asked - 1 - iterations} of restorations"
+                message = f"{status} after {iterations} iterations and {log.count - iterations} of restorations"
         if status == "solved":
-            best = candidate(self.module, grid, point.unknowns)
+            best = candidate(grid, point.unknowns)
             if self._is_solved(grid, guess, best, iterations):
                 return best, False, status, message, iterations
             status = "inaccurate"
             message = f"{status}: the solver reported success, but the equations have residual {best.residual:.1e}"
         chosen = self._chosen(grid, guess, point, log) if status in UNFINISHED and iterations else None
-        best = candidate(self.module, grid, guess if chosen is None else chosen.unknowns)
+        best = candidate(grid, guess if chosen is None else chosen.unknowns)
         iterate = "best feasible iterate" if best.residual <= self._feasible else "last iterate"
         origin = what if chosen is None else iterate
         message = f"{message}; applied is the {origin}, whose equations hold to {best.residual:.1e}"
@@ -277,9 +284,9 @@ class Controller:
         if point is None:
             return None
         best = point if log.best is None else better(point, log.best, self._feasible)
-        if best.residual <= self._feasible:  # so would the guess be, as one of the iterates
+        if best.residual <= self._feasible:
             return best
-        before = candidate(self.module, grid, guess)
+        before = candidate(grid, guess)
         return best if better(best, before, self._feasible) is best else None
 
     def _is_solved(self, grid: Grid, guess: Vector, found: Candidate, iterations: int) -> bool:
@@ -303,23 +310,22 @@ class Controller:
         Where sizes are ordinary, and no table has a range, that is the search alone. Then a measured state may be
         beyond a bound, too, which `solve` would refuse: bounds hold from the first node on that can still be chosen.
         """
-        module = self.module
         how = self.options.tolerance, MOST if most is None else most, is_warm
-        with module.packed_operations():
-            if not self._is_plain:
-                status, message, point, iterations, _ = module.optimise(grid, guess, *how, self._scaling, log)
-                log.best = None  # which is in parts of sizes
-                return status, message, point, iterations
-            known = {} if self._grids.search is None else {"search": self._grids.search}
-            if self._ahead is not None and self._ahead.is_factored:
-                known["is_factored"] = True
-            status, point, iterations = module.minimise(grid, guess, *how, log, **known)
-            if status == "solved":
-                return status, f"all {module.reached(point)}", point, iterations
-            if status in UNFINISHED or log.is_exhausted:  # what is worst is not looked for: there is no time
-                return status, f"{status} after {iterations} iterations", point, iterations
-            status = module.final_status(grid, guess, point, status)
-            return status, module.describe(grid, guess, point, status)[1], point, iterations
+        if not self._is_plain:
+            status, message, point, iterations, _ = optimise(grid, guess, *how, self._scaling, log)
+            return status, message, point, iterations
+        search = self._grids.search
+        if self._is_linear:
+            status, point, iterations = linear.minimise(grid, guess, self.options.tolerance, log, search.system)
+        else:
+            is_factored = self._ahead is not None and self._ahead.is_factored
+            status, point, iterations = minimise(grid, guess, *how, log, search=search, is_factored=is_factored)
+        if status == "solved":
+            return status, f"all {reached(point)}", point, iterations
+        if status in UNFINISHED or log.is_exhausted:  # what is worst is not looked for: there is no time
+            return status, f"{status} after {iterations} iterations", point, iterations
+        status = final_status(grid, guess, point, status)
+        return status, describe(grid, guess, point, status)[1], point, iterations
 
     def _warm_up(self, grid: Grid) -> Pace:
         """Solve the problem as it stands: that compiles, decides on sizes, and tells how long parts of a step take."""
@@ -329,9 +335,9 @@ class Controller:
         log = BestIterate(math.inf, 0.0)
         status, _, point, _ = self._solve(grid, module.initial_guess(grid), False, log, None)
         if self._scaling == "auto" and status == "solved":
-            is_ordinary = not module.scaled_grid(grid, point.unknowns).sizes.size
+            is_ordinary = not scaled_grid(grid, point.unknowns).sizes.size
             self._scaling = "none" if is_ordinary else "auto"
-        self._is_plain = self._scaling == "none" and not hasattr(module, "tables_beyond")
+        self._is_plain = self._scaling == "none" and module.problem.inputs is None
         self._of_start = point.unknowns if status == "solved" else None
         start, measured = self._interface.start_of(grid), []
         for k in range(WARM_UPS):

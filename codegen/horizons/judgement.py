@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
@@ -9,12 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from codegen.interfaces import Grid, Vector
+from codegen.interfaces import Grid, Matrix, Vector
+from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.descent import COST, ITERATIONS, RESIDUAL
+from codegen.runtime.search.newton import stored
+from codegen.runtime.search.point import evaluate
 from codegen.solutions.control import control_verdict
 from codegen.solutions.result import ControlAttempt, Run
 
 ALLOWED = 10.0
 """Times the tolerance that residual and slopes of a solution may be, as in `control_verdict`."""
+PART, SHORTEST = 0.5, 1e-9
+"""Part of the time left after which a search with a deadline returns; seconds that an iteration takes at least."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,64 +41,106 @@ class Candidate:
 class BestIterate:
     """The log of a search for a plan: the `best` iterate, and what of the time has passed.
 
-    The best is the cheapest whose equations hold to `feasible`. It takes the place of a module's own log, which keeps a
-    row for each; points are in the problem's own units. After `limit` seconds by the clock no iteration begins, nor
-    after the search has `asked` so often whether it is late as `most` says, at iterates and steps of restorations.
+    It takes the place of the log that `solve` keeps. With a `limit`, the seconds by the clock after which no iteration
+    begins, the compiled search returns after a part of the time that is left, by what an iteration has taken, at first
+    `expected` seconds; the best is the cheapest of the iterates there whose equations hold to `feasible`, in the
+    problem's own units. Nor does an iteration begin after `most` of them and of steps of restorations.
     """
 
     def __init__(
-        self, limit: float, feasible: float, clock: Callable[[], float] = perf_counter, most: float = np.inf
+        self,
+        limit: float,
+        feasible: float,
+        clock: Callable[[], float] = perf_counter,
+        most: float = math.inf,
+        expected: float = 0.0,
     ) -> None:
-        self.limit, self._feasible, self._clock, self._most = limit, feasible, clock, most
-        self.asked = 0
+        self.limit, self._feasible, self._clock, self._most, self._iteration = limit, feasible, clock, most, expected
+        self._restorations = self._iterations = self._before = 0
         self._begin = clock()
         self._end = self._begin + limit
-        self._reached: float | None = None
-        self._went_on: float | None = None
-        self._led: float | None = None
+        self._called = self._returned = self._begin
+        self._is_asked_by_restoration = self._is_over = False
         self.beginning: float | None = None
-        self.was_late = limit <= 0.0
+        self.was_late, self.is_exhausted = limit <= 0.0, False
         self.best: Any = None
 
-    def append(self, _grid: Grid, point: Any, *_others: float) -> None:
-        """Look at an iterate."""
-        self._led = self._reached if self._went_on is None else self._went_on
-        self._went_on = None
-        if self._reached is None:
-            self._reached = self._clock()
-            self.beginning = self._reached - self._begin
+    def iterations_per_call(self, done: int, most: int, affordable: int) -> int:
+        """Return after how many iterations the compiled search, which is about to be called, is to return.
+
+        Where time or iterations are used up, it only looks whether it has come to an end.
+        """
+        self._called = now = self._clock()
+        self._count_up_to(done)
+        if self.beginning is None:
+            self.beginning = now - self._begin
+        count = min(most, affordable, max(0.0, self._most - self.count))
+        if self.limit < math.inf:
+            left = self._end - now
+            count = min(count, 1.0 + PART * left // max(self._iteration, SHORTEST)) if left >= 0.0 else 0
+        return int(count)
+
+    def extend(self, search: Any, rows: Matrix) -> None:
+        """Look at the iterate with which the compiled search returns; `rows` (k, 6) are those that it left behind.
+
+        The last one is among them where the search is over.
+        """
+        self._returned = self._clock()
+        work = search.work
+        done = self._count_up_to(int(work.integers[ITERATIONS]))
+        if done:
+            self._iteration = (self._returned - self._called) / done
+        self._is_asked_by_restoration, self._is_over = False, len(rows) > done
+        if self.limit < math.inf and not search.grid.sizes.size:
+            cost, residual = work.reals[COST], work.reals[RESIDUAL]
+            if residual <= self._feasible and (self.best is None or cost < self.best.cost):
+                self.best = stored(search).point
+
+    def add(self, point: Any, _length: float) -> None:
+        """Look at an iterate of a linear search, which never asks whether it is late."""
+        now = self._clock()
+        if self.beginning is None:
+            self.beginning = now - self._begin
+        else:
+            self._iteration = now - self._returned
+            self._iterations += 1
+        self._returned = now
         if point.residual <= self._feasible and (self.best is None or point.cost < self.best.cost):
             self.best = point
 
     def is_late(self) -> bool:
-        """Whether the time is up, or the number of iterations."""
-        self.asked += not self.is_exhausted
+        """Return True if the time is up, or the number of iterations; restorations ask at each of their steps."""
+        self._restorations += self._is_asked_by_restoration and not self.is_exhausted
+        self._is_asked_by_restoration = True
+        if self.count >= self._most and not self._is_over:
+            self.is_exhausted = True
+        self._is_over = False
         if self.is_exhausted:
             return True
-        now = self._clock()
-        if now > self._end:
+        if self._clock() > self._end:
             self.was_late = True
             return True
-        if self._went_on is None:
-            self._went_on = now
         return False
 
+    def _count_up_to(self, done: int) -> int:
+        """Count the iterations of a search that has made so many; return how many there were since it was looked at."""
+        new = done - self._before if done >= self._before else done  # fewer are those of another search
+        self._iterations, self._before = self._iterations + new, done
+        return new
+
     @property
-    def is_exhausted(self) -> bool:
-        """Whether the search would have gone on had its number of iterations not been limited."""
-        return self.asked > self._most
+    def count(self) -> int:
+        """Iterations and steps of restorations up to now."""
+        return self._iterations + self._restorations
 
     def rest(self, now: float) -> float | None:
-        """The seconds since the search went on from the iterate before the last one; None where there is none.
-
-        A linear search never asks whether it is late: those since its first iterate.
-        """
-        return None if self._led is None else now - self._led
+        """Return the seconds of the last iteration and of all after it; None where there was none."""
+        return self._iteration + now - self._returned if self._iterations else None
 
 
-def candidate(module: Any, grid: Grid, unknowns: Vector) -> Candidate:
+def candidate(grid: Grid, unknowns: Vector) -> Candidate:
     """A plan with its equations evaluated."""
-    point = module.evaluate(grid, unknowns)
+    point = evaluate(grid, unknowns)
     return Candidate(unknowns, point.gradient, point.cost, point.residual, point.stationarity)
 
 
@@ -116,7 +165,7 @@ def _is_flat(module: Any, grid: Grid, found: Candidate, most: float) -> bool:
     if not steep.size or not module.metadata["inequalities"]:
         return not steep.size
     slopes, unknowns = found.gradient[steep], found.unknowns[steep]
-    lower, upper = module.bounds_of(grid)
+    lower, upper = bounds_of(grid)
     distances = np.where(slopes > 0.0, unknowns - lower[steep], upper[steep] - unknowns)
     return bool((np.abs(slopes) * np.clip(distances, 0.0, 1.0) <= most).all())
 

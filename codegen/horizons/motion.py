@@ -16,6 +16,8 @@ from codegen.horizons.interface import Interface
 from codegen.horizons.options import WHOLE
 from codegen.horizons.velocities import velocities_of
 from codegen.interfaces import Grid, Indices, Vector
+from codegen.runtime.search.linear_system import allocate_system, filled_entries
+from codegen.runtime.search.point import evaluate
 
 NEWTON_STEPS, CLOSE = 20, 1e-10
 """On one interval, and the part of what is solved for that the last of them may be."""
@@ -50,6 +52,7 @@ class Motion:
             finding = f"the state of {module.metadata['problem']} does not follow from its start and inputs alone"
             raise ArgumentError(finding, "leave delay out, and give step the state that inputs on their way lead to")
         self._entries = self._entries_of_matrix()
+        self._system = allocate_system(module.make_grid(steps))
 
     def __call__(self, state: Vector, inputs: Vector, given: dict[str, Any], later: dict[str, Any]) -> Vector | None:
         """The state (states,) after a state under inputs (controls,); None where it cannot be followed.
@@ -76,8 +79,9 @@ class Motion:
 
     def _entries_of_matrix(self) -> tuple[Indices, Indices, Indices]:
         """Which entries of an interval's Hessian belong to its motion, and their rows and columns there."""
+        structure = self._module.problem.structure
         row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (self._equations, self._unknowns))
-        pairs = list(enumerate(zip(self._module.HESSIAN_ROWS, self._module.HESSIAN_COLUMNS, strict=True)))
+        pairs = list(enumerate(zip(structure.rows, structure.columns, strict=True)))
         found = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]
         found += [(k, row[j], column[i]) for k, (i, j) in pairs if j in row and i in column]
         entry, rows, columns = np.array(found, dtype=np.intp).T
@@ -85,15 +89,14 @@ class Motion:
 
     def _is_solved(self, grid: Grid, unknowns: Vector, k: int) -> bool:
         """Whether Newton's method finds what interval k leads to, which is put into `unknowns` (n,)."""
-        module, here = self._module, k * self._stride
+        here = k * self._stride
         equations, solved = here + self._equations, here + self._unknowns
-        values = np.empty((grid.steps, module.HESSIAN_ROWS.size))
         matrix = np.zeros((equations.size, equations.size))
         entry, rows, columns = self._entries
         for _ in range(NEWTON_STEPS):
-            residual = module.evaluate(grid, unknowns).gradient[equations]
-            module.interval_hessians(unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, values)
-            matrix[rows, columns] = values[k, entry]
+            residual = evaluate(grid, unknowns).gradient[equations]
+            values = filled_entries(grid, unknowns, self._system)  # those of intervals come first
+            matrix[rows, columns] = values[k * grid.problem.structure.rows.size + entry]
             step = np.linalg.solve(matrix, residual)
             unknowns[solved] -= step
             largest = np.abs(step).max()
@@ -117,7 +120,7 @@ class Motion:
             found: Vector = module.unpack(grid, unknowns)[2][0]
             # Discrete equations at the start: what is given there, less the momentum of the first interval.
             if of_node.size:
-                found = found + module.evaluate(grid, unknowns).gradient[of_node]
+                found = found + evaluate(grid, unknowns).gradient[of_node]
             return found
 
         return velocities_of(momenta, wanted, state[self._rates])

@@ -44,8 +44,11 @@ class Expectation:
         self.seconds *= math.exp(RATE * (rise if self._above else MOST - 1.0))
 
     def forget(self) -> None:
-        """There was no time, and so no measurement: come closer to the quickest, or there never would be one again."""
-        self._above = 0
+        """There was no time, and so no measurement: come closer to the quickest, or there never would be one again.
+
+        Measurements that follow each other above what is expected still do so: each time more time passes until the
+        next.
+        """
         self.seconds += FORGOTTEN * (self.least - self.seconds)
 
 

@@ -61,7 +61,7 @@ def shift_by(module: Any, grid: Grid, intervals: float) -> Shift:
     one_interval[:], two_interval[:] = (of_intervals[:, np.minimum(which, last)] for which in (left, left + 1))
     interval_second[:] = np.where(left < last, places - left, 0.0)[:, None]
     interval_first[:] = 1.0 - interval_second
-    for only in getattr(module, "ONLY_AT_ENDS", ()):
+    for only in module.problem.structure.only_at_ends:
         one_node[:, :, only] = of_nodes[:, :, only]
         node_first[:, :, only] = node_second[:, :, only] = 0.0
         node_first[:, [0, -1], only] = 1.0

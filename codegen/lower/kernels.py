@@ -16,6 +16,9 @@ CACHED = ('@njit(cache=True, error_model="numpy")',)
 INNER = ('@njit(error_model="numpy")',)
 """Decorator of functions that only compiled functions call: their machine code is kept as part of the caller's."""
 
+KERNEL, VALUE = ("@Kernel",), ("@Value",)
+"""Decorators of functions that are called by their address; values are returned."""
+
 
 @dataclass(frozen=True)
 class Line:

@@ -44,8 +44,7 @@ class Origin:
 class Module:
     """A generated module before rendering; `template` names the file that lays it out.
 
-    `constants` are sizes, index arrays and names; `runtime` lists the files of `codegen/runtime` to include, and
-    `sizes` are those constants on which it depends what of them is included.
+    `constants` are sizes, index arrays and names; `sizes` are those on which it depends what loops say.
     """
 
     template: str
@@ -56,7 +55,6 @@ class Module:
     metadata: tuple[tuple[str, str], ...]
     constants: tuple[Line, ...]
     kernels: tuple[Kernel, ...]
-    runtime: tuple[str, ...]
     sizes: tuple[tuple[str, int], ...]
     arguments: tuple[Argument, ...]
     steps: int
@@ -79,7 +77,7 @@ class SensitivityText:
 
     `rates` are assignments to derivatives by the quantities; those of `following` hold unless the quantity with the
     name is given by itself. `pins`, `bounds` (one group, if any move) and `durations` are directional derivatives;
-    `momenta` reads those of momenta.
+    `momenta` reads those of momenta. `fields` are those of the record `DataDerivatives` with their code.
     """
 
     rate_inputs: tuple[Line, ...]
@@ -93,13 +91,14 @@ class SensitivityText:
     bound_inputs: tuple[Line, ...]
     bounds: tuple[tuple[Line, ...], ...]
     coupling_kinds: tuple[tuple[str, ...], ...]
-    choices: tuple[Choice, ...]
+    fields: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class ControlModule(Module):
     """A module that solves an optimal-control problem.
 
+    `structure` and `features` are fields of the records `Structure` and `ControlProblem` with their code.
     `boundary_values` is code in the arguments and in `boundary_inputs`. `data_arguments` are those that take other
     numbers for tables and measurements, where there are any, each with what is said of it; `grid_code` makes a grid
     with them. Guesses, pinned values and bounds are assignments to views of the unknowns; their `..._inputs` read what
@@ -113,6 +112,8 @@ class ControlModule(Module):
     solution.
     """
 
+    structure: tuple[tuple[str, str], ...]
+    features: tuple[tuple[str, str], ...]
     boundary_values: tuple[Line, ...]
     boundary_inputs: tuple[Line, ...]
     inner_times: tuple[str, ...]
@@ -154,11 +155,17 @@ class ControlModule(Module):
 class SimulateModule(Module):
     """A module that solves an initial value problem.
 
+    `public` are names for users, and `record` the fields of the StepProblem with their code. Where all steps are made
+    by one loop, `explicit_sizes` holds the numbers of a state, of stages, of the parts of a step and of the lengths of
+    each, as code.
     `duration` and `start_values` are code in the arguments; `table_arguments` has the name of the argument that takes
     other numbers for tables, where there are any; `start` is the initial state (q, p) as code that reads
     the arguments and the targets of `start_values`, whose comments are the names of the prescribed quantities.
     """
 
+    public: tuple[str, ...]
+    record: tuple[tuple[str, str], ...]
+    explicit_sizes: tuple[str, ...]
     table_arguments: tuple[str, ...]
     duration: str
     start_values: tuple[Line, ...]

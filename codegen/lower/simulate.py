@@ -8,11 +8,10 @@ import sympy
 from sympy import Expr, Symbol
 
 from codegen.derive import StepDerivatives
-from codegen.discretise import STEP
 from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
 from codegen.expressions.table_functions import tables_of
-from codegen.lower.kernels import Kernel, Line, Output, kernel, needed
+from codegen.lower.kernels import KERNEL, VALUE, Kernel, Line, Output, kernel, needed
 from codegen.lower.module import SimulateModule, arguments_of
 from codegen.lower.printer import readable, scalar_code
 from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
@@ -22,7 +21,6 @@ from codegen.lower.tables import (
     table_constants,
     table_kernels,
     table_metadata,
-    table_runtime,
 )
 from codegen.model import Model
 from codegen.transcribe.step_program import StepProgram
@@ -31,8 +29,8 @@ _LONG = 1000
 """Operations from which on common parts of the equations are found on a graph of their values."""
 
 
-def _arguments(program: StepProgram) -> tuple[str, ...]:
-    return ("state", "t", "lengths" if program.fractions else "h", "parameters")
+_ARGUMENTS = ("state", "t", "lengths", "parameters")
+"""The arguments that every kernel of a step has."""
 
 
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
@@ -45,7 +43,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         kernel(
             "energy", "The Hamiltonian at `state` (STATE,).",
             ("state", "t", "parameters"), _codes(program), (), program.energy,
-            straight_line=needed(program.state_assignments, (program.energy,)),
+            decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
         ),
         *((_inputs_kernel(program, ranged),) if ranged else ()),
     )  # fmt: skip
@@ -59,8 +57,12 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
         constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
-        runtime=(*table_runtime(tables), *(("table_steps", "table_left") if ranged else ()), *_runtime(program)),
-        sizes=(*_sizes(program, derivatives), ("RANGED", len(ranged))),
+        sizes=(),
+        public=_public(program, bool(ranged)),
+        record=_record(program, derivatives, tables=bool(tables), ranged=bool(ranged)),
+        explicit_sizes=()
+        if program.unknowns or ranged
+        else (f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}",),
         arguments=arguments_of(model),
         table_arguments=table_arguments(tables),
         steps=model.steps,
@@ -82,8 +84,8 @@ def _codes(program: StepProgram) -> dict[Symbol, str]:
     codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
     codes |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
     codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
-    lengths = {h: f"lengths[{i}]" for i, h in enumerate(program.lengths)} if program.fractions else {STEP: "h"}
-    return codes | lengths | {program.model.time: "t"}
+    codes |= {h: f"lengths[{i}]" for i, h in enumerate(program.lengths)}
+    return codes | {program.model.time: "t"}
 
 
 def _interval(program: StepProgram) -> tuple[Symbol, ...]:
@@ -98,17 +100,17 @@ def _explicit_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "explicit_step",
         "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, from `state` (STATE,).",
-        (*_arguments(program), "interval"), _codes(program), _interval_outputs(program), None, program.before,
+        (*_ARGUMENTS, "interval"), _codes(program), _interval_outputs(program), None, program.before, KERNEL,
     )  # fmt: skip
 
 
 def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tuple[Kernel, ...]:
-    codes, arguments = _codes(program), _arguments(program)
+    codes, arguments, size = _codes(program), _ARGUMENTS, len(program.unknowns)
     names = [symbol.name for symbol in program.unknowns]
     guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
     residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(derivatives.residual)]
     entries = [
-        Output(f"jacobian[{i}, {j}]", entry, f"by {names[j]}")
+        Output(f"jacobian[{i * size + j}]", entry, f"by {names[j]}")
         for i, row in enumerate(derivatives.jacobian)
         for j, entry in enumerate(row)
     ]
@@ -122,23 +124,23 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
         kernel(
             "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
             (*arguments, "unknowns"), codes, guess,
-            straight_line=needed(program.state_assignments, program.guess),
+            decorators=KERNEL, straight_line=needed(program.state_assignments, program.guess),
         ),
         kernel(
             "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
             ("unknowns", *arguments, "residual"), codes, residual, None,
-            () if straight else of_residual, straight_line=of_residual if straight else (),
+            () if straight else of_residual, KERNEL, straight_line=of_residual if straight else (),
         ),
         kernel(
-            "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS, UNKNOWNS) by {listed}.",
+            "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS UNKNOWNS,) by {listed}.",
             ("unknowns", *arguments, "residual", "jacobian"), codes, [*residual, *entries], None,
-            () if straight else of_both, straight_line=of_both if straight else (),
+            () if straight else of_both, KERNEL, straight_line=of_both if straight else (),
         ),
         kernel(
             "complete_step",
             f"Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given {listed}.",
             ("unknowns", *arguments, "interval"), codes, _interval_outputs(program), None,
-            (*program.before, *program.after),
+            (*program.before, *program.after), KERNEL,
         ),
     )  # fmt: skip
 
@@ -154,7 +156,7 @@ def _equations_kernel(program: StepProgram) -> Kernel:
     return kernel(
         "step_equations",
         "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
-        ("state", "interval", *_arguments(program)[1:], "residual"), codes, outputs,
+        ("state", "interval", *_ARGUMENTS[1:], "residual"), codes, outputs, decorators=KERNEL,
         straight_line=straight.assignments,
     )  # fmt: skip
 
@@ -164,8 +166,8 @@ def _inputs_kernel(program: StepProgram, ranged: Sequence[Input]) -> Kernel:
     codes = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
     codes |= {symbol: code for symbol, code in _codes(program).items() if symbol not in codes}
     read = [value for _, value in program.equations]
-    arguments = ("state", "interval", *_arguments(program)[1:])
-    return inputs_kernel("step_inputs", "in a step", arguments, codes, ranged, read)
+    arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
+    return inputs_kernel("step_inputs", "in a step", arguments, codes, ranged, read, entry, KERNEL)
 
 
 def _constants(program: StepProgram) -> list[Line]:
@@ -180,8 +182,11 @@ def _constants(program: StepProgram) -> list[Line]:
     if program.fractions:
         rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
         lines += [
-            Line("PARTS", str(len(program.fractions)), "steps of the base scheme that make up one step"),
-            Line("FRACTIONS", f"np.array([{', '.join(rows)}])", "the lengths of each, in parts of the whole step"),
+            Line(
+                "FRACTIONS",
+                f"np.array([{', '.join(rows)}])",
+                "lengths of the steps of the base scheme that make up one step, relative to it",
+            ),
         ]
     return lines
 
@@ -195,22 +200,33 @@ def _solver(program: StepProgram, derivatives: StepDerivatives) -> str:
     return "constant" if derivatives.constant and not program.fractions else "linear"
 
 
-def _sizes(program: StepProgram, derivatives: StepDerivatives) -> tuple[tuple[str, int], ...]:
-    """On what it depends what the runtime files say: sizes, and flags of how a step is solved."""
+def _public(program: StepProgram, ranged: bool) -> tuple[str, ...]:
+    """Names for users of the module."""
+    of_steps = ("predict", "residual", "jacobian", "complete") if program.unknowns and not program.fractions else ()
+    every = ("energy", "initial_state", "make_grid", "metadata", "path_residual", "problem", "solve", "step")
+    return tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ()))))
+
+
+def _record(
+    program: StepProgram, derivatives: StepDerivatives, *, tables: bool, ranged: bool
+) -> tuple[tuple[str, str], ...]:
+    """The fields of the StepProblem with their code."""
     solver = _solver(program, derivatives)
-    flags = {"ITERATED": solver == "newton", "CONSTANT": solver == "constant", "SYSTEM": len(program.unknowns) > 1}
-    sizes = {"STATE": len(program.state), "PARTS": len(program.fractions), **flags}
-    return tuple((name, int(size)) for name, size in sizes.items())
-
-
-def _runtime(program: StepProgram) -> tuple[str, ...]:
-    return (
-        *(("lu",) if len(program.unknowns) > 1 else ()),
-        "step_newton" if program.unknowns else "step_explicit",
-        *(("composition",) if program.fractions else ()),
-        "counts", "tolerances", "body_motion", "motion",
-        *(("step_callbacks",) if program.unknowns and not program.fractions else ()),
-    )  # fmt: skip
+    of_explicit = {"explicit": "explicit_step", **({} if ranged else {"all_steps": "all_steps"})}
+    of_implicit = {
+        "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual", "jacobian": "step_jacobian",
+        "complete": "complete_step", "is_linear": repr(solver != "newton"), "is_constant": repr(solver == "constant"),
+    }  # fmt: skip
+    return tuple(
+        {
+            **{"metadata": "metadata", "state": "STATE", "stages": "STAGES"},
+            **{"equations": "step_equations", "energy": "energy"},
+            **(of_implicit if program.unknowns else of_explicit),
+            **({"fractions": "FRACTIONS"} if program.fractions else {}),
+            **({"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}),
+            **({"tables": "TABLES"} if tables else {}),
+        }.items()
+    )
 
 
 def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:

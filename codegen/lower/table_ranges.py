@@ -68,12 +68,17 @@ def inputs_kernel(
     indices: Mapping[Symbol, str],
     inputs: Sequence[Input],
     expressions: Sequence[Expr],
+    entry: str = "inputs[{0}, {1}]",
+    decorators: tuple[str, ...] = INNER,
 ) -> Kernel:
-    """What tells the least and the greatest value of every input in some expressions; others are left alone."""
+    """What tells the least and the greatest value of every input in some expressions; others are left alone.
+
+    `entry` is the code of a value, where the numbers of the input and of one of the two values stand.
+    """
     outputs = []
     for j, given in enumerate(inputs):
         if values := given.values(expressions):
-            outputs += [Output(f"inputs[{j}, 0]", sympy.Min(*values), f"least {given.name}")]
-            outputs += [Output(f"inputs[{j}, 1]", sympy.Max(*values), "greatest")]
+            outputs += [Output(entry.format(j, 0), sympy.Min(*values), f"least {given.name}")]
+            outputs += [Output(entry.format(j, 1), sympy.Max(*values), "greatest")]
     summary = f"Least and greatest `inputs` (RANGED, 2) with which tables are read {where}."
-    return kernel(name, summary, (*arguments, "inputs"), indices, outputs, decorators=INNER)
+    return kernel(name, summary, (*arguments, "inputs"), indices, outputs, decorators=decorators)

@@ -87,15 +87,6 @@ def table_arguments(tables: Sequence[TableData]) -> tuple[str, ...]:
     return ("tables",) if tables else ()
 
 
-def table_runtime(tables: Sequence[TableData]) -> tuple[str, ...]:
-    """The runtime files that look-ups need."""
-    if not tables:
-        return ()
-    inputs = {len(table.shape.inputs) for table in tables}
-    files = [name for count, name in ((1, "table_curves"), (2, "table_surfaces")) if count in inputs]
-    return ("table_cells", *files, "table_numbers")
-
-
 def described_tables(tables: Sequence[TableData]) -> list[str]:
     """Every table in a line or two, for the docstring of a module."""
     lines = []

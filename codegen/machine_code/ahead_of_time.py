@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,37 +17,48 @@ if TYPE_CHECKING:
 
 _COMPILING: dict[Path, threading.Lock] = {}
 """Threads that want the same module wait for the first of them, and find what it has made."""
+COMPILING, ONCE = "Compiling", "Compiling the solver, once on this machine"
 
 
 def require(
-    path: Path, module: GeneratedModule, is_new: bool, working: Callable[[str], AbstractContextManager[Any]]
+    path: Path,
+    module: GeneratedModule,
+    is_new: bool,
+    working: Callable[[str], AbstractContextManager[Any]],
+    processes: Compilers | None = None,
 ) -> tuple[float, list[str]]:
-    """Have a module compiled that has no machine code; return the seconds, and what there is to say about it."""
-    from codegen.loading import has_machine_code
+    """Compile a module that lacks machine code; return the seconds, and what there is to say about it.
+
+    `processes` may have been started before. `working` shows a sign of life.
+    """
+    from codegen.machine_code.parts import parts_of
 
     with _COMPILING.setdefault(path.resolve(), threading.Lock()):
-        if not is_new and not vars(module)["DAMAGED"] and has_machine_code(path, module):
+        missing = [part for part in parts_of(module) if not part.is_kept]
+        if not missing and not (is_new and parts_of(module)):
             return 0.0, []
-        with working("Compiling"), compilers() as processes:
-            return prepare(path, processes), processes.said
+        begin = time.perf_counter()
+        what = ONCE if any(part.serves == "runtime" for part in missing) else COMPILING
+        with nullcontext(processes) if processes else compilers() as started, working(what) as line:
+            prepare(path, started, lambda done, count: _tell(line, f"{what}: {done} of {count} parts ..."))
+        return time.perf_counter() - begin, started.said
 
 
-def prepare(path: Path, processes: Compilers) -> float:
-    """Have all that `newton` needs of a module compiled, so that processes find machine code; return the seconds."""
-    begin = time.perf_counter()
-    if not processes.compile(path):
-        _compile_here(path)
-    return time.perf_counter() - begin
+def _tell(line: Any, text: str) -> None:
+    if hasattr(line, "update"):
+        line.update(text)
 
 
-def _compile_here(path: Path) -> None:
-    """Have all that `newton` needs of a module compiled in this process."""
+def prepare(path: Path, processes: Compilers, tell: Callable[[int, int], None] = lambda done, count: None) -> None:
+    """Compile all that a solution of a module calls, in this process if others fail."""
+    if processes.compile(path, tell):
+        return
     from codegen.loading import load  # only now: importing arrays takes a fifteenth of a build
     from codegen.machine_code.compilation import compile_all
 
     module = load(path)
     try:
-        compile_all(module)  # which tells what is wrong, or compiles what is missing
+        compile_all(module)
     except OSError as error:
         raise unwritable_cache_error(module, error) from error
 
@@ -55,7 +66,7 @@ def _compile_here(path: Path) -> None:
 def unwritable_cache_error(module: GeneratedModule, error: OSError) -> FileError:
     """The error that says where machine code of a module cannot be written, and what to do about it."""
     from codegen.files import refused
-    from codegen.loading import code_folders
+    from codegen.runtime.kept_code import code_folder
 
-    folder = ", ".join(sorted(code_folders(module))) or "the folder of machine code"
+    folder = error.filename or code_folder(getattr(module, "__file__", "")) or "the folder of machine code"
     return refused(error, folder, "make room there, or let NUMBA_CACHE_DIR name a folder that may be written to")

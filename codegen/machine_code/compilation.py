@@ -1,153 +1,158 @@
-"""Compile the machine code of a generated module in two processes at once.
+"""Compile the machine code of a generated module in two processes.
 
-numba compiles one function after the other. The KKT factorisation of a control problem, or the loop over the steps of
-a simulation, takes about half of that time, so one process compiles it, and another one everything else; numba's cache
-on disk brings their work together. `python -m codegen.machine_code.compilation SHARE`, which `processes` starts, loads
-numba while the module is still being derived, and reads the path of the module from its standard input. Where a process
-can fork, it becomes the two only then, so that numba is loaded once; elsewhere two are started.
+numba compiles one function after the other. `python -m codegen.machine_code.compilation`, which `processes` starts,
+loads numba while the module is still being derived, and reads the path of the module from its standard input. Where a
+process can fork, it becomes two only then, so that numba is loaded once, and each takes the next part that nobody has
+taken. Elsewhere two are started, and each takes every other part. numba's cache on disk brings their work together.
 
-What they leave out are the entries by which Python and C would call functions that only compiled functions call, and
-machine code of those functions beside that of their callers (see `linking`).
+In these processes functions that only compiled functions call are not made machine code of, see `runtime.linking`.
 """
 
 from __future__ import annotations
 
 import gc
-import inspect
 import io
+import math
 import os
 import sys
+from collections.abc import Iterable
 from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import typeof
+from numba import carray, cfunc, config, float64, int64, njit, types
 
-from codegen.interfaces import GeneratedModule, few_steps, is_of_particles
 from codegen.loading import load
-from codegen.machine_code.processes import UNFINISHED
+from codegen.machine_code.parts import Part, parts_of
+from codegen.machine_code.processes import COUNT, DONE
+from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folders
+from codegen.runtime.packing import packed_operations
 from codegen.tasks import task_of
 
 
 def compile_all(module: Any) -> None:
-    """Call all that a solution calls, so that it is compiled, or read where it has been."""
-    task = task_of(module)
-    with np.errstate(all="ignore"), module.packed_operations():
-        for call in task.parts(module):
-            call()
-        task.small(module)
-
-
-LONG = 1000
-"""Bytes of bytecode from which on a function is worth optimising and keeping by itself.
-
-At 3000 LLVM takes some functions into their callers that it had better shortened first: a factorisation of the orbital
-transfer then takes 28 microseconds and one of the cart pendulum 7.5, and 21 and 6 at 1000; builds take as long.
-"""
-
-
-def compile_for_callers(module: GeneratedModule) -> None:
-    """Have functions that only compiled functions call compiled as parts of these, in this process from now on.
-
-    Long ones are kept by themselves as well, so that the process that needs one later finds it.
-    """
-    from codegen.machine_code import linking
-
-    functions = _compiled_functions(module)
-    inner = [function for function in functions if function.stats.cache_path is None]
-    long = [function for function in inner if len(function.py_func.__code__.co_code) > LONG]
-    if linking.applies(functions):
-        linking.link_inner_functions(functions, [function.py_func.__name__ for function in long])
-    for function in long:
-        function.enable_caching()
-
-
-def _compiled_functions(module: GeneratedModule) -> list[Any]:
-    return [value for value in vars(module).values() if hasattr(value, "py_func")]
+    """Compile all that a solution calls, or read it where it has been compiled, and solve a small problem."""
+    with np.errstate(all="ignore"), packed_operations():
+        for part in parts_of(module):
+            part.make()
+            protect(part)
+    task_of(module).small(module)
 
 
 def main(share: str) -> int:
-    """Get numba ready, wait for the path of a module, compile a share of it; the exit status."""
-    from numba import njit
+    """Get numba ready, wait for the path of a module, compile a share of its parts; return the exit status.
 
+    The share is "both" of a process that becomes two, or as "0/2" for the first of two.
+    """
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
-    njit(lambda x: x)(0.0)  # the first compilation takes long, whatever it compiles
+    is_compiling = not config.DISABLE_JIT  # type: ignore[attr-defined]
+    if is_compiling:
+        warm_up()
     path = os.fsdecode(sys.stdin.buffer.read())
-    if not path:
+    if not (path and is_compiling):
         return 0
     with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
         module = load(Path(path))
     os.write(sys.stdout.fileno(), said.getvalue().encode())
-    if not _compiled_functions(module):  # numba is switched off, by NUMBA_DISABLE_JIT
-        return 0
-    if not is_of_particles(module):
-        compile_for_callers(module)
+    parts = [part for part in parts_of(module) if part.serves == "problem" or not part.is_kept]
+    link_runtime()
     if share == "both":
-        return compile_in_two(module)
-    return compile_share(module, share)
+        return compile_in_two(parts)
+    number, count = map(int, share.split("/"))
+    compile_parts(parts[number::count], len(parts))
+    return 0
 
 
-def compile_in_two(module: Any) -> int:
-    """Compile a module in this process and in a copy of it, each taking the next part that is left; the exit status."""
-    first, *others = task_of(module).parts(module)
-    calls = [first, lambda: compile_substitution(module), *others]
+def warm_up() -> None:
+    """Compile a little of what loops and kernels consist of: the first compilation takes long, whatever it compiles."""
+    import codegen.runtime.search.solution  # noqa: F401  what modules import
+
+    assert cfunc(float64(types.CPointer(float64), int64))(_loop).address
+
+
+_PLACES = np.array([0, 1])
+
+
+def _loop(values: Any, count: Any) -> Any:
+    """Go through intervals as loops of modules do."""
+    array, part, total = carray(values, (count,)), np.zeros(2), 0.0
+    for k in range(count):
+        part[:] = 0.0
+        total += _kernel(array[k : k + 2], (array[k + 1] - array[k]) * 2.0, part)
+        _add(part, k, 2, array)
+        for i in _PLACES:
+            array[i] = 0.0
+    return total
+
+
+@njit(error_model="numpy")
+def _kernel(values: Any, t: Any, part: Any) -> Any:
+    """Fill an array as kernels of modules do."""
+    x = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
+    part[0] = 2 * x / math.sqrt(t) - x**3
+    return -x
+
+
+@njit(error_model="numpy", inline="always")
+def _add(part: Any, first: Any, size: Any, array: Any) -> None:
+    """Add a part to an array."""
+    for i in range(size):
+        array[first + i] += part[i]
+
+
+def link_runtime() -> None:
+    """Have inner functions of the runtime become parts of their callers, in this process from now on."""
+    from codegen.runtime.linking import compile_for_any_value, link_inner_functions
+
+    runtime = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
+    functions = {id(value): value for space in runtime for value in space.values() if hasattr(value, "py_func")}
+    is_kept = {key: function.stats.cache_path is not None for key, function in functions.items()}
+    link_inner_functions(function for key, function in functions.items() if not is_kept[key])
+    compile_for_any_value(function for key, function in functions.items() if is_kept[key])
+
+
+def compile_in_two(parts: list[Part]) -> int:
+    """Compile parts in this process and in a copy of it, each taking the next one that is left; the exit status."""
     left, numbers = os.pipe()
-    os.write(numbers, bytes(range(len(calls))))
+    os.write(numbers, bytes(range(len(parts))))
     os.close(numbers)
-    other = os.fork()
+    other = os.fork() if len(parts) > 1 else None
     status = 1
     try:
-        with np.errstate(all="ignore"), module.packed_operations():
-            while number := os.read(left, 1):
-                calls[number[0]]()
+        compile_parts((parts[number[0]] for number in iter(lambda: os.read(left, 1), b"")), len(parts))
         status = 0
     except Exception as error:
         status = failed(error)
     finally:
-        if not other:
+        if other == 0:
             os._exit(status)
-    if status:
+    if status or other is None:
         return status
-    return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1]) or status_of(module)
+    return os.waitstatus_to_exitcode(os.waitpid(other, 0)[1])
 
 
-def compile_substitution(module: Any) -> None:
-    """Compile what a linear system calls last, if it is kept by itself, while another process compiles the rest of it.
-
-    The linear system is the longest part by far, and that process finds the substitution when it gets there.
-    """
-    if not hasattr(module, "substitute") or module.substitute.stats.cache_path is None:
-        return
-    grid = module.make_grid(few_steps(module, 2))
-    factors, _ = module.allocate_system(grid)
-    vector = np.zeros(grid.is_multiplier.size)
-    names = list(inspect.signature(module.solve_system.py_func).parameters)[-len(factors) - 1 :]
-    values = {**dict(zip(names, [*factors, vector], strict=True)), "gradient": vector, "carried": True}
-    values["steps"] = grid.steps
-    wanted = inspect.signature(module.substitute.py_func).parameters
-    module.substitute.compile(tuple(typeof(values[name]) for name in wanted))  # type: ignore[no-untyped-call]
+def compile_parts(parts: Iterable[Part], count: int) -> None:
+    """Compile parts, and tell the process that waits of each."""
+    os.write(sys.stdout.fileno(), f"{COUNT}{count}\n".encode())
+    with np.errstate(all="ignore"), packed_operations():
+        for part in parts:
+            part.make()
+            protect(part)
+            os.write(sys.stdout.fileno(), f"{DONE}\n".encode())
 
 
-def compile_share(module: Any, share: str) -> int:
-    """Compile a share of a module; the exit status."""
-    shares = {"the_longest": slice(1), "all_but_the_longest": slice(1, None)}
-    with np.errstate(all="ignore"), module.packed_operations():
-        for call in task_of(module).parts(module)[shares.get(share, slice(None))]:
-            call()
-    return status_of(module)
+def protect(part: Part) -> None:
+    """Add checksums to the machine code of the folders that a part may have added to."""
+    folders = [] if part.serves == "problem" else [code_folder(part.function.__code__.co_filename)]
+    for folder in {*folders, *(runtime_folders() if part.serves == "runtime" else [])}:
+        add_checksums(folder)
 
 
 def failed(error: Exception) -> int:
-    """Tell the process that waits, in one line, by which error this one fails; the exit status."""
+    """Tell the process that waits, in one line, by which error this one fails; return the exit status."""
     os.write(sys.stdout.fileno(), f"{' '.join(f'{type(error).__name__}: {error}'.split())[:300]}\n".encode())
     return 1
-
-
-def status_of(module: Any) -> int:
-    """Have machine code carry its digest; the exit status of a process that has compiled its share of a module."""
-    module.add_checksums(_compiled_functions(module))
-    return 0 if task_of(module).is_whole else UNFINISHED
 
 
 if __name__ == "__main__":

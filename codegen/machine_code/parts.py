@@ -1,124 +1,197 @@
-"""What is compiled of a module of each task: calls for its parts, and for what drivers of scipy call."""
+"""What is compiled before a module solves: its kernels, the linear system of its shape, functions of the runtime."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numba import boolean, config, float64, int64, typeof, types
 
-from codegen.interfaces import few_steps, is_of_particles
+from codegen.interfaces import few_steps
 
-Calls = list[Callable[[], Any]]
+REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
+INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
+MASK, MASKS, READ_MASK = types.Array(boolean, 1, "C"), types.Array(boolean, 2, "C"), types.Array(boolean, 1, "C", True)
+INTEGERS_AT = types.CPointer(int64)
+
+Signature = tuple[Any, ...]
 
 
-def control_parts(module: Any) -> Calls:
-    """Calls for a module that optimises; the linear system comes first, and what needs its parts after it.
+@dataclass(frozen=True)
+class Part:
+    """Machine code that one process makes: the function of Python, the call that compiles it, and what it serves.
 
-    Nothing is called before, not even for a guess: slacks have theirs from an evaluation, which is a part of its own.
+    It serves the "problem" alone, or all problems of a "shape", or as a part of the "runtime" all problems.
     """
-    grid = module.make_grid(few_steps(module, 2))
-    unknowns = np.ones(grid.is_multiplier.size)
-    step, zeros = np.zeros_like(unknowns), np.zeros_like(unknowns)
-    calls = [
-        lambda: module.solve_kkt(grid, module.allocate_system(grid), zeros, step),  # its factors are zeros
-        lambda: module.evaluate(grid, module.initial_guess(grid)),
-    ]
-    if hasattr(module, "fill_sizes"):
-        calls.append(lambda: module.scaled_grid(grid, unknowns))
-    if hasattr(module, "linear_residual"):
-        calls.append(lambda: module.linear_residual(grid, unknowns, zeros, zeros, step))
-    if hasattr(module, "finite_bounds"):
-        calls += _barrier_parts(module, grid, unknowns, zeros)
-    elif hasattr(module, "slope_of"):  # a linear-quadratic problem has none
-        calls.append(lambda: module.slope_of(unknowns, zeros, zeros, grid.is_multiplier))
-    if hasattr(module, "tables_beyond"):
-        calls.append(lambda: module.tables_beyond(grid, unknowns))
-    if hasattr(module, "change_along"):
-        calls += _sensitivity_parts(module, grid, unknowns)
-    return [*calls, lambda: module.unpack(grid, unknowns), lambda: module.sizes_of_terms(grid, unknowns)]
+
+    function: Any
+    make: Callable[[], Any]
+    serves: str = "problem"
+
+    @property
+    def is_kept(self) -> bool:
+        """True if machine code of the function is on the disk."""
+        from codegen.runtime.kept_code import is_kept
+
+        return bool(is_kept(self.function))
 
 
-def _barrier_parts(module: Any, grid: Any, unknowns: Any, step: Any) -> Calls:
-    """Calls of what is called where unknowns have bounds."""
-    bounds = module.finite_bounds(*module.variable_bounds(grid))
-    distance, gradient = np.ones(bounds[0].size), np.ones_like(unknowns)
-    duals, result = np.ones(distance.size), np.empty(distance.size)
-    places = bounds.indices, bounds.side, distance
-    search, point = module.search_on(grid), module.Point(unknowns, gradient, *[0.0] * 5)
-    iterate = module.Iterate(point, 1.0, distance, 0.0, duals)
-    taken = module.Step(step, duals, step, 0.0, False, 1.0, 1.0, None)
-    barrier = grid.is_multiplier, *places, duals, 1.0
-    return [
-        lambda: module.measure_optimality(gradient, unknowns, grid.is_multiplier, *places, duals),
-        lambda: module.slopes_without_multipliers(
-            gradient, grid.is_multiplier, *places[:2], duals, np.empty_like(step), np.empty_like(step)
-        ),
-        lambda: module.add_barrier(gradient, *barrier, 0.0, 0.0, np.empty_like(step), np.empty_like(step)),
-        lambda: module.moved(search, iterate, taken, 0.0),
-        lambda: module.approach(unknowns.copy(), *bounds[:1], *bounds[2:], 0.0, 0.0, distance, result),
-        lambda: module.push_inside(*module.variable_bounds(grid), unknowns, 0.1),
-        lambda: module.prescribed_beyond(grid, unknowns),
-        lambda: module.remaining_gap(unknowns, gradient, *module.variable_bounds(grid)),
-    ]
+def has_machine_code(module: Any) -> bool:
+    """Return True if all machine code that solutions of a module need is on the disk."""
+    return all(part.is_kept for part in parts_of(module))
 
 
-def _sensitivity_parts(module: Any, grid: Any, unknowns: Any) -> Calls:
-    """Calls of what sensitivities call."""
-    count = len(module.QUANTITIES)
-    factors, lanes = module.allocate_system(grid)[0], np.zeros((module.LANES, unknowns.size))
-    moves, mask = np.zeros((count, unknowns.size)), np.ones(unknowns.size, dtype=bool)
-    rates, times = np.zeros((count, module.BODIES, module.PARAMETRIC)), np.zeros((count, grid.steps + 1))
-    data = unknowns, grid.steps, grid.h, grid.nodes, grid.parameters
-    parts = np.ones(unknowns.size)
-    calls = [
-        lambda: module.change_along(*data, moves, rates, times, parts, moves.copy(), np.zeros(count)),
-        lambda: module.substitute_all(lanes, grid.steps, factors, lanes.copy()),
-        lambda: module.add_steps(moves, moves, parts, parts, mask, moves.copy(), np.zeros((2, count))),
-    ]
-    calls.append(lambda: module.largest_left(unknowns, mask, np.ones((2, count))))
-    if hasattr(module, "compare_with_bounds"):
-        calls.append(lambda: module.active_bounds(grid, module.plain_grid(grid), unknowns))
-    if hasattr(module, "follow_ties"):
-        calls.append(lambda: module.follow_ties(grid.steps, moves, moves.copy()))
-    if hasattr(module, "momenta_along"):
-        room = np.zeros((module.BODIES, grid.steps + 1, module.EQUATIONS.size))
-        calls.append(lambda: module.momenta_along(*data, moves[0], rates[0], times[0], room))
-    return calls
+def parts_of(module: Any) -> list[Part]:
+    """Return all parts, in the order in which processes are to take them.
+
+    Nothing if numba is switched off, or if the module has numerics of its own.
+    """
+    runtime = {
+        "codegen.runtime.search.problem": search_functions,
+        "codegen.runtime.stepping.problem": step_functions,
+        "codegen.runtime.particles.problem": particle_functions,
+    }.get(type(module.problem).__module__)
+    if config.DISABLE_JIT or runtime is None:  # type: ignore[attr-defined]
+        return []
+    first, *others = (
+        Part(function.py_func, partial(function.compile, signature), "runtime")
+        for function, signature in runtime(module.problem)
+    )
+    kernels = [Part(kernel.function, partial(getattr, kernel, "address")) for kernel in module.problem.kernels()]
+    if hasattr(module.problem, "structure"):
+        *system_parts, system = linear_system(module.problem.structure.shape)
+        return [first, *system_parts, *others, *kernels, system]
+    return [first, *kernels, *others]
 
 
-def simulate_parts(module: Any) -> Calls:
-    """Calls for a module that follows a motion."""
-    if is_of_particles(module):
-        return [lambda: module.solve(2)]
-    grid = module.make_grid(2)
-    path, stored = np.vstack([grid.start, grid.start]), np.empty((3, grid.start.size))
-    return [
-        lambda: module.follow(grid.start, 2, grid.h, grid.given, 1, stored, stored),
-        lambda: module.path_residual(grid, path),
-        lambda: module.energies(path, np.zeros(2), grid.given, np.empty(2)),
-    ]
+def linear_system(shape: Any) -> Iterator[Part]:
+    """Yield the parts of the linear system of a shape; the last one takes the others in."""
+    from codegen.runtime.kkt.specialised import compiled_system, system_module
 
-
-def connect_parts(module: Any) -> Calls:
-    """Calls for a module that connects points; where it carries others along, all that a registration calls."""
-    case = small_case(module)
-    points = np.zeros((2 * module.POINTS, 2, *case.start.shape))
-    points[:, 0] = case.start
+    system = system_module(shape)
+    elimination = (
+        INTEGERS_AT, TABLE, REALS, REALS, REALS, REALS, int64, TABLE, TABLE, INTEGERS, CUBE, CUBE, TABLE, TABLE, TABLE,
+    )  # fmt: skip
+    substitution = {
+        system.forward: (INTEGERS_AT, TABLE, TABLE, INTEGERS, int64, REALS, REALS, REALS),
+        system.backward: (INTEGERS_AT, TABLE, INTEGERS, int64, int64, REALS, REALS, REALS),
+        system.condense: (REALS, CUBE, CUBE, int64, REALS),
+        system.recover_condensed: (REALS, CUBE, CUBE, int64, REALS, REALS),
+    }
 
     def solve() -> None:
-        solution = module.solve_case(case)
-        module.stages_of(case, np.stack([solution.q, solution.p], axis=1))
+        for function, signature in substitution.items():
+            function.compile(signature)
 
-    def linearise() -> None:
-        module.Linearised(case, points, None).matrix()
+    yield Part(system.system, partial(system.eliminate_body.compile, elimination), "shape")
+    yield Part(system.system, solve, "shape")
+    yield Part(system.system, partial(compiled_system, shape), "shape")
 
-    if module.metadata.get("passive"):  # few functions are in two of these calls, the longest of which come first
-        return [solve, lambda: module.carry(case, points, case.start, derivative=True), linearise]
-    return [
-        linearise,
-        lambda: module.path_cost(case, module.guessed_path(case.start, case.target, 2, 1.0, case.own, case.parameters)),
-    ]
+
+def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+    """Yield the functions of searches that Python calls, and the types that all problems call them with."""
+    from codegen.runtime.search import cascade, descent, exact_bounds, iterates, linear_system, parts, point, scaling
+    from codegen.runtime.search import sensitivities as changes
+
+    grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
+    factors = (int64, REALS, INTEGERS, int64, INTEGERS)  # equations, factors, orders, inverses, counts
+    yield descent.descend, (
+        types.UniTuple(int64, 3),
+        types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE)),
+        types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
+        types.Tuple((INTEGERS, REALS, REALS)),
+        float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
+    )  # fmt: skip
+    quantities = scaling.Quantities(
+        **{
+            name: np.zeros((1, 2) if name == "tied" else 1, kind)
+            for name, kind in zip(scaling.Quantities._fields, QUANTITIES, strict=True)
+        }
+    )
+    yield scaling.fill_scaling_factors, (
+        typeof(quantities), *[REALS] * 4, INTEGERS, INTEGERS, REALS, INTEGERS, MASKS, REALS, REALS, boolean, REALS,
+    )  # fmt: skip
+    yield point.measured_gradient, (int64, REALS, REALS, float64, *grid, MASK, REALS, REALS)
+    yield linear_system.factor_at, (
+        int64, int64, *[REALS] * 4, *grid, INTEGERS, *[REALS] * 3, *factors, REALS, boolean,
+    )  # fmt: skip
+    yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)
+    yield linear_system.multiply_entries, (REALS, INTEGERS, INTEGERS, int64, INTEGERS, REALS, REALS, boolean)
+    yield linear_system.call_hessians, (int64, REALS, *grid, INTEGERS, REALS)
+    yield parts.fill, (int64, REALS, *grid, REALS)
+    yield iterates.has_multipliers, (REALS, MASK)
+    if problem.variable_bounds is not None:
+        yield iterates.push_inside, (REALS, REALS, REALS, INTEGERS, float64)
+        yield exact_bounds.clip, (REALS, REALS, REALS, INTEGERS)
+        yield cascade.fill_active, (REALS, REALS, INTEGERS, REALS, REALS, REALS, float64, float64, REALS, REALS)
+    if problem.data is not None:
+        along = (
+            int64, INTEGERS, REALS, INTEGERS, INTEGERS, REALS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS,
+        )  # fmt: skip
+        yield changes.change_along, (TABLE, CUBE, TABLE, *along, TABLE, REALS)
+        yield changes.momenta_along, (REALS, TABLE, REALS, *along, INTEGERS, CUBE)
+        yield changes.add_steps, (TABLE, TABLE, REALS, REALS, MASK, TABLE, TABLE)
+        yield changes.solve_all, (int64, int64, INTEGERS, TABLE, *factors, TABLE)
+        yield changes.largest_residual, (REALS, MASK, TABLE)
+        yield changes.multiply, (TABLE, REALS)
+
+
+QUANTITIES = (
+    int, bool, int, bool, float, bool, bool, float, float, bool, bool, int, int, int, int, int, float, int, int,
+)  # fmt: skip
+"""Types of the entries of `Quantities`."""
+
+
+def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+    """Yield the functions that make steps of a motion, and the types that all problems call them with."""
+    from codegen.runtime import lu
+    from codegen.runtime.stepping import steps
+
+    scheme = typeof(steps.Scheme(*[0] * len(steps.Scheme._fields)))
+    if problem.all_steps is None:
+        yield steps.follow, (
+            scheme, REALS, REALS, int64, float64, REALS, float64, int64, int64, TABLE, TABLE,
+        )  # fmt: skip
+    yield steps.largest_residual, (
+        scheme, REALS, TABLE, TABLE, int64, int64, float64, REALS, float64, int64, int64,
+    )  # fmt: skip
+    yield steps.energies, (int64, TABLE, REALS, REALS, REALS)
+    yield lu.factor_matrix, (TABLE, INTEGERS)
+    yield lu.solve_factored, (TABLE, INTEGERS, REALS)
+
+
+def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+    """Yield the functions that move particles, or connect them, and the types that all problems call them with."""
+    from codegen.runtime.particles import broyden, motion, pair_algebra, shooting, steps, tracers, trajectory
+
+    pairs, shape = typeof(steps.Pairs(*[0] * len(steps.Pairs._fields))), types.UniTuple(int64, 3)
+    own = (TABLE, REALS)  # parameters of each particle, and of all
+    if problem.metadata["task"] == "simulate":
+        yield motion.follow_particles, (pairs, CUBE, int64, float64, *own, int64, TABLE, TABLE)
+        yield motion.largest_difference, (pairs, TABLE, TABLE, int64, float64, *own, shape)
+        yield motion.energies_of, (pairs, TABLE, *own, shape, REALS)
+        return
+    linear = (pairs, CUBE, FOURFOLD, int64, float64, *own, TABLE)
+    yield broyden.broyden_steps, (pairs, float64, *own, TABLE, REALS, TABLE, float64, FOURFOLD, FOURFOLD)
+    yield trajectory.follow, (pairs, float64, *own, FOURFOLD, FOURFOLD, float64)
+    yield trajectory.defects, (pairs, float64, *own, FOURFOLD, FOURFOLD, FOURFOLD)
+    yield trajectory.cost_and_energies, (pairs, float64, *own, FOURFOLD, FOURFOLD, REALS, REALS)
+    yield trajectory.discrete_cost, (pairs, float64, *own, FOURFOLD, REALS)
+    yield shooting.tangents, linear
+    yield steps.advance_directions, (*linear, TABLE)
+    yield shooting.extend_basis, (int64, TABLE, TABLE, TABLE, REALS)
+    yield steps.fill_curvature, (int64, FOURFOLD, *own, CUBE)
+    yield pair_algebra.cholesky, (TABLE,)
+    yield pair_algebra.solve_cholesky, (TABLE, TABLE)
+    yield pair_algebra.largest, (REALS,)
+    if problem.tracer_gradient is not None:
+        known = typeof(tracers.Tracers(*[0] * len(tracers.Tracers._fields)))
+        yield tracers.carry_points, (
+            known, TABLE, float64, float64, float64, FOURFOLD, *own, TABLE, CUBE,
+        )  # fmt: skip
 
 
 def small_case(module: Any, steps: int = 2) -> Any:
@@ -147,11 +220,9 @@ def connect_small(module: Any) -> None:
 
 def control_touched(module: Any, steps: int) -> None:
     """Call the functions of optimisers at the first guess."""
-    grid = module.make_grid(steps)
-    unknowns = module.initial_guess(grid)
-    functions = module.cost, module.cost_gradient, module.constraints, module.jacobian, module.hessian
-    for evaluate in (*functions, module.stationarity):
-        evaluate(grid, unknowns)
+    program = module.nlp(steps)
+    for evaluate in (program.cost, program.gradient, program.constraints, program.jacobian, program.hessian):
+        evaluate(program.x0)
 
 
 def simulate_touched(module: Any, _steps: int) -> None:

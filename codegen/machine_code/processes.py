@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -18,16 +18,22 @@ from codegen.errors import one_line
 CAN_FORK = hasattr(os, "fork")
 NOTE = "codegen: note: "
 """How a line begins that is no error."""
-UNFINISHED = 3
-"""Exit status of a process that has compiled its share, where the shares together are not all that `solve` calls."""
+COUNT, DONE = "codegen: parts: ", "codegen: part done"
+"""How a line begins that tells how many parts there are, and the line that tells of one that is compiled."""
 
 
 class Compilers:
-    """Processes that have numba ready and compile a module between them when they are told to."""
+    """Processes that get numba ready, and compile a module when they have its path."""
 
     def __init__(self) -> None:
         self.failure = ""  # type and message of the error by which a process failed
         self.notes: list[str] = []  # what processes had to say beside
+        self.processes: list[subprocess.Popen[bytes]] = []
+
+    def start(self) -> None:
+        """Start the processes, unless they have been started."""
+        if self.processes:
+            return
         self.processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "codegen.machine_code.compilation", share],
@@ -40,22 +46,33 @@ class Compilers:
             for share in shares()
         ]
 
-    def compile(self, path: Path) -> bool:
-        """Whether all that `solve` calls is now on disk, compiled; never so where particles are connected.
+    def compile(self, path: Path, tell: Callable[[int, int], None] = lambda done, count: None) -> bool:
+        """Compile all that solutions of a module call; return True if it is on the disk now.
 
-        If a process has failed, `failure` tells by which error.
+        `tell` is called with how many parts are done, and how many there are. If a process has failed, `failure` tells
+        by which error.
         """
+        self.start()
         for process in self.processes:
             assert process.stdin is not None
             with suppress(BrokenPipeError):  # its exit status will tell
                 process.stdin.write(os.fsencode(path.absolute()))
                 process.stdin.close()
-        output = b"".join(process.stdout.read() for process in self.processes if process.stdout is not None)
-        said = output.decode(errors="replace").splitlines()
-        self.notes = [line for line in said if line.startswith(NOTE)]
+        errors, done, count = [], 0, 0
+        for process in self.processes:
+            assert process.stdout is not None
+            for line in (line.decode(errors="replace").rstrip("\n") for line in process.stdout):
+                if line.startswith(COUNT):
+                    count = int(line.removeprefix(COUNT))
+                elif line == DONE:
+                    done += 1
+                    tell(done, count)
+                elif line.startswith(NOTE):
+                    self.notes.append(line)
+                else:
+                    errors.append(line)
         statuses = [process.wait() for process in self.processes]
-        if any(status not in (0, UNFINISHED) for status in statuses):
-            errors = [line for line in said if not line.startswith(NOTE)]
+        if any(statuses):
             self.failure = errors[0] if errors else f"a process ended with status {max(statuses, key=abs)}"
         return not any(statuses)
 
@@ -84,16 +101,16 @@ class Compilers:
 
 @contextmanager
 def compilers() -> Iterator[Compilers]:
-    """Start the processes, and make sure that they end with the block."""
-    started = Compilers()
+    """Provide processes that can be started, and make sure that they end with the block."""
+    processes = Compilers()
     try:
-        yield started
+        yield processes
     finally:
-        started.end()
+        processes.end()
 
 
 def shares() -> tuple[str, ...]:
-    """What the processes that are to be started compile, each."""
+    """Return the shares of the processes that are to be started."""
     if (os.cpu_count() or 1) == 1:
-        return ("all",)
-    return ("both",) if CAN_FORK else ("the_longest", "all_but_the_longest")
+        return ("0/1",)
+    return ("both",) if CAN_FORK else ("0/2", "1/2")

@@ -6,11 +6,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
+from codegen.runtime.search.grid import free_unknowns
 from codegen.solutions.result import Result
 from codegen.solutions.segments import multiplier_names
 
@@ -239,8 +240,8 @@ def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
     """Controls with NaN, which is not drawn, in phases that have no such control."""
     if "phases" not in module.metadata:
         return controls
-    grid, generated = module.make_grid(steps), cast("Any", module)
-    _, intervals = module.views(grid, np.where(generated.free_unknowns(grid), 0.0, np.nan))
+    grid = module.make_grid(steps)
+    _, intervals = module.views(grid, np.where(free_unknowns(grid), 0.0, np.nan))
     inside = module.metadata["interval"]
     # The last of a name: multipliers come first, one of which may be called like a control.
     indices = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata["control_names"]]

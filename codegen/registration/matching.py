@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.coincident import groups_of
@@ -250,7 +250,7 @@ class Matching:
         """Momenta from which shooting is likely to arrive, the cheapest first, and what they are called."""
         module = self.module
         if velocities is not None:
-            yield "a known registration", module.momenta_of(case.start, velocities, case.own, case.parameters)
+            yield "a known registration", module.momenta_of(case, case.start, velocities)
         yield "the straight way", self._straight_momenta(case)
         if np.isfinite(self._of_least_action).all():
             yield "a path of least action", self._of_least_action
@@ -260,7 +260,7 @@ class Matching:
         module = self.module
         if self.ridge == 0.0:
             straight = (case.target - case.start) / case.duration
-            return module.momenta_of(case.start, straight, case.own, case.parameters)
+            return module.momenta_of(case, case.start, straight)
         matrix = self._covariance(case) * case.duration + np.diag(case.sigma**2)
         return np.asarray(np.linalg.solve(matrix, case.target - case.start))
 

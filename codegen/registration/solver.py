@@ -37,14 +37,11 @@ def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
     """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
     from codegen.cache import stored
     from codegen.compiler import build
+    from codegen.machine_code.parts import has_machine_code
 
     if not stored(problem_file(), arguments_of(dimension), scheme=scheme).is_file():
         return False
-    return _has_machine_code(build(problem_file(), arguments_of(dimension), scheme=scheme).path)
-
-
-def _has_machine_code(path: Path) -> bool:
-    return any((path.parent / "__pycache__").glob(f"{path.stem}.carry_points-*.nbi"))
+    return has_machine_code(load(build(problem_file(), arguments_of(dimension), scheme=scheme).path))
 
 
 @cache
@@ -55,13 +52,14 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
     """
     from codegen.compiler import build
     from codegen.machine_code.compilation import compile_all
+    from codegen.machine_code.parts import has_machine_code
     from codegen.machine_code.processes import compilers
 
     made = build(problem_file(), arguments_of(dimension), scheme=scheme)
     module = require_tracers(load(made.path))
     if module.metadata["adaptive"]:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
-    if not _has_machine_code(made.path):
+    if not has_machine_code(module):
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
         with compilers() as processes:
             processes.compile(made.path)

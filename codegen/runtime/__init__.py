@@ -1,6 +1,6 @@
-"""Ordinary numerics that need no symbol, included verbatim in the generated modules that need them.
+"""Numerics without symbols, which generated modules import: numpy, numba and the standard library only.
 
-Every file here is plain, tested Python. Its functions refer to the kernels and sizes of a generated module by name;
-so that they can be imported and tested by themselves, each file imports those names from `example.py`, a hand-written
-stand-in. `emit.py` drops the import lines, and the generated module's own definitions take their place.
+`search` solves problems of optimal control, `kkt` their linear systems, `stepping` follows motions, `particles`
+connects and moves particles. Compiled functions call what is special about a problem by address (`addresses`,
+`kernels`).
 """

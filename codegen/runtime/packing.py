@@ -5,8 +5,9 @@ percent less time. Machine code that is on the disk already is as it was compile
 modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
 """
 
-from functools import wraps
+from contextlib import contextmanager
 from threading import Lock
+
 from numba import config
 
 # Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
@@ -30,24 +31,11 @@ def end_packing():
             config.SLP_VECTORIZE = PACKING["before"]
 
 
-class packed_operations:
+@contextmanager
+def packed_operations():
     """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
-
-    def __call__(self, function):
-        """The function with its own block at each call."""
-
-        @wraps(function)
-        def inside(*values, **named):
-            begin_packing()
-            try:
-                return function(*values, **named)
-            finally:
-                end_packing()
-
-        return inside
-
-    def __enter__(self):
-        begin_packing()
-
-    def __exit__(self, *error):
+    begin_packing()
+    try:
+        yield
+    finally:
         end_packing()

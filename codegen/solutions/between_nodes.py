@@ -114,18 +114,19 @@ def sampled_conditions(module: ControlModule) -> tuple[str, ...]:
 
 def _rows(module: Any) -> Iterator[_Row]:
     """The conditions of a module in which nothing but states of one node, times and parameters occur."""
-    metadata, first = module.metadata, len(module.metadata["node"])
-    partners = _partners(module)
-    stride = first + len(metadata["interval"])
+    metadata, structure = module.metadata, module.problem.structure
+    first = structure.node
+    partners = _partners(structure)
+    stride = structure.stride
     meanings: Mapping[str, str] = metadata["meanings"]
     every = tuple(range(metadata.get("phases", 1)))
     for i, name in enumerate(metadata["node"]):
         met = _MULTIPLIER.fullmatch(meanings.get(name, ""))
         beside = partners.get(i, set()) - {i}
         own = {j for j in beside if j < first}
-        if met and module.IS_MULTIPLIER[i] and own and not any(first <= j < stride + first for j in beside):
+        if met and structure.is_multiplier[i] and own and not any(first <= j < stride + first for j in beside):
             yield _Row(met["name"], i, True, tuple(sorted(own)), every)
-    for slack, multiplier in zip(getattr(module, "SLACKS", ()), getattr(module, "SLACK_MULTIPLIERS", ()), strict=True):
+    for slack, multiplier in zip(structure.slacks, structure.slack_multipliers, strict=True):
         beside = partners.get(int(multiplier), set()) - {int(slack), int(multiplier)}
         if any(j < stride for j in beside):
             continue  # of the left node, or the interval
@@ -139,10 +140,10 @@ def _rows(module: Any) -> Iterator[_Row]:
             yield _Row(name, int(multiplier), False, states, tuple(where))
 
 
-def _partners(module: Any) -> dict[int, set[int]]:
+def _partners(structure: Any) -> dict[int, set[int]]:
     """For every index of an interval with both its nodes those with which the Hessian of the Lagrangian couples it."""
     found: dict[int, set[int]] = {}
-    for i, j in zip(module.HESSIAN_ROWS.tolist(), module.HESSIAN_COLUMNS.tolist(), strict=True):
+    for i, j in zip(structure.rows.tolist(), structure.columns.tolist(), strict=True):
         found.setdefault(i, set()).add(j)
         found.setdefault(j, set()).add(i)
     return found

@@ -11,6 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
+from codegen.runtime.search.grid import plain_grid
+from codegen.runtime.search.messages import worst_row
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import STEEP, corrected_cost
+from codegen.runtime.search.table_ranges import tables_beyond
 from codegen.solutions.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solutions.result import (
     ControlAttempt,
@@ -59,17 +66,17 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
     if status == "solved" and not _is_accurate(module, scaled, attempt, conditions, (residual, stationarity)):
         found = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
         status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(attempt))
-    elif metadata["inequalities"] and (beyond := module.prescribed_beyond(scaled, unknowns)):
+    elif metadata["inequalities"] and (beyond := prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
-    elif status == "solved" and (outside := _beyond_tables(module, grid, unknowns)):
+    elif status == "solved" and (outside := _beyond_tables(grid, unknowns)):
         status = "outside a table"
         message = (
             f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
         )
     elif status != "solved" and not attempt.generated and not attempt.is_explained:
         # Optimisers of others number the rows; the module has names for them.
-        message += f"; {module.worst_row(grid, module.evaluate(grid, unknowns))}"
-    cost = _cost(module, scaled, conditions.point) if status == "solved" else float(module.cost(grid, unknowns))
+        message += f"; {worst_row(grid, module.evaluate(grid, unknowns))}"
+    cost = _cost(module, scaled, conditions.point) if status == "solved" else float(callbacks.cost(grid, unknowns))
     return Verdict(status, message, cost, residual, stationarity)
 
 
@@ -133,10 +140,9 @@ def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArr
     return held
 
 
-def _beyond_tables(module: ControlModule, grid: Grid, unknowns: Vector) -> str:
+def _beyond_tables(grid: Grid, unknowns: Vector) -> str:
     """Which table is read outside its range, where that matters, or nothing."""
-    beyond = getattr(module, "tables_beyond", None)
-    return beyond(grid, unknowns) if beyond else ""
+    return "" if grid.problem.inputs is None else tables_beyond(grid, unknowns)
 
 
 def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
@@ -150,13 +156,14 @@ def _scaled_grid(module: ControlModule, grid: Grid, run: Run) -> Grid:
     if run.scaling == "none":
         return grid
     guess = module.initial_guess(grid) if run.guess is None else run.guess
-    return module.scaled_grid(grid, module.with_pinned_values(grid, guess))
+    scaled: Grid = scaled_grid(grid, module.with_pinned_values(grid, guess))
+    return scaled
 
 
 def _cost(module: ControlModule, scaled: Grid, point: Any) -> float:
     """The discrete cost of a solution, corrected by what residuals and distances to bounds are worth."""
     own = module.evaluate(scaled, point.unknowns / scaled.sizes) if scaled.sizes.size else point
-    return module.corrected_cost(scaled, own)
+    return float(corrected_cost(scaled, own))
 
 
 def _is_accurate(
@@ -168,13 +175,13 @@ def _is_accurate(
         return False
     if max(residual, stationarity) <= 10.0 * attempt.tolerance:
         return True  # whatever rounding and multipliers would forgive beside
-    unknowns, weight, grid = attempt.unknowns, scaled.weight, module.plain_grid(scaled)
+    unknowns, weight, grid = attempt.unknowns, scaled.weight, plain_grid(scaled)
     sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
     rounding = _rounding_level(module, grid, unknowns, weight * sizes)
-    steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * module.cost_gradient(grid, unknowns))
+    steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * callbacks.cost_gradient(grid, unknowns))
     scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
     # Multipliers without limit would forgive any slope. Linear-quadratic problems, which know no sizes, have no limit.
-    if stationarity > getattr(module, "STEEP", math.inf) * max(1.0, steepest):
+    if not grid.problem.structure.linear_quadratic and stationarity > STEEP * max(1.0, steepest):
         return False
     return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
         attempt.tolerance * scale, rounding
@@ -187,10 +194,10 @@ def _mean_multiplier(module: ControlModule, scaled: Grid, unknowns: Vector, size
     Where it is large, optimality conditions are sums of large terms, and the tolerance is relative to it, as it is for
     the generated solver and IPOPT. Source: Waechter and Biegler (2006), equation (6).
     """
-    grid = module.plain_grid(scaled)
+    grid = plain_grid(scaled)
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     below, above = bound_distances(module, scaled, unknowns)
-    slopes = weight * sizes[primal] * np.abs(module.stationarity(grid, unknowns))
+    slopes = weight * sizes[primal] * np.abs(callbacks.stationarity(grid, unknowns))
     bounded = np.isfinite(below) | np.isfinite(above)
     total = np.abs(unknowns[multipliers] / sizes[multipliers]).sum() + slopes[bounded].sum()
     return float(total / max(1, multipliers.size + bounded.sum()))
@@ -232,7 +239,7 @@ def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tupl
     if not module.metadata["inequalities"]:
         none = np.full(primal.size, np.inf)
         return none, none
-    lower, upper = module.bounds_of(grid)
+    lower, upper = bounds_of(grid)
     units = grid.sizes if grid.sizes.size else np.ones(unknowns.size)
     return (unknowns - units * lower)[primal], (units * upper - unknowns)[primal]
 
@@ -278,7 +285,7 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights
         sums = np.bincount(rows, np.abs(values) * x[columns], minlength=size)
         return np.asarray(np.where(terms >= max(grid.steps, MANY_TERMS), np.sqrt(terms), 1.0) * sums, dtype=float)
 
-    jacobian, hessian = module.jacobian(grid, unknowns), module.hessian(grid, unknowns)
+    jacobian, hessian = callbacks.jacobian(grid, unknowns), callbacks.hessian(grid, unknowns)
     equations = row_sums(jacobian, primal, dual.size)
     optimality = row_sums(hessian, primal, primal.size) + row_sums(jacobian, dual, primal.size, transposed=True)
     return float(np.finfo(float).eps) * max(
@@ -294,12 +301,12 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
     indices = np.arange(unknowns.size)
     at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
     equations = at_end[module.multiplier_unknowns(grid)]
-    return max(max_norm(_misses(module, grid, unknowns)), max_norm(module.constraints(grid, unknowns)[equations]))
+    return max(max_norm(_misses(module, grid, unknowns)), max_norm(callbacks.constraints(grid, unknowns)[equations]))
 
 
 def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, float]:
     """The multipliers of conditions on integrals: the rates at which the cost falls as their values grow."""
-    first = unknowns.size - module.ROOT
+    first = unknowns.size - module.problem.structure.root
     integrals = module.metadata.get("integrals", ())
     return {f"multiplier of {name}": float(unknowns[first + index]) for name, index in integrals}
 
@@ -320,5 +327,5 @@ def _inner_conditions(module: ControlModule, grid: Grid, unknowns: Vector) -> di
 def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
     """Values of the static parameters that were optimised; they stand before the multipliers of couplings."""
     names = module.metadata["free_parameters"]
-    last = unknowns.size - module.COUPLINGS
+    last = unknowns.size - module.problem.structure.couplings
     return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))

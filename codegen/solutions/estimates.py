@@ -93,7 +93,7 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
     observations, names = module.metadata.get("observations"), tuple(module.metadata["free_parameters"])
     if not observations or not names:
         return None
-    last = unknowns.size - module.COUPLINGS
+    last = unknowns.size - module.problem.structure.couplings
     indices = np.arange(last - len(names), last)
     is_free, values = ~held[indices], unknowns[indices]
     fit, is_estimated = Fit(module, grid, unknowns), all(sigma is None for sigma in observations["sigmas"])
@@ -156,11 +156,13 @@ def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_],
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
+    from codegen.runtime.search import callbacks  # which imports numba
+
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     size, equations = primal.size, dual.size
-    rows, columns, values = module.hessian(grid, unknowns)
+    rows, columns, values = callbacks.hessian(grid, unknowns)
     hessian = sparse.csc_matrix((values, (rows, columns)), shape=(size, size))
-    rows, columns, values = module.jacobian(grid, unknowns)
+    rows, columns, values = callbacks.jacobian(grid, unknowns)
     jacobian = sparse.csc_matrix((values, (rows, columns)), shape=(equations, size))
     whole = sparse.bmat([[hessian, jacobian.T], [jacobian, None]], format="csc")
     is_free = np.isin(primal, free)

@@ -33,9 +33,9 @@ def carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int,
         here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
         new_nodes[:, there] = _interpolated(old[here], nodes[:, here], new[there], straight or order == 2)
     new_intervals[:] = np.repeat(intervals, parts, axis=1)
-    new_intervals[:, :, np.asarray(getattr(module, "SLACKS", ()), dtype=int) - nodes.shape[2]] = 0.0
-    if module.ROOT:
-        result[-module.ROOT :] = unknowns[-module.ROOT :]
+    new_intervals[:, :, module.problem.structure.slacks - nodes.shape[2]] = 0.0
+    root = module.problem.structure.root
+    result[result.size - root :] = unknowns[unknowns.size - root :]
     result[fine.is_multiplier] = 0.0
     return result
 

@@ -16,15 +16,16 @@ class Fit:
         """Read where samples lie out of the parameters of a grid, and what the motion is there."""
         self._module, self._unknowns = module, unknowns
         nodes = grid.nodes * grid.h
-        self._chain = grid.steps * module.STRIDE + module.NODE
+        self._structure = s = module.problem.structure
+        self._chain = grid.steps * s.stride + s.node
         self._samples = [
             (body, int(np.searchsorted(nodes, row[begin])) - 1, begin, row, nodes)
             for body, row in enumerate(self._rows(grid))
-            for begin in range(module.FIRST_SAMPLE, row.size, module.SAMPLE)
+            for begin in range(s.first_sample, row.size, s.sample)
             if np.isfinite(row[begin])
         ]
-        columns = (module.SAMPLE - 2) // 2
-        numbers = np.array([row[s + 1 : s + module.SAMPLE] for _, _, s, row, _ in self._samples])
+        columns = (s.sample - 2) // 2
+        numbers = np.array([row[begin + 1 : begin + s.sample] for _, _, begin, row, _ in self._samples])
         self.bodies = np.array([body for body, *_ in self._samples])
         self.times = np.array([nodes[k] for _, k, *_ in self._samples])
         self.times += numbers[:, 0] * np.array([nodes[k + 1] - nodes[k] for _, k, *_ in self._samples])
@@ -34,11 +35,14 @@ class Fit:
 
     def _rows(self, grid: Grid) -> Matrix:
         """The parameters of each body, with the shared unknowns of the solution."""
-        rows, module = np.array(grid.parameters), self._module
-        if module.SHARED:
-            for body in range(module.BODIES):
-                plain(module.read_shared)(self._unknowns, body, rows)
+        rows, s, shared = np.array(grid.parameters), self._structure, self._linking(self._unknowns.size)
+        first = s.first_sample - s.tabled - s.shared
+        rows[:, first : first + s.shared] = self._unknowns[shared]
         return rows
+
+    def _linking(self, size: int) -> Any:
+        """The indices (bodies, shared), among `size` unknowns, of those that no node owns."""
+        return size - self._structure.root + self._structure.root_indices()
 
     def _value(self, sample: Any, columns: int) -> Vector:
         _, values = self._given(sample), np.empty(columns)
@@ -48,8 +52,8 @@ class Fit:
     def _given(self, sample: Any) -> tuple[Any, ...]:
         """What a kernel is called with for a sample."""
         body, k, begin, row, nodes = sample
-        first = body * self._chain + k * self._module.STRIDE
-        local = self._unknowns[first : first + self._module.ELEMENT]
+        first = body * self._chain + k * self._structure.stride
+        local = self._unknowns[first : first + self._structure.element]
         return local, nodes[k], nodes[k + 1] - nodes[k], row, begin
 
     @property
@@ -72,16 +76,14 @@ class Fit:
 
         `following` (n, p) says how all unknowns follow them.
         """
-        module, size = self._module, len(following)
+        module, s, shared = self._module, self._structure, self._linking(len(following))
         found = np.zeros((len(self._samples), following.shape[1]))
         for i, sample in enumerate(self._samples):
-            local = np.zeros(module.ELEMENT + module.SHARED)
+            local = np.zeros(s.element + s.shared)
             plain(module.sample_gradient)(*self._given(sample), local)
-            first = sample[0] * self._chain + sample[1] * module.STRIDE
-            found[i] = local[: module.ELEMENT] @ following[first : first + module.ELEMENT]
-            for j in range(module.SHARED):
-                index = size - module.ROOT + plain(module.root_index)(sample[0], j)
-                found[i] += local[module.ELEMENT + j] * following[index]
+            first = sample[0] * self._chain + sample[1] * s.stride
+            found[i] = local[: s.element] @ following[first : first + s.element]
+            found[i] += local[s.element :] @ following[shared[sample[0]]]
         return found
 
 

@@ -63,7 +63,8 @@ def notes(metadata: Mapping[str, Any]) -> list[str]:
 def notes_of_file(path: Path) -> list[str]:
     """The same of a generated module that need not be imported."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    return notes(ast.literal_eval(next(node.value for node in tree.body if isinstance(node, ast.Assign))))
+    named = ((getattr(node.targets[0], "id", ""), node.value) for node in tree.body if isinstance(node, ast.Assign))
+    return notes(ast.literal_eval(dict(named)["metadata"]))
 
 
 def shortened(name: str, limit: int = NAME) -> str:

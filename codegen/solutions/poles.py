@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.runtime.search.convergence import sizes_of_terms
 from codegen.solutions.finer_grids import carried, cut
 
 PARTS = 8
@@ -79,7 +80,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
         return []
     evenly = np.full((len(lengths), PARTS), 1.0 / PARTS)
     first = _Looked(module, coarse, unknowns, evenly)
-    suspects = list(_suspects(first, module.sizes_of_terms(coarse, unknowns)[0], steps))
+    suspects = list(_suspects(first, sizes_of_terms(coarse, unknowns)[0], steps))
     if not suspects:
         return []
     evenly = np.full((len(lengths), PARTS + 2), 1.0 / (PARTS + 2))
@@ -172,7 +173,7 @@ class _Looked:
         names = list(self.module.metadata["node"])
         for place, name in enumerate(self.module.metadata["interval"]):
             met = _STAGE.fullmatch(name)
-            if met and met["name"] in names and not self.module.IS_MULTIPLIER[nodes.shape[2] + place]:
+            if met and met["name"] in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
                 state = nodes[:, :, names.index(met["name"])]
                 intervals[:, :, place] = 0.5 * (state[:, :-1] + state[:, 1:])
 

@@ -40,7 +40,8 @@ class Rates:
     @property
     def free(self) -> dict[str, Vector]:
         """Derivatives (m,) of free parameters by all quantities."""
-        names, last = self.module.metadata["free_parameters"], self.found.unknowns.shape[1] - self.module.COUPLINGS
+        names, couplings = self.module.metadata["free_parameters"], self.module.problem.structure.couplings
+        last = self.found.unknowns.shape[1] - couplings
         columns = self.found.unknowns[:, last - len(names) : last].T
         return dict(zip(names, columns, strict=True))
 

@@ -59,7 +59,7 @@ def stages_beyond(
     stages = dict[str, list[int]]()
     for column, name in enumerate(metadata["interval"]):
         met = _STAGE.fullmatch(name)
-        if met and met["name"] in names and not generated.IS_MULTIPLIER[len(names) + column]:
+        if met and met["name"] in names and not generated.problem.structure.is_multiplier[len(names) + column]:
             stages.setdefault(met["name"], []).append(column)
     times = module.unpack(grid, unknowns)[0] if stages else np.empty(0)
     for state, columns in stages.items():

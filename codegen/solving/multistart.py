@@ -31,7 +31,7 @@ def varied(module: ControlModule, steps: int, seed: int) -> Vector:
     grid, rng = module.make_grid(steps), np.random.default_rng(seed)
     guess = module.initial_guess(grid)
     changed = module.primal_unknowns(grid)
-    changed = changed[changed < guess.size - module.ROOT]
+    changed = changed[changed < guess.size - module.problem.structure.root]
     least = 0.3 * np.abs(guess[changed]).max(initial=0.0) or 1.0
     change = np.zeros_like(guess)
     for own, curves in zip(module.views(grid, guess), module.views(grid, change), strict=True):

@@ -31,8 +31,8 @@ def with_arguments(module: Any, **given: Any) -> Any:
     """The module with arguments given to whatever makes its grids, or its cases."""
     other = ModuleType(getattr(module, "__name__", "generated"))
     other.__dict__.update(vars(module))
-    makers = ("make_case", "solve") if is_connect(module) else ("make_grid", "solve")
-    other.__dict__.update({name: partial(getattr(module, name), **given) for name in makers})
+    makers = ("make_case", "solve") if is_connect(module) else ("make_grid", "nlp", "solve")
+    other.__dict__.update({name: partial(getattr(module, name), **given) for name in makers if hasattr(module, name)})
     return other
 
 

@@ -13,10 +13,11 @@ from typing import Any, TypeAlias
 
 from codegen import compiler, loading
 from codegen.author.points import PointSet, read_points
-from codegen.drivers import Driver
+from codegen.drivers import DRIVERS, Driver
 from codegen.errors import SchemeError
 from codegen.interfaces import GeneratedModule, Matrix, Vector, is_control
 from codegen.machine_code import ahead_of_time
+from codegen.machine_code.processes import Compilers, compilers
 from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
@@ -83,8 +84,19 @@ def outcome_of(
     `working` and `following` show signs of life where there is a terminal: of what takes long, and of the iterates of a
     driver that can be watched, as the table of drivers says.
     """
+    with compilers() as processes:
+        return _outcome(request, working, following, processes)
+
+
+def _outcome(
+    request: Request,
+    working: Working,
+    following: Callable[[], AbstractContextManager[Watch | None]],
+    processes: Compilers,
+) -> Outcome:
+    """The outcome, with processes that compile."""
     start = start_of(request.warm)
-    path, is_new, build_seconds = _built(request, working)
+    path, is_new, build_seconds = _built(request, working, processes)
     begin = time.perf_counter()
     module: Any = request.problem if path is None else loading.load(path)
     load_seconds = time.perf_counter() - begin
@@ -95,7 +107,7 @@ def outcome_of(
         require_sensitive(module)
     said: list[str] = []
     if path is not None and driver.generated:
-        seconds, said = ahead_of_time.require(path, module, is_new, working)
+        seconds, said = ahead_of_time.require(path, module, is_new, working, processes)
         build_seconds += seconds
     said = [*said, *_rounded(request, module)]
     is_watched = driver.takes(task_of(module).name, "watch")
@@ -161,20 +173,20 @@ def _background(request: Request, module: Any) -> Background:
     return Background(module, path, request.source, request.settings)
 
 
-def _built(request: Request, working: Working) -> tuple[Path | None, bool, float]:
+def _built(request: Request, working: Working, processes: Compilers) -> tuple[Path | None, bool, float]:
     """The file of the module, whether it is new, and the seconds of its derivation; no file of a loaded one."""
     if request.is_built:
         return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
     with working("Deriving"):
-        made = _made(request)
+        made = _made(request, processes.start if DRIVERS[request.driver].generated else lambda: None)
     return made.path, made.written, made.seconds
 
 
-def _made(request: Request) -> compiler.Build:
+def _made(request: Request, deriving: Callable[[], None]) -> compiler.Build:
     """The module by the scheme that is asked for; where accuracy is, by one of order four if the problem allows it."""
     build = partial(
         compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
-        out=request.out, sensitivities=request.sensitivities,
+        out=request.out, sensitivities=request.sensitivities, deriving=deriving,
     )  # fmt: skip
     if request.accuracy is not None and request.scheme is None:
         with suppress(SchemeError):

@@ -37,7 +37,7 @@ def transferred(
         new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
         old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
         new_intervals[:, new] = _interpolated(_middles(old_times)[old], old_intervals[:, old], _middles(new_times)[new])
-    rest = module.ROOT
+    rest = module.problem.structure.root
     result[result.size - rest :] = unknowns[unknowns.size - rest :]
     return module.with_pinned_values(new_grid, result)
 
@@ -48,8 +48,8 @@ def source_steps(module: ControlModule, unknowns: Vector) -> int:
     node, bodies = len(metadata["node"]), metadata["bodies"]
     phase = metadata.get("phases", 1) * (node + len(metadata["interval"]))
     steps: int
-    steps, rest = divmod((unknowns.size - module.ROOT) // bodies - node, phase)
-    if rest or steps < 1 or bodies * (steps * phase + node) + module.ROOT != unknowns.size:
+    steps, rest = divmod((unknowns.size - module.problem.structure.root) // bodies - node, phase)
+    if rest or steps < 1 or bodies * (steps * phase + node) + module.problem.structure.root != unknowns.size:
         raise NumericsError(
             f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
         )

@@ -7,16 +7,14 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from codegen.drivers import Driver
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.errors import NumericsError
 from codegen.interfaces import GeneratedModule
-from codegen.loading import has_machine_code, machine_code_counts
+from codegen.loading import machine_code_counts
 from codegen.machine_code.ahead_of_time import unwritable_cache_error
-from codegen.machine_code.compilation import compile_all
 from codegen.machine_code.seconds import seconds_of_machine_code
 from codegen.solutions.result import Result, Run
 from codegen.tasks import Task, task_of
@@ -53,10 +51,9 @@ def _get_ready(module: GeneratedModule, driver: Driver, task: Task, steps: int) 
         with quiet_single_thread():
             task.touch(module, steps)
         return
-    file = getattr(module, "__file__", None)
-    if file is not None and machine_code_counts(module) == (0, 0) and has_machine_code(Path(file), module):
+    if machine_code_counts(module) == (0, 0):
         with quiet_single_thread():
-            compile_all(module)
+            task.small(module)
 
 
 def require_memory(numbers: int, steps: int) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers import DRIVERS
+from codegen.runtime.search import callbacks
 from codegen.solutions.result import Result
 from codegen.solutions.simulate import rounding_level
 from codegen.stress.cases import Case
@@ -43,7 +44,7 @@ def _of_simulations(module: Any, case: Case, result: Result) -> float:
 
 
 def _of_optima(module: Any, case: Case, result: Result) -> float:
-    scale = max(1.0, float(np.abs(module.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
+    scale = max(1.0, float(np.abs(callbacks.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
     return max(1e-7 * scale, 1e3 * _EPS * _largest(result.unknowns, result.multipliers) * result.steps)
 
 

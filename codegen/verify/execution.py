@@ -6,12 +6,14 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Collection, Iterable, Sequence
+from importlib import resources
 from types import CodeType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from codegen.expressions.special_functions import STEMS
+from codegen.runtime.arguments import with_counts
 from codegen.tables.data import TableData
 from codegen.tables.evaluation import ORDERS, derivative
 from codegen.verify.tape import Arithmetic
@@ -30,14 +32,35 @@ class Text:
         self._codes: dict[tuple[str, ...], CodeType] = {}
         self._reads: dict[str, set[str]] = {}
         for node in ast.parse(text).body:
-            if isinstance(node, (ast.Import, ast.ImportFrom)):
-                self._imports += [node] if not (isinstance(node, ast.ImportFrom) and node.module == "numba") else []
+            if isinstance(node, ast.Import):
+                self._imports.append(node)
+            elif isinstance(node, ast.ImportFrom):
+                self._import(node)
             elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 self._parts[node.name] = node
             elif isinstance(node, ast.Assign):
                 parts = (p for t in node.targets for p in (t.elts if isinstance(t, ast.Tuple) else [t]))
                 named = (part for part in parts if isinstance(part, ast.Name))
                 self._parts |= {part.id: node for part in named}
+
+    def _import(self, node: ast.ImportFrom) -> None:
+        """Take in the functions that kernels import from the runtime, as if they were the text's own."""
+        module = str(node.module)
+        own = "codegen.runtime.particles.", "codegen.runtime.tabulated.", "codegen.runtime.inner_number"
+        if not module.startswith(own):
+            self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
+            return
+        *folders, name = module.split(".")[1:]
+        file = resources.files("codegen").joinpath(*folders, f"{name}.py")
+        for part in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(part, ast.FunctionDef):
+                self._parts.setdefault(part.name, part)
+            elif isinstance(part, ast.ImportFrom) and str(part.module).startswith("codegen.runtime.tabulated."):
+                self._import(part)
+            elif isinstance(part, ast.Assign):
+                targets = (t for target in part.targets for t in ast.walk(target) if isinstance(t, ast.Name))
+                for target in targets:
+                    self._parts.setdefault(target.id, part)
 
     def defines(self, name: str) -> bool:
         """Whether a function, class or constant has the name."""
@@ -46,7 +69,9 @@ class Text:
     def interpreted(self, *names: str) -> dict[str, Any]:
         """Those of the names that the module defines, and what they need, with numba's decorators doing nothing."""
         namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
-        body = [*self._imports, *self._needed(names)]
+        namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
+        namespace |= {"_interpreted": _interpreted, "carray": _carray}
+        body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
         namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
@@ -108,6 +133,27 @@ def _quiet(function: Callable[..., float]) -> Callable[..., Any]:
             return np.float64(np.nan)
 
     return called
+
+
+def _interpreted(loop: Any) -> Callable[[Any], Any]:
+    """Return what marks a loop over intervals, which then runs by the interpreter."""
+    return lambda function: loop(function, is_interpreted=True)
+
+
+def _carray(pointer: Any, shape: Any) -> Any:
+    """Return an array over the memory at a pointer, as numba does; an array stays as it is."""
+    if isinstance(pointer, np.ndarray):
+        return pointer
+    from numba import carray
+
+    return carray(pointer, shape)
+
+
+def _with_counts(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A kernel that Python calls without the numbers of particles and of columns."""
+    code = function.__code__
+    names = code.co_varnames[: code.co_argcount]
+    return lambda *values: function(*with_counts(names, values))
 
 
 def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:

@@ -101,9 +101,9 @@ class _Kernels:
         def filled(given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
             kernel = self.text.kernels(("step_jacobian",), numbers)["step_jacobian"]
             beside: list[Any] = [0] * size
-            matrix: dict[tuple[int, int], Any] = {}
+            matrix: list[Any] = [0] * size**2
             kernel([given[y] for y in unknowns], *self._arguments(given), beside, matrix)
-            return [*beside, *(matrix[i, j] for i in range(size) for j in range(size))]
+            return [*beside, *matrix]
 
         def evaluate(kind: Any) -> tuple[Any, Any]:
             step, numbers = step_of(kind), complex_numbers(kind)
@@ -144,13 +144,12 @@ class _Kernels:
             kernel(within, state, time, length, parameters, filled)
         return filled
 
-    def _arguments(self, given: Mapping[Symbol, Any]) -> tuple[list[Any], Any, Any, list[Any]]:
+    def _arguments(self, given: Mapping[Symbol, Any]) -> tuple[list[Any], Any, list[Any], list[Any]]:
         program = self.program
-        lengths = [given[h] for h in program.lengths]
         return (
             [given[symbol] for symbol in program.left_symbols],
             given[program.model.time],
-            lengths if program.fractions else lengths[0],
+            [given[h] for h in program.lengths],
             [given[symbol] for symbol in program.model.parameters],
         )
 

@@ -19,8 +19,8 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
     """Execute each look-up, whose numbers stand from `first` on; VerificationError names a derivative that is wrong."""
     if not tables:
         return
-    module = text.interpreted("table_numbers", *(table.shape.lookup for table in tables))
-    numbers = np.concatenate([np.full(first, np.nan), module["table_numbers"](None)])
+    module = text.interpreted("TABLES", *(table.shape.lookup for table in tables))
+    numbers = np.concatenate([np.full(first, np.nan), *module["TABLES"].values()])
     for table in tables:
         orders = ORDERS[len(table.shape.sizes)]
         for point in _points(table):

@@ -53,7 +53,7 @@ def kernels(module: Any) -> str:
     """The text of a module without its header and without its measurements."""
     text = Path(module.__file__).read_text()
     before, _, behind = text.partition("OBSERVATIONS = (")
-    return before.partition("NODE = ")[2] + behind.partition("# of each body")[2].partition("_IDENTITY = ")[0]
+    return before.partition("NODE = ")[2] + behind.partition("# of each body")[2]
 
 
 def solved(name: str, module: Any, steps: int) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 
 import codegen
 from codegen.horizons.judgement import BestIterate
+from codegen.runtime.search.cascade import minimise
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 QUADROTOR = np.repeat([0.5, 2.0, 0.4], 3)
@@ -40,7 +41,7 @@ def iterations_of(name: str, steps: int, sizes: np.ndarray | None, count: int) -
         if module.evaluate(pushed, guess).residual < FAR:
             continue
         log = BestIterate(np.inf, 0.0)
-        status, _, iterations = module.minimise(pushed, guess, 1e-8, MOST, True, log)
+        status, _, iterations = minimise(pushed, guess, 1e-8, MOST, True, log)
         if status == "solved":
             found.append(iterations)
         unsolved += status != "solved"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from interpreted import as_machine_code
+from interpreted import without_compilation
 
 from codegen import checks, compiler
 from codegen.checks import Context
@@ -36,7 +36,7 @@ def prepared(cache_folder: Path) -> Prepare:
 
 def uncompiled(path: Path):
     """A generated module whose kernels the interpreter runs: checks look at a few intervals only."""
-    module = as_machine_code(path.read_text(encoding="utf-8"), path.stem)
+    module = without_compilation(path.read_text(encoding="utf-8"), path.stem)
     module.__file__ = str(path)
     return module
 

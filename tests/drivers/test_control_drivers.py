@@ -12,10 +12,12 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from codegen import drivers, solving
-from codegen.drivers import scaled
+from codegen.drivers import quiet
 from codegen.drivers.newton import control as newton
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.scaled import ScaledProblem
 from codegen.errors import ArgumentError, NumericsError
+from codegen.runtime.search.nlp import NonlinearProgram
 from codegen.solutions.control import control_result
 from codegen.solutions.result import STATUSES, Run
 
@@ -148,11 +150,11 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
     """Whatever it runs on elsewhere."""
     seen = set()
 
-    def constraints(self, x, original=ScaledProblem.constraints):
+    def constraints(self, x, original=NonlinearProgram.constraints):
         seen.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
         return original(self, x)
 
-    monkeypatch.setattr(ScaledProblem, "constraints", constraints)
+    monkeypatch.setattr(NonlinearProgram, "constraints", constraints)
     with threadpool_limits(2, "blas"):
         assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
         solving.solve(orbital_transfer, name, steps=10)
@@ -162,8 +164,9 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
 def test_scaled_derivatives_against_differences(orbital_transfer):
     problem = ScaledProblem.on_grid(orbital_transfer, Run(5))
     generator = np.random.default_rng(1)
-    x = problem.start + 0.1 * generator.standard_normal(problem.start.size)
-    nu = generator.standard_normal(problem.dual.size)
+    start = problem.program.x0
+    x = start + 0.1 * generator.standard_normal(start.size)
+    nu = generator.standard_normal(problem.program.dual.size)
     step = 1e-6 * generator.standard_normal(x.size)
 
     def lagrangian(y):
@@ -193,7 +196,7 @@ def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(mon
             yield
             threads[0] = before
 
-    monkeypatch.setattr(scaled, "_libraries", Libraries)
+    monkeypatch.setattr(quiet, "_libraries", Libraries)
     filters = list(warnings.filters)
     first, second = quiet_single_thread(), quiet_single_thread()
     first.__enter__()
@@ -221,3 +224,13 @@ def test_iterations_can_be_limited(interpreted, driver):
     module = interpreted("brachistochrone")
     result = solving.solve(module, driver, steps=6, max_iterations=2)
     assert (result.status, result.iterations) == ("iteration limit", 2)
+
+
+@pytest.mark.parametrize("name", ["slsqp", "trust-constr", "fsolve"])
+def test_other_values_of_parameters_reach_every_driver(orbital_transfer, name):
+    given = {"r1": 5.9}
+    reference = solving.solve(orbital_transfer, steps=10, parameters=given)
+    result = solving.solve(orbital_transfer, name, steps=10, parameters=given)
+    assert result.status == "solved", result.message
+    assert result.cost == pytest.approx(reference.cost, rel=1e-8)
+    assert reference.cost == pytest.approx(0.0411138940489, rel=1e-9)  # by SLSQP of version 0.2, to its tolerance

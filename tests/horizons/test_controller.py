@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import threading
-from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,7 +10,12 @@ from horizon_problems import HORIZON, STEPS, carried, exactly, in_micrometres, r
 from scipy.linalg import solve_discrete_are
 
 import codegen
+from codegen.horizons import controller as controllers
 from codegen.horizons.judgement import BestIterate, Candidate, better
+from codegen.runtime.search import descent
+from codegen.runtime.search.iterates import search_on
+from codegen.runtime.search.newton import stored
+from codegen.runtime.search.scaling import scaled_grid
 
 H = HORIZON / STEPS
 
@@ -34,14 +37,6 @@ def infinite():
     """Terminal weights with which a horizon of any length is an infinite one."""
     _, p = gain_and_weights()
     return {"xx": p[0, 0], "xv": p[0, 1], "vv": p[1, 1]}
-
-
-def altered(module, **changes):
-    """The same module with other functions."""
-    other = ModuleType("altered")
-    other.__dict__.update(vars(module))
-    other.__dict__.update(changes)
-    return other
 
 
 @pytest.mark.parametrize("steps", [2, 8])
@@ -86,7 +81,7 @@ def test_warm_steps_agree_with_solves_from_the_problems_own_guess(make, sample):
 def test_numbers_a_million_times_as_large_are_solved_in_parts_of_sizes():
     module = in_micrometres()
     grid = module.make_grid(STEPS)
-    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size, "the problem is chosen for them"
+    assert scaled_grid(grid, module.initial_guess(grid)).sizes.size, "the problem is chosen for them"
     controller, hurried = codegen.Controller(module), codegen.Controller(module, newton_steps=4)
     for state in ([1e6, 0.0], [0.8e6, -0.3e6], [0.7e6, -0.2e6]):
         inputs = controller.step(state)
@@ -158,32 +153,51 @@ def test_at_the_deadline_the_best_feasible_iterate_is_applied(monkeypatch):
     module, seen = carried(), []
     controller = codegen.Controller(module, deadline=1e3)
     controller.step([1.0, 0.0])
-    monkeypatch.setattr(BestIterate, "is_late", lambda log: len(seen) > 2)
-    own = BestIterate.append
-    monkeypatch.setattr(BestIterate, "append", lambda *given: (seen.append(given[2].residual), own(*given)))
+    own = BestIterate.extend
+
+    def extend(log, search, rows):
+        own(log, search, rows)
+        seen.append(stored(search).point.residual)
+
+    monkeypatch.setattr(BestIterate, "extend", extend)
+    monkeypatch.setattr(BestIterate, "iterations_per_call", lambda *_: 1)
+    monkeypatch.setattr(BestIterate, "is_late", lambda log: len(seen) > 1)
     inputs = controller.step([0.9, -0.5])
     last = controller.last
     assert (last.status, last.iterations, last.in_time, last.fell_back) == ("time limit", 2, True, False)
-    assert seen[0] > 1e-4 >= last.residual == pytest.approx(seen[2])
+    assert seen[0] > 1e-4 >= last.residual == pytest.approx(seen[1])
     assert f"applied is the best feasible iterate, whose equations hold to {last.residual:.1e}" in last.message
     whole = module.solve(STEPS, start={"x": 0.9, "dx": -0.5})
     np.testing.assert_allclose(inputs, whole.u[0], atol=1e-3)
 
 
 def test_of_all_iterates_the_cheapest_is_kept_whose_equations_hold():
-    log = BestIterate(1e9, 1e-4)
+    search = search_on(carried().make_grid(STEPS))
+    logs = [BestIterate(limit, 1e-4) for limit in (1e9, np.inf)]
     for cost, residual in ((0.5, 1.0), (3.0, 1e-5), (2.0, 1e-6), (1.0, 1e-3), (2.5, 1e-12), (0.1, np.nan)):
-        log.append(None, Point(np.array([cost]), cost, residual), 0.0, 1.0)
-    assert log.best.unknowns == [2.0]
-    assert not log.is_late()
+        search.work.vectors[descent.X] = cost
+        search.work.reals[[descent.COST, descent.RESIDUAL]] = cost, residual
+        for log in logs:
+            log.extend(search, np.zeros((1, 6)))
+    timed, other = logs
+    assert (timed.best.unknowns == 2.0).all()
+    assert not timed.is_late()
+    assert other.best is None  # without a deadline nobody looks
 
 
-class Point(NamedTuple):
-    """What a log is shown of an iterate."""
-
-    unknowns: np.ndarray
-    cost: float
-    residual: float
+def test_with_a_deadline_a_search_returns_ever_more_often():
+    now, counts = 0.0, []
+    log, search = BestIterate(100.0, 1e-4, lambda: now, expected=10.0), search_on(carried().make_grid(STEPS))
+    while not log.is_late():
+        counts.append(log.iterations_per_call(sum(counts), 100, 1000))
+        search.work.integers[descent.ITERATIONS] += counts[-1]
+        now += 2.0 * counts[-1]  # quicker than was expected
+        log.extend(search, np.zeros((counts[-1], 6)))
+    assert counts[:2] == [6, 23]
+    assert counts[-1] == 1
+    assert counts[1:] == sorted(counts[1:], reverse=True)
+    assert 100.0 < now <= 102.0
+    assert BestIterate(np.inf, 1e-4).iterations_per_call(0, 100, 1000) == 100
 
 
 def of(cost, residual):
@@ -207,31 +221,30 @@ def test_which_of_two_plans_is_better(one, other, is_other):
 
 
 @pytest.mark.parametrize("status", ["infeasible", "stalled", "non-finite"])
-def test_a_solve_that_fails_falls_back_on_the_plan_before(status):
-    module = altered(carried())
+def test_a_solve_that_fails_falls_back_on_the_plan_before(status, monkeypatch):
+    module = carried()
     controller = codegen.Controller(module)
     controller.step([1.0, 0.0])
     _, _, planned = controller.plan()
-    own = module.minimise
 
     def failing(grid, guess, *_, **_named):
         return status, module.evaluate(grid, guess), 1
 
-    module.minimise = failing
+    monkeypatch.setattr(controllers, "minimise", failing)
     np.testing.assert_array_equal(controller.step([0.9, -0.2], H), planned[1])
     assert (controller.last.status, controller.last.fell_back) == (status, True)
     assert controller.last.message.startswith(f"{status}: ")
     assert "; applied is the plan before, shifted, whose equations hold to " in controller.last.message
-    module.minimise = own
+    monkeypatch.undo()
     assert controller.step([0.8, -0.2], 2 * H) is not None
     assert controller.last.status == "solved"
 
 
 @pytest.mark.parametrize("status", ["time limit", "stalled", "infeasible"])
 @pytest.mark.parametrize(("newton_steps", "most"), [(None, 200), (3, 200), (500, 500)])
-def test_a_search_that_would_go_on_and_on_ends_with_what_it_has(status, newton_steps, most):
+def test_a_search_that_would_go_on_and_on_ends_with_what_it_has(status, newton_steps, most, monkeypatch):
     """Whatever a search that was told to end says of itself: it was the number of iterations and restorations."""
-    module = altered(carried())
+    module = carried()
     controller = codegen.Controller(module, newton_steps=newton_steps)
     controller.step([1.0, 0.0])
     nearly = module.solve(STEPS, start={"x": 0.9, "dx": -0.2}, tolerance=1e-3).unknowns
@@ -243,7 +256,7 @@ def test_a_search_that_would_go_on_and_on_ends_with_what_it_has(status, newton_s
         assert log.is_late()
         return status, module.evaluate(grid, nearly), turns - 40
 
-    module.minimise = endless
+    monkeypatch.setattr(controllers, "minimise", endless)
     controller.step([0.9, -0.2], H)
     last = controller.last
     assert (last.status, last.fell_back, last.iterations) == ("iteration limit", False, most - 40)
@@ -252,29 +265,29 @@ def test_a_search_that_would_go_on_and_on_ends_with_what_it_has(status, newton_s
     np.testing.assert_array_equal(controller.plan()[2], module.unpack(module.make_grid(STEPS), nearly)[3])
 
 
-def test_the_first_search_is_not_limited_so():
-    module, turns = altered(carried()), []
+def test_the_first_search_is_not_limited_so(monkeypatch):
+    module, turns = carried(), []
     controller = codegen.Controller(module)
-    own = module.minimise
+    own = controllers.minimise
 
     def long(grid, *given, **named):
         turns.append(sum(not given[-1].is_late() for _ in range(1000)))
         return own(grid, *given, **named)
 
-    module.minimise = long
+    monkeypatch.setattr(controllers, "minimise", long)
     controller.step([1.0, 0.0])
     assert (turns, controller.last.status) == ([1000], "solved")
 
 
-def test_a_claim_that_is_not_so_is_taken_back():
-    module = altered(carried())
+def test_a_claim_that_is_not_so_is_taken_back(monkeypatch):
+    module = carried()
     controller = codegen.Controller(module)
     controller.step([1.0, 0.0])
 
     def lying(grid, guess, *_, **_named):
         return "solved", module.evaluate(grid, guess), 1
 
-    module.minimise = lying
+    monkeypatch.setattr(controllers, "minimise", lying)
     controller.step([0.5, 0.5])
     assert (controller.last.status, controller.last.fell_back) == ("inaccurate", True)
     assert "the solver reported success, but the equations have residual" in controller.last.message

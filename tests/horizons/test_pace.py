@@ -4,31 +4,50 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from horizon_problems import exactly, regulator
+from horizon_problems import STEPS, exactly, regulator
 
 import codegen
+from codegen.horizons import judgement
 from codegen.horizons.judgement import BestIterate
 from codegen.horizons.pace import MOST, Expectation, Pace
+from codegen.runtime.search import cascade, descent
+from codegen.runtime.search.iterates import search_on
+from codegen.runtime.search.point import evaluate
 
-TIMES = {"evaluate": 4.0, "take_step": 4.0, "factor_kkt": 15.0}
-"""What functions of a module take by the clock of these tests, but for chance."""
+EVALUATION, ITERATION = 4.0, 19.0
+"""What evaluations, and iterations of the compiled search, take by the clock of these tests, but for chance."""
 
 
 class Clock:
-    """Time that passes in some functions of a module alone, by chance up to a tenth more than TIMES says."""
+    """Time that passes in evaluations and iterations alone, by chance up to a tenth more than these numbers say."""
 
-    def __init__(self, monkeypatch, module):
+    def __init__(self, monkeypatch):
         self.now, self.slowness, self._generator = 0.0, 1.0, np.random.default_rng(5)
         monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
-        for name, seconds in TIMES.items():
-            monkeypatch.setattr(module, name, self.timed(getattr(module, name), seconds))
+        for module in (cascade, judgement):
+            monkeypatch.setattr(module, "evaluate", self.timed(evaluate))
+        own = descent.descend
 
-    def timed(self, function, seconds):
-        """The same function, which takes time."""
+        def descend(*given):
+            integers = next(array for array in given if getattr(array, "dtype", None) == np.int64)
+            before = integers[descent.ITERATIONS]
+            status = own(*given)
+            for _ in range(integers[descent.ITERATIONS] - before):
+                self.passes(ITERATION)
+            return status
 
-        def called(*given, **named):
-            self.now += self.slowness * seconds * (1.0 + 0.1 * self._generator.random())
-            return function(*given, **named)
+        monkeypatch.setattr(descent, "descend", descend)
+
+    def passes(self, seconds):
+        """Let time pass."""
+        self.now += self.slowness * seconds * (1.0 + 0.1 * self._generator.random())
+
+    def timed(self, function):
+        """An evaluation that takes time."""
+
+        def called(*given):
+            self.passes(EVALUATION)
+            return function(*given)
 
         return called
 
@@ -48,7 +67,7 @@ def followed(controller, count, clock=None, slow=range(0)):
 
 @pytest.fixture
 def clock(monkeypatch):
-    return Clock(monkeypatch, regulator(True))
+    return Clock(monkeypatch)
 
 
 def shares(found):
@@ -121,24 +140,31 @@ def test_a_search_begins_where_there_is_time_for_its_beginning_and_an_iteration(
 
 
 def test_what_an_iteration_and_the_end_took_is_measured():
-    now = 0.0
-    log = BestIterate(10.0, 1.0, lambda: now)
-    point = type("Point", (), {"residual": 0.0, "cost": 0.0})
+    now, search = 0.0, search_on(regulator(True).make_grid(STEPS))
+    log = BestIterate(20.0, 1.0, lambda: now)
     assert log.rest(1.0) is None
     now = 2.0
-    log.append(None, point)
+    log.iterations_per_call(0, 10, 10)
     assert log.beginning == 2.0
-    assert not log.is_late()
     assert log.rest(3.0) is None  # no iterate has come of it yet
-    now = 5.0
+    now = 8.0
+    search.work.integers[descent.ITERATIONS] = 3
+    log.extend(search, np.zeros((3, 6)))
+    assert log.rest(9.0) == 3.0  # two for the last of three iterations, one for what followed
+    assert not log.is_late()
+    now = 9.0
     assert not log.is_late()  # a restoration asks, too
-    now = 7.0
-    log.append(None, point)
-    assert log.rest(8.0) == 6.0
-    now = 10.5
+    now = 10.0
+    log.iterations_per_call(3, 10, 10)
+    now = 21.0
+    search.work.integers[descent.ITERATIONS] = 4
+    log.extend(search, np.zeros((1, 6)))
     assert log.is_late()
-    assert log.rest(11.0) == 9.0
+    assert log.was_late
+    assert log.rest(22.0) == 12.0
     linear = BestIterate(10.0, 1.0, lambda: now)
-    linear.append(None, point)
-    linear.append(None, point)
-    assert linear.rest(12.0) == 1.5
+    point = type("Point", (), {"residual": 0.0, "cost": 0.0})
+    linear.add(point, 0.0)
+    now = 22.0
+    linear.add(point, 1.0)
+    assert linear.rest(22.5) == 1.5

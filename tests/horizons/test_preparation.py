@@ -8,20 +8,16 @@ from horizon_problems import HORIZON, STEPS, carried, in_micrometres, regulator,
 
 import codegen
 from codegen.errors import NumericsError
+from codegen.runtime.search.cascade import factor_nearby
+from codegen.runtime.search.descent import FACTORISATIONS
+from codegen.runtime.search.iterates import search_on
 
 H = HORIZON / STEPS
 
 
-def factorisations(module, monkeypatch):
-    """A list that grows by one with each factorisation of a module."""
-    found, factor = [], module.factor_kkt
-
-    def counted(*arguments):
-        found.append(1)
-        return factor(*arguments)
-
-    monkeypatch.setattr(module, "factor_kkt", counted)
-    return found
+def factorisations(controller):
+    """The number of factorisations of the last search of a controller."""
+    return controller._grids.search.work.integers[FACTORISATIONS]
 
 
 def planned(controller, module):
@@ -52,17 +48,15 @@ def test_prepared_steps_agree_with_solves_from_the_problems_own_guess(make):
 
 
 @pytest.mark.parametrize("make", [lambda: regulator(True), carried])
-def test_the_first_step_takes_the_factors_that_are_there(make, monkeypatch):
+def test_the_first_step_takes_the_factors_that_are_there(make):
     module = make()
     controller = codegen.Controller(module)
-    found = factorisations(module, monkeypatch)
     for t, state in states_of(controller, module):
         controller.prepare(t)
-        before = len(found)
         controller.step(state, t)
         if t > 0.0:
             assert 0 < controller.last.iterations < 8
-            assert len(found) - before == controller.last.iterations - 1
+            assert factorisations(controller) == controller.last.iterations - 1
 
 
 def test_one_newton_step_with_the_matrix_of_the_plan_is_nearly_the_tangential_predictor():
@@ -83,7 +77,7 @@ def test_one_newton_step_with_the_matrix_of_the_plan_is_nearly_the_tangential_pr
 @pytest.mark.parametrize(
     ("other", "reset"), [({"wind": 0.5}, False), (None, True)], ids=["other run-time values", "nothing planned"]
 )
-def test_what_is_prepared_for_something_else_is_not_used(other, reset, monkeypatch):
+def test_what_is_prepared_for_something_else_is_not_used(other, reset):
     module = regulator(True)
     controllers = [codegen.Controller(module, parameters={"place": lambda t: 0.1 * t}) for _ in range(2)]
     for controller in controllers:
@@ -97,19 +91,17 @@ def test_what_is_prepared_for_something_else_is_not_used(other, reset, monkeypat
     assert (one.iterations, one.cost, *one.inputs) == (two.iterations, two.cost, *two.inputs)
 
 
-def test_far_from_the_plan_factors_are_those_of_the_state(monkeypatch):
+def test_far_from_the_plan_factors_are_those_of_the_state():
     """After a push the search begins inside its bounds, where the matrix is another one."""
     module = regulator(True)
     pair = [codegen.Controller(module) for _ in range(2)]
     for controller in pair:
         controller.step([1.0, 0.0])
     pair[0].prepare(H)
-    found = factorisations(module, monkeypatch)
     for controller in pair:
         controller.step([1.0, 3.0], H)
         assert controller.last.status == "solved"
-        assert len(found) >= controller.last.iterations
-        found.clear()
+        assert factorisations(controller) >= controller.last.iterations
     np.testing.assert_array_equal(pair[0].last.inputs, pair[1].last.inputs)
 
 
@@ -117,13 +109,13 @@ def test_far_from_the_plan_factors_are_those_of_the_state(monkeypatch):
 def test_there_are_factors_near_the_equations_alone(make):
     module = make()
     grid, found = module.make_grid(STEPS), module.solve(STEPS).unknowns
-    search = module.search_on(grid)
-    assert module.factor_nearby(grid, found, 1e-8, search)
+    search = search_on(grid)
+    assert factor_nearby(grid, found, 1e-8, search)
     primal = module.primal_unknowns(grid)
     far = found.copy()
     far[primal] += 0.5 * np.random.default_rng(2).standard_normal(primal.size)
-    assert not module.factor_nearby(grid, far, 1e-8, search)
-    assert not module.factor_nearby(grid, np.where(grid.is_multiplier, 0.0, found), 1e-8, search)
+    assert not factor_nearby(grid, far, 1e-8, search)
+    assert not factor_nearby(grid, np.where(grid.is_multiplier, 0.0, found), 1e-8, search)
 
 
 def test_run_time_values_are_those_of_the_time_that_is_prepared():

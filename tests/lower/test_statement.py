@@ -134,7 +134,8 @@ def test_no_unknown_bound_or_given_value_of_the_gallery_is_left_out(problem):
     text = text_of(name)
     tree = ast.parse(text)
     statement = ast.get_docstring(tree)
-    metadata = ast.literal_eval(next(node.value for node in tree.body if isinstance(node, ast.Assign)))
+    assigned = {ast.unparse(node.targets[0]): node.value for node in tree.body if isinstance(node, ast.Assign)}
+    metadata = ast.literal_eval(assigned["metadata"])
     goal = joined(statement.split("\n\n")[1])
     for unknown in (*metadata["coordinates"], *metadata["control_names"], *metadata["free_parameters"]):
         assert re.search(rf"\b{unknown}\b", goal), unknown

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from compiled_modules import compiled
-from interpreted import as_machine_code
+from interpreted import without_compilation
 from measured_decay import write
 
 from codegen.compiler import build
@@ -44,7 +44,7 @@ def test_machine_code_finds_what_the_interpreter_finds(folder):
     path = build(folder / "pair.py", sensitivities=True).path
     found, rates = solved_with_rates(compiled(path))
     with np.errstate(all="ignore"):
-        expected, expected_rates = solved_with_rates(as_machine_code(path.read_text(encoding="utf-8")))
+        expected, expected_rates = solved_with_rates(without_compilation(path.read_text(encoding="utf-8")))
     assert (found.status, found.iterations) == ("solved", expected.iterations)
     assert found.residual < 1e-10
     assert found.cost == pytest.approx(expected.cost, rel=1e-12)

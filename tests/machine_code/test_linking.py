@@ -1,4 +1,4 @@
-"""How processes that compile modules have numba leave machine code out, and that what they compile is the same."""
+"""Inner functions that numba makes no machine code of, and that what it compiles with them is the same."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from numba import njit
 
-from codegen.machine_code import linking
+from codegen.runtime import linking
 
 MODULE = """
 import numpy as np
@@ -33,62 +33,61 @@ def outer(values):
     return ratio(values, values.size) + power_sum(values, COUNT, 1)
 """
 
-COMPILE = """
+LINK = """
 import sys
-from pathlib import Path
+import numpy as np
 from numba import njit
-from codegen.machine_code import compilation
-from codegen.interfaces import GeneratedModule
+from codegen.runtime import linking
 sys.path.insert(0, sys.argv[1])
 njit(lambda x: x)(0.0)
-import linked
-compilation.LONG = int(sys.argv[2])
-compilation.compile_for_callers(linked)
-import numpy as np
-print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])))
+VALUES = np.array([1.0, 2.0, 3.0, 4.0])
+
+def linked_module(name, are_kept):
+    module = __import__(name)
+    linking.link_inner_functions([module.power_sum, module.ratio])
+    for function in (module.power_sum, module.ratio) if are_kept else ():
+        function.enable_caching()
+    return module
+"""
+
+COMPILE = (
+    LINK
+    + """
+linked = linked_module("linked", sys.argv[2] == "kept")
+print(linked.outer(VALUES))
 print(*[len(f.signatures) for f in (linked.power_sum, linked.ratio, linked.outer)])
 print(*[f.overloads[f.signatures[0]].library.is_inner for f in (linked.power_sum, linked.ratio, linked.outer)])
 """
+)
 
-COMPILE_PLAINLY = """
-import sys
-from codegen.machine_code import compilation, linking
-sys.path.insert(0, sys.argv[1])
+COMPILE_PLAINLY = (
+    LINK
+    + """
 linking.TRIED = (0, 1), (0, 2)
-import linked
-compilation.compile_for_callers(linked)
-import numpy as np
-print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])))
+linked = linked_module("linked", False)
+print(linked.outer(VALUES))
 print(any("Linked" in type(f.overloads[f.signatures[0]].library).__name__ for f in (linked.power_sum, linked.outer)))
 """
+)
 
-COMPILE_BOTH = """
-import sys
-import numpy as np
-from numba import njit
-from codegen.machine_code import compilation
-sys.path.insert(0, sys.argv[1])
-njit(lambda x: x)(0.0)
-import linked, second
-compilation.LONG = 10
-for module in (linked, second, second):
-    compilation.compile_for_callers(module)
-print(*[module.outer(np.array([1.0, 2.0, 3.0, 4.0])) for module in (linked, second)])
-for module in (linked, second):
+COMPILE_BOTH = (
+    LINK
+    + """
+modules = [linked_module(name, True) for name in ("linked", "second")]
+linked_module("second", True)
+print(*[module.outer(VALUES) for module in modules])
+for module in modules:
     print(*[f.overloads[f.signatures[0]].library.is_inner for f in (module.ratio, module.outer)])
 """
+)
 
-AGAIN = """
-import sys
-from numba import njit
-from codegen.machine_code import compilation
-sys.path.insert(0, sys.argv[1])
-njit(lambda x: x)(0.0)
-import linked
-compilation.compile_for_callers(linked)
-import numpy as np
-print(linked.outer(np.array([1.0, 2.0, 3.0, 4.0])), sum(linked.outer.stats.cache_hits.values()))
+AGAIN = (
+    LINK
+    + """
+linked = linked_module("linked", True)
+print(linked.outer(VALUES), sum(linked.outer.stats.cache_hits.values()))
 """
+)
 
 USE = """
 import sys
@@ -105,12 +104,12 @@ def output(program: str, *arguments: object) -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ).stdout.split()
 
 
-@pytest.mark.parametrize("long", [10, 100_000])
-def test_functions_that_only_compiled_ones_call_have_code_in_their_callers_alone(tmp_path, long):
-    """Whether they are kept on the disk themselves (`long` is few bytes) or not."""
+@pytest.mark.parametrize("kept", ["kept", "linked alone"])
+def test_functions_that_only_compiled_ones_call_have_code_in_their_callers_alone(tmp_path, kept):
+    """Also where their intermediate code is kept on the disk."""
     (tmp_path / "linked.py").write_text(MODULE)
     expected = (1 + 4 + 9 + 16) / (1 + 8 + 27) + (1 + 2 + 3)
-    value, *rest = output(COMPILE, tmp_path, long)
+    value, *rest = output(COMPILE, tmp_path, kept)
     assert float(value) == pytest.approx(expected, rel=1e-15)
     assert rest == ["1", "1", "1", "True", "True", "False"]  # one signature each; the last is machine code
     value, hits = output(AGAIN, tmp_path)  # one process that compiles may need what another one has compiled
@@ -193,7 +192,7 @@ def test_without_linking_the_result_is_the_same(tmp_path):
         folder = tmp_path / str(len(values))
         folder.mkdir()
         (folder / "linked.py").write_text(MODULE)
-        value, *rest = output(program, folder, 100_000)
+        value, *rest = output(program, folder, "linked alone")
         values.append(value)
         assert output(USE, folder)[:2] == [value, "0"]
     assert rest == ["False"]

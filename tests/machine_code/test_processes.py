@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from codegen.machine_code.processes import compilers
 
 GENERATED = Path(__file__).parents[2] / "generated"
@@ -27,19 +29,30 @@ def output(program: str, *arguments: object) -> list[str]:
     ).stdout.split()
 
 
-def test_one_process_becomes_two_and_tells_how_both_ended(tmp_path):
+COUNT = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_counts(module))"
+
+
+@pytest.mark.parametrize("shares", [("both",), ("0/2", "1/2"), ("0/1",)], ids=" ".join)
+def test_all_is_compiled_however_processes_share_it(tmp_path, shares, monkeypatch):
+    """One process that becomes two; two where none can fork; one on one processor."""
+    monkeypatch.setattr("codegen.machine_code.processes.shares", lambda: shares)
     path = tmp_path / "pendulum.py"
     path.write_bytes((GENERATED / path.name).read_bytes())
+    told = []
     with compilers() as processes:
-        assert processes.compile(path)
+        assert processes.compile(path, lambda done, count: told.append(done / count))
     assert processes.failure == ""
-    program = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_counts(module))"
-    compiled, read = output(program, path)
+    assert told[-1] == 1.0
+    compiled, read = output(COUNT, path)
     assert compiled == "0" < read
-    (tmp_path / "broken.py").write_text(path.read_text().replace("def path_residual(", "def path_residual(missing, "))
+
+
+def test_a_module_that_cannot_be_compiled_is_an_error_of_the_processes(tmp_path):
+    path = tmp_path / "broken.py"
+    path.write_text((GENERATED / "pendulum.py").read_text().replace("math.cos(x0)", "math.cosine(x0)"))
     with compilers() as processes:
-        assert not processes.compile(tmp_path / "broken.py")
-    assert processes.failure.startswith("TypeError: path_residual() missing 1 required positional argument")
+        assert not processes.compile(path)
+    assert processes.failure.startswith("AttributeError: module 'math' has no attribute 'cosine'")
 
 
 def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_path):
@@ -47,7 +60,7 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     (tmp_path / "pendulum.py").write_bytes((GENERATED.parent / "problems" / "pendulum.py").read_bytes())
     (tmp_path / "sitecustomize.py").write_text(
         "import sys\n"
-        "if 'codegen.machine_code.compilation' in sys.orig_argv: sys.modules['codegen.machine_code.linking'] = None\n"
+        "if 'codegen.machine_code.compilation' in sys.orig_argv: sys.modules['codegen.runtime.linking'] = None\n"
     )
     paths = os.pathsep.join([str(tmp_path), str(GENERATED.parent), os.environ.get("PYTHONPATH", "")])
     surroundings = {**os.environ, "PYTHONPATH": paths, "CODEGEN_CACHE_DIR": str(tmp_path / "cache")}
@@ -56,10 +69,6 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     assert done.returncode == 0
     assert done.stdout.startswith("out/pendulum.py: written")
     assert done.stderr.count("\n") == 1
-    assert (
-        "machine code could not be made ahead (ModuleNotFoundError: import of codegen.machine_code.linking"
-        in done.stderr
-    )
-    program = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_counts(module))"
-    compiled, read = output(program, tmp_path / "out" / "pendulum.py")
+    assert "machine code could not be made ahead (ModuleNotFoundError: import of codegen.runtime.linking" in done.stderr
+    compiled, read = output(COUNT, tmp_path / "out" / "pendulum.py")
     assert compiled == "0" < read

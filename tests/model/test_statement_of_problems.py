@@ -27,6 +27,7 @@ from codegen import (
 from codegen.cli import main
 from codegen.model import normalise
 from codegen.model.pairwise import normalise_pairwise
+from codegen.runtime.search.messages import unknown_name
 
 FILE = '''"""Push a mass and keep its reserve (a test)."""
 from codegen import *
@@ -97,7 +98,7 @@ def test_conditions_have_names_in_metadata_and_messages():
     assert "v**2" not in solution.message
     grid = module.make_grid(4)
     first = len(module.metadata["node"])
-    names = [module.unknown_name(grid, solution.unknowns, first + i) for i in range(len(module.metadata["interval"]))]
+    names = [unknown_name(grid, solution.unknowns, first + i) for i in range(len(module.metadata["interval"]))]
     slacks = [name for name in names if name.startswith("the slack of ")]
     assert {name.split(" at ")[0] for name in slacks} == {"the slack of speed limit", "the slack of lift"}
     assert all(name.endswith(" of interval 0 (t = 0)") for name in slacks)

@@ -1,171 +1,115 @@
-"""Small optimisation problems with dense linear algebra, behind the functions that a generated module has.
+"""Small optimisation problems with a dense KKT matrix, as grids of the runtime, and searches by it.
 
-A problem is a `Dense` grid; `evaluate`, `factor_kkt`, ... take it where a generated module takes its grid. Unknowns
-are variables and multipliers of equations, interleaved. An inequality g <= 0 is y (g + s) with a slack s >= 0.
+A problem has one interval that holds all its unknowns: variables and multipliers of equations, interleaved. The one
+unknown of each node is given, and means nothing. An inequality g <= 0 is y (g + s) with a slack s >= 0. Cost and
+derivatives are callbacks; the search and the factorisation are those of all problems.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgetrf, dgetrs
 
-from codegen.runtime.kkt import refinement
-from codegen.runtime.optimise import barrier, bounded
+from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.cascade import minimise
+from codegen.runtime.search.grid import NONE, Grid, multiplier_unknowns, primal_unknowns
+from codegen.runtime.search.iteration_log import Log
+from codegen.runtime.search.point import Point, evaluate
+from codegen.runtime.search.problem import ControlProblem, Loop
+from codegen.runtime.search.structure import Structure
 
 Vector = NDArray[np.float64]
 INFINITY = float("inf")
 
 
-class Dense(NamedTuple):
-    """A problem; `lagrangian` gives cost and gradient of the Lagrangian, `hessian` its full second derivative."""
+def dense_grid(
+    is_multiplier: NDArray[np.bool_],
+    lower: Vector,
+    upper: Vector,
+    guess: Vector,
+    lagrangian: Callable[[Vector], tuple[float, Vector]],
+    hessian: Callable[[Vector], Vector],
+) -> Grid:
+    """A problem by its unknowns (n,); `lagrangian` gives cost and gradient, `hessian` the second derivative (n, n)."""
+    size = is_multiplier.size
+    rows, columns = np.tril_indices(size)
 
-    is_multiplier: NDArray[np.bool_]
-    free: NDArray[np.bool_]
-    lower: Vector
-    upper: Vector
-    guess: Vector
-    lagrangian: Callable[[Vector], tuple[float, Vector]]
-    hessian: Callable[[Vector], Vector]
-    sizes: Vector = np.zeros(0)
+    def gradient(unknowns: Any, *others: Any) -> float:
+        filled = np.ctypeslib.as_array(others[-1], (size + 2,))
+        with np.errstate(all="ignore"):
+            cost, slope = lagrangian(np.ctypeslib.as_array(unknowns, (size + 2,))[1:-1].copy())
+        filled[:] = 0.0
+        filled[1:-1] = slope
+        return float(cost)
 
-
-class Point(NamedTuple):
-    """As in point.py of the runtime."""
-
-    unknowns: Vector
-    gradient: Vector
-    cost: float
-    residual: float
-    violation: float
-    stationarity: float
-    error: float
-
-
-def evaluate(grid: Dense, unknowns: Vector) -> Point:
-    with np.errstate(all="ignore"):
-        cost, gradient = grid.lagrangian(unknowns)
-    gradient = np.where(grid.free, gradient, 0.0)
-    if not (np.isfinite(gradient).all() and np.isfinite(cost)):
-        return Point(unknowns, gradient, cost, np.inf, np.inf, np.inf, np.inf)
-    size = np.abs(gradient)
-    residuals, stationarity = size[grid.is_multiplier], float(size[~grid.is_multiplier].max(initial=0.0))
-    residual = float(residuals.max(initial=0.0))
-    return Point(unknowns, gradient, cost, residual, float(residuals.sum()), stationarity, max(residual, stationarity))
-
-
-def kkt_matrix(grid: Dense, unknowns: Vector) -> Vector:
-    """The KKT matrix, with rows and columns of pinned unknowns set to zero."""
-    with np.errstate(all="ignore"):
-        return np.where(np.outer(grid.free, grid.free), grid.hessian(unknowns), 0.0)
-
-
-def allocate_system(grid: Dense) -> list[Any]:
-    return [None, None]
-
-
-def factor_kkt(
-    grid: Dense, unknowns: Vector, weight: float, diagonal: Vector, system: list[Any], gradient: Vector | None = None,
-    step: Vector | None = None,
-) -> int | None:  # fmt: skip
-    """Excess of negative eigenvalues, or None; rows and columns are scaled alike for it, which keeps their signs."""
-    matrix = kkt_matrix(grid, unknowns)
-    primal = ~grid.is_multiplier
-    matrix[np.ix_(primal, primal)] *= weight
-    matrix[np.diag_indices_from(matrix)] += np.where(grid.free, diagonal, 1.0)
-    if not np.isfinite(matrix).all():
-        return None
-    system[0], system[1], index = dgetrf(matrix)
-    if index:
-        return None
-    if gradient is not None and step is not None:
-        solve_kkt(grid, system, gradient, step)
-    scale = 1.0 / np.sqrt(np.abs(matrix).max(axis=0))
-    eigenvalues = np.linalg.eigvalsh(matrix * np.outer(scale, scale))
-    return int(np.count_nonzero(eigenvalues < 0.0) - np.count_nonzero(grid.is_multiplier & grid.free))
-
-
-def moved(search: Any, iterate: Any, step: Any, length: float) -> bounded.Iterate:
-    """As in bounded.py, by the functions that make its one compiled call."""
-    grid, (indices, _, side, _), duals = search.grid, search.bounds, np.empty(iterate.duals.size)
-    trial, distance = np.empty(grid.guess.size), np.empty(duals.size)
-    places = indices, side, iterate.distance
-    logarithms = barrier.move(iterate.point.unknowns, step.primal, length, *places, trial, distance)
-    unknowns, gradient, *evaluated = evaluate(grid, trial)
-    measured = barrier.move_duals(
-        gradient, trial, grid.is_multiplier, indices, side, distance, iterate.duals, step.dual, step.dual_length,
-        iterate.mu, duals,
+    structure = Structure(
+        node=1, stride=size + 1, condensed=0, rows=rows + 1, columns=columns + 1,
+        is_multiplier=np.concatenate([[False], is_multiplier]), start_pinned=np.array([0]), end_pinned=np.array([0]),
+        bordered=False, inequalities=bool(np.isfinite([lower, upper]).any()),
     )  # fmt: skip
-    point = bounded.with_duals(unknowns, gradient, evaluated, measured)
-    return bounded.Iterate(point, iterate.mu, distance, logarithms, duals, bounded.Measured(*measured))
+    limits = tuple(np.concatenate([[end], values, [end]]) for end, values in ((-INFINITY, lower), (INFINITY, upper)))
+    problem = ControlProblem(
+        structure, {}, Loop(gradient, True), second_derivatives(hessian, size), Loop(gradient, True), lambda *_: 1.0,
+        lambda _: np.concatenate([[0.0], guess, [0.0]]), lambda *_: None, lambda *_: (),
+        (lambda _: limits) if structure.inequalities else None,
+    )  # fmt: skip
+    masks = structure.layouts(1).is_multiplier.copy()
+    return Grid(1, 1.0, np.arange(2.0), True, np.zeros((1, 1)), masks, NONE, NONE, 1.0, (), (), problem)
 
 
-def step_along(search: Any, iterate: Any, gradient: Vector, primal: Vector, inertia: Any) -> bounded.Step:
-    """As in bounded.py, without the iterate at its end, which `moved` finds when it is asked for."""
-    (indices, _, side, _), dual = search.bounds, np.empty(iterate.duals.size)
-    places = search.grid.is_multiplier, indices, side, iterate.distance, iterate.duals
-    tau = max(0.99, 1.0 - iterate.mu)
-    measured = barrier.measure_step(iterate.point.unknowns, gradient, primal, *places, iterate.mu, tau, dual)
-    return bounded.Step(primal, dual, gradient, *measured, inertia)
+def second_derivatives(hessian: Callable[[Vector], Vector], size: int) -> Loop:
+    """The callback that fills the lower triangle of the KKT matrix."""
+    lower = np.tril_indices(size)
+
+    def fill(unknowns: Any, *others: Any) -> float:
+        with np.errstate(all="ignore"):
+            matrix = hessian(np.ctypeslib.as_array(unknowns, (size + 2,))[1:-1].copy())
+        np.ctypeslib.as_array(others[-1], (lower[0].size,))[:] = matrix[lower]
+        return 0.0
+
+    return Loop(fill, True)
 
 
-def solve_kkt(grid: Dense, system: list[Any], gradient: Vector, step: Vector) -> None:
-    step[:] = np.where(grid.free, dgetrs(system[0], system[1], -gradient)[0], 0.0)
+def with_hessian(grid: Grid, hessian: Callable[[Vector], Vector]) -> Grid:
+    """The problem with other second derivatives."""
+    return grid._replace(
+        problem=replace(grid.problem, hessians=second_derivatives(hessian, grid.is_multiplier.size - 2))
+    )
 
 
-def linear_residual(
-    grid: Dense, unknowns: Vector, diagonal: Vector, gradient: Vector, step: Vector
-) -> tuple[Vector, float]:
-    left = np.where(grid.free, kkt_matrix(grid, unknowns) @ step + diagonal * step + gradient, 0.0)
-    return left, refinement.inaccuracy(gradient, step, left, grid.is_multiplier)
+def guess_of(grid: Grid) -> Vector:
+    """The unknowns from which searches begin."""
+    return grid.problem.initial_guess(grid)
 
 
-def sizes_of_terms(grid: Dense, unknowns: Vector, *_enough: float) -> tuple[float, float]:
-    """Largest sum of absolute terms in an equation, and in a stationarity condition."""
-    sums = np.abs(kkt_matrix(grid, unknowns)) @ np.abs(unknowns)
-    return float(sums[grid.is_multiplier].max(initial=0.0)), float(sums[~grid.is_multiplier].max(initial=0.0))
+def variables(grid: Grid, point: Point) -> Vector:
+    """The variables of a problem, slacks behind them, without multipliers."""
+    return point.unknowns[primal_unknowns(grid)]
 
 
-def bounds_of(grid: Dense) -> tuple[Vector, Vector]:
-    return grid.lower, grid.upper
+def solve(grid: Grid, limit: int = 300, warm: bool = False, guess: Any = None) -> tuple[str, Point, int]:
+    unknowns = guess_of(grid) if guess is None else guess
+    status, point, iterations = minimise(grid, unknowns, 1e-10, limit, warm, Log())
+    assert iterations <= limit
+    return status, point, iterations
 
 
-def views(grid: Dense, unknowns: Vector) -> tuple[Vector, Vector]:
-    """All unknowns as those of intervals, of which each is one quantity."""
-    return np.zeros((1, 2, 0)), unknowns.reshape(1, -1, 1)
-
-
-def with_tied_values(grid: Dense, unknowns: Vector) -> Vector:
-    return np.where(grid.free, unknowns, grid.guess)
-
-
-def free_unknowns(grid: Dense) -> NDArray[np.bool_]:
-    return grid.free
-
-
-def multiplier_unknowns(grid: Dense) -> NDArray[np.intp]:
-    return np.flatnonzero(grid.is_multiplier & grid.free)
-
-
-def term_sizes(grid: Dense, unknowns: Vector) -> tuple[float, float]:
-    sums = np.abs(kkt_matrix(grid, unknowns)) @ np.abs(unknowns)
-    return float(sums[grid.is_multiplier].max(initial=0.0)), float(sums[~grid.is_multiplier].max(initial=0.0))
-
-
-def is_solved(grid: Dense, point: Point, tolerance: float) -> bool:
-    sizes = term_sizes(grid, point.unknowns)
-    measured = point.residual, point.stationarity
-    return all(v <= max(tolerance * min(1.0, s), 2.2e-16 * s) for v, s in zip(measured, sizes, strict=True))
-
-
-def is_at_rounding_level(grid: Dense, point: Point) -> bool:
-    sizes = term_sizes(grid, point.unknowns)
-    measured = point.residual, point.stationarity
-    return all(v <= 2.2e-13 * s for v, s in zip(measured, sizes, strict=True))
+def assert_optimal(grid: Grid, point: Point) -> None:
+    """First-order conditions from the definition: equations, bounds, and signs of the Lagrangian's own gradient."""
+    unknowns, (lower, upper) = point.unknowns, bounds_of(grid)
+    assert (unknowns >= lower).all()
+    assert (unknowns <= upper).all()
+    gradient = evaluate(grid, unknowns).gradient
+    assert np.abs(gradient[multiplier_unknowns(grid)]).max(initial=0.0) <= 1e-10
+    for i in primal_unknowns(grid):
+        room = max(0.0, gradient[i]) * (unknowns[i] - lower[i] if lower[i] > -INFINITY else 1.0)
+        room += max(0.0, -gradient[i]) * (upper[i] - unknowns[i] if upper[i] < INFINITY else 1.0)
+        assert room <= 2e-10 * max(1.0, np.abs(unknowns).max())
 
 
 def program(
@@ -174,7 +118,7 @@ def program(
     equations: list[Any] = (),  # type: ignore[assignment]
     inequalities: list[Any] = (),  # type: ignore[assignment]
     bounds: dict[sympy.Symbol, tuple[float, float]] | None = None,
-) -> Dense:
+) -> Grid:
     """A problem in symbols: equations are 0, inequalities <= 0; a slack's guess is what satisfies its equation."""
     bounds, guess = dict(bounds or {}), dict(guess)
     residuals = list(map(sympy.sympify, equations))
@@ -197,9 +141,8 @@ def program(
         value, slope = first(x)
         return float(value), np.array(slope, dtype=float)
 
-    return Dense(
+    return dense_grid(
         np.array([x in multipliers for x in unknowns]),
-        np.ones(len(unknowns), dtype=bool),
         np.array([bounds.get(x, (-INFINITY, INFINITY))[0] for x in unknowns]),
         np.array([bounds.get(x, (-INFINITY, INFINITY))[1] for x in unknowns]),
         np.array([float(guess.get(x, 0.0)) for x in unknowns]),
@@ -228,8 +171,11 @@ class Motion(NamedTuple):
     terminal: Any = 0
 
 
-def transcribe(motion: Motion, steps: int) -> Dense:
-    """Interleaved unknowns: state 0, (multipliers, controls, slacks) 0, state 1, ..., state N, and the duration."""
+def transcribe(motion: Motion, steps: int) -> Grid:
+    """Interleaved unknowns: state 0, (multipliers, controls, slacks) 0, state 1, ..., state N, and the duration.
+
+    States that are given at the ends are left out.
+    """
     states, controls, slacks = motion.states, motion.controls, sympy.symbols(f"slack:{len(motion.path)}")
     right = [sympy.Symbol(f"{x}_next") for x in states]
     multipliers = sympy.symbols(f"multiplier:{len(states) + len(slacks)}")
@@ -277,14 +223,25 @@ def transcribe(motion: Motion, steps: int) -> Dense:
             guess[offset + states.index(symbol)] = value
     bounds = {**motion.bounds, **dict.fromkeys(slacks, (0.0, INFINITY))}
     limits = np.array([bounds.get(x, (-INFINITY, INFINITY)) for x in names]).T
-    limits[0, ~free], limits[1, ~free] = -INFINITY, INFINITY
-    is_multiplier = np.array([x in multipliers for x in names])
-    grid = Dense(is_multiplier, free, limits[0].copy(), limits[1].copy(), guess, lagrangian, hessian)
-    residual = evaluate(grid, guess).gradient
+    residual = lagrangian(guess)[1]
     for j in range(len(slacks)):
         at = np.arange(steps) * stride + node
         guess[at + len(multipliers) + len(controls) + j] = np.maximum(0.0, -residual[at + len(states) + j])
-    return grid
+
+    def whole(x: Vector) -> Vector:
+        """All unknowns, those that are given among them."""
+        unknowns = guess.copy()
+        unknowns[free] = x
+        return unknowns
+
+    def of_free(x: Vector) -> tuple[float, Vector]:
+        cost, gradient = lagrangian(whole(x))
+        return cost, gradient[free]
+
+    return dense_grid(
+        np.array([x in multipliers for x in names])[free], limits[0, free], limits[1, free], guess[free], of_free,
+        lambda x: hessian(whole(x))[np.ix_(free, free)],
+    )  # fmt: skip
 
 
 def _derivatives(element: Any, cost: Any, local: list[sympy.Symbol]) -> tuple[Any, Any]:

@@ -10,15 +10,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from dense_problem import INFINITY, Dense, Motion, program, transcribe
+from dense_problem import INFINITY, Motion, program, transcribe
 from sympy import cos, exp, log, sin, symbols
+
+from codegen.runtime.search.grid import Grid
 
 x1, x2, x3, x4, x5, x6, x7 = x = symbols("x1:8")
 T, u, v = symbols("T u v")
 POSITIVE = 0.0, INFINITY
 
 
-def nlp(guess: tuple[float, ...], cost: Any, equations: Any = (), inequalities: Any = (), bounds: Any = None) -> Dense:
+def nlp(guess: tuple[float, ...], cost: Any, equations: Any = (), inequalities: Any = (), bounds: Any = None) -> Grid:
     return program(dict(zip(x, guess, strict=False)), cost, list(equations), list(inequalities), bounds)
 
 

@@ -1,43 +1,53 @@
 """What Newton's equations of the barrier are given, and moves that stay inside of bounds."""
 
-import dense_problem
 import numpy as np
 import pytest
-from dense_problem import INFINITY
+from dense_problem import INFINITY, guess_of
 from known_optima import nlp, x1, x2, x3
 
-from codegen.runtime.optimise import barrier
+from codegen.runtime.search.descent import fill_newton_system, move
+from codegen.runtime.search.grid import primal_unknowns
+from codegen.runtime.search.iterates import pushed_inside, search_on
 
 
 def test_residuals_of_rounding_size_lead_nowhere():
     """Only those of equations: a slope stays however small it is, and so does the residual of a large error."""
     gradient, is_multiplier = np.array([3e-16, -3e-16, 2e-14, 1.0]), np.array([False, True, True, True])
-    indices, side, distance, duals = np.array([0]), np.array([1.0]), np.array([2.0]), np.array([4.0])
+    bounds = np.array([0]), np.array([1.0]), np.array([1.0])
     right, diagonal = np.empty(4), np.empty(4)
-    barrier.add_barrier.py_func(
-        gradient, is_multiplier, indices, side, distance, duals, 1e-20, 0.5, 0.25, right, diagonal
-    )
+    fill_newton_system.py_func(
+        (0, 0.0, 0, 0, is_multiplier), bounds, gradient, np.array([2.0]), np.array([4.0]), 1e-20, 0.5, 0.25, right,
+        diagonal,
+    )  # fmt: skip
     assert right == pytest.approx([3e-16, 0.0, 2e-14, 1.0], rel=1e-4, abs=1e-30)
     assert diagonal == pytest.approx([0.5 + 4.0 / 2.0, -0.25, -0.25, -0.25])
 
 
+def moved(x, step, length, indices, side, distance):
+    """Unknowns and distances after part of a step."""
+    trial, new, m = np.empty(x.size), np.empty(distance.size), distance.size
+    bounds = indices, side, np.ones(m)
+    move.py_func(
+        bounds, x, step, length, distance, np.ones(m), np.zeros(m), 1.0, 1e-8, trial, new, np.empty(m)
+    )  # fmt: skip
+    return trial, new
+
+
 def test_unknowns_stay_inside_in_spite_of_rounding() -> None:
     indices, side = np.array([0, 0]), np.array([1.0, -1.0])
-    trial, distance = np.empty(1), np.empty(2)
     for step in (-1.0, 1.0):  # from 2 to either bound, 1 or 3
-        barrier.move(np.array([2.0]), np.array([step]), 1.0, indices, side, np.ones(2), trial, distance)
+        trial, distance = moved(np.array([2.0]), np.array([step]), 1.0, indices, side, np.ones(2))
         assert trial[0] == 2.0 + step
         assert (distance > 0.0).all()
 
 
 def test_distances_are_finer_than_the_rounding_of_unknowns() -> None:
     """Half of the distance 1e-18 to the bound 1 remains where the unknown itself cannot be told from the bound."""
-    trial, distance = np.empty(1), np.empty(1)
-    barrier.move(np.ones(1), np.array([-1e-18]), 0.5, np.zeros(1, int), np.ones(1), np.array([1e-18]), trial, distance)
+    trial, distance = moved(np.ones(1), np.array([-1e-18]), 0.5, np.zeros(1, int), np.ones(1), np.array([1e-18]))
     assert (trial[0], distance[0]) == (1.0, 5e-19)
 
 
 def test_start_is_pushed_inside() -> None:
     grid = nlp((-5, 9, 0.5), x1 + x2 + x3, [], [], {x1: (0, 1), x2: (-INFINITY, 4), x3: (0, 1)})
-    pushed = barrier.push_inside(*dense_problem.bounds_of(grid), grid.guess, 1e-2)
-    np.testing.assert_allclose(pushed, [0.01, 4 - 0.04, 0.5])
+    pushed = pushed_inside(search_on(grid), guess_of(grid), 1e-2)
+    np.testing.assert_allclose(pushed[primal_unknowns(grid)], [0.01, 4 - 0.04, 0.5])

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from codegen.runtime.kkt.elements import padded
+from codegen.runtime.kkt.shape import last_width, padded, row_width
 from codegen.runtime.kkt.symmetric import (
     eliminate_rows,
     solve_backward,
@@ -17,6 +17,9 @@ from codegen.runtime.kkt.symmetric import (
     solve_pivots,
     subtract_products,
 )
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
 
 ROUNDING = 1e-9
 
@@ -122,13 +125,13 @@ def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps,
     module = interpreted(name, text, **choices)
     # Barrier terms shift the Hessian wherever there are bounds; one interval between shared ends has no inner node.
     assume(shift > 0.0 or not module.metadata["inequalities"])
-    assume(steps > 1 or not module.SHARED)
     grid = module.make_grid(steps)
+    assume(steps > 1 or not grid.structure.shared)
     unknowns = trial_point(module, grid, seed, 0.2)
     diagonal = shifts(module, grid, shift, delta_c)
-    keep = np.flatnonzero(module.free_unknowns(grid))
+    keep = np.flatnonzero(free_unknowns(grid))
     matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
-    found = module.factor_kkt(grid, unknowns, 1.0, diagonal, module.allocate_system(grid))
+    found = factor_kkt(grid, unknowns, 1.0, diagonal, allocate_system(grid))
     values = np.linalg.eigvalsh(matrix[np.ix_(keep, keep)])
     regular = np.abs(values).min() > ROUNDING * np.abs(values).max()
     if found is None:
@@ -147,7 +150,7 @@ def test_multipliers_that_a_node_lacks_are_not_counted(interpreted, name, text, 
     sizes = np.where(grid.is_multiplier, multipliers, primal)
     unknowns = np.where(grid.is_multiplier, 0.0, trial_point(module, grid, 1, 0.2)) / sizes
     scaled, diagonal = grid._replace(sizes=sizes, forces=sizes), np.where(grid.is_multiplier, -1e-8, 1.0)
-    assert module.factor_kkt(scaled, unknowns, 0.0, diagonal, module.allocate_system(grid)) == 0
+    assert factor_kkt(scaled, unknowns, 0.0, diagonal, allocate_system(grid)) == 0
 
 
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
@@ -159,20 +162,21 @@ def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, ch
     module = interpreted(name, text, **choices)
     grid = module.make_grid(4)
     unknowns = np.where(grid.is_multiplier, 0.0, trial_point(module, grid, 1, 0.2))
-    system, step = module.allocate_system(grid), np.empty_like(unknowns)
-    assert module.factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) == 0
+    system, step = allocate_system(grid), np.empty_like(unknowns)
+    assert factor_kkt(grid, unknowns, 0.0, np.where(grid.is_multiplier, -1e-12, 1.0), system) == 0
     gradient = module.evaluate(grid, unknowns).gradient
-    module.solve_kkt(grid, system, np.where(grid.is_multiplier, gradient, 0.0), step)
+    solve_kkt(grid, system, np.where(grid.is_multiplier, gradient, 0.0), step)
     equations, primal = module.multiplier_unknowns(grid), module.primal_unknowns(grid)
-    rows, columns, slopes = module.jacobian(grid, unknowns)
+    rows, columns, slopes = callbacks.jacobian(grid, unknowns)
     change = np.bincount(rows, slopes * step[primal][columns], equations.size)
     np.testing.assert_allclose(change, -gradient[equations], atol=1e-6 * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize(("name", "text", "choices"), VARIANTS)
 def test_rows_have_room_for_what_is_carried_along(interpreted, name, text, choices):
-    """A column for the right-hand side, exactly where rows, in fours from 0 and from BLOCK on, have one to spare."""
-    module = interpreted(name, text, **choices)
-    spare = [size % 4 > 0 for size in (module.ROWS, module.ROWS - module.BLOCK)]
-    assert int(all(spare)) == module.CARRIED
-    assert module.LAST + module.SHARED + module.CARRIED <= module.LAST_WIDTH <= module.WIDTH
+    """A column for the right-hand side, exactly where rows, in fours from 0 and from a block on, have one to spare."""
+    shape = interpreted(name, text, **choices).problem.structure.shape
+    block, last = shape.stride - shape.condensed, shape.node + shape.border
+    spare = [size % 4 > 0 for size in (block + last + shape.shared, last + shape.shared)]
+    assert int(all(spare)) == shape.carried
+    assert last + shape.shared + shape.carried <= last_width(shape) <= row_width(shape)

@@ -1,53 +1,34 @@
-"""The interior point method on problems with known optima, and every way in which it can end.
-
-The runtime's functions are handed problems with dense linear algebra in place of a generated module's.
-"""
+"""The search on problems with known optima, and every way in which it can end."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
-import dense_problem
 import numpy as np
 import pytest
-from dense_problem import INFINITY, Dense, Motion, transcribe
-from dense_runtime import assert_optimal, dense_linear_algebra, leave_out_bounds, solve
-from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integrator, nlp, u, v, x1, x2, x3
-from sympy import exp, log, symbols
+from dense_problem import INFINITY, Motion, assert_optimal, guess_of, solve, transcribe, variables, with_hessian
+from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integrator, nlp, u, v, x, x1, x2, x3
+from sympy import exp, log, sqrt, symbols
 
-from codegen.runtime.optimise import (
-    bounded,
-    cascade,
-    filter,
-    line_search,
-    newton,
-    restoration,
-)
-from codegen.runtime.optimise.iteration_log import Log
-
-
-@pytest.fixture(scope="module", autouse=True)
-def dense() -> Iterator[None]:
-    with dense_linear_algebra():
-        yield
-
-
-@pytest.fixture
-def without_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    leave_out_bounds(monkeypatch)
-
+from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.callbacks import constraints, jacobian
+from codegen.runtime.search.cascade import FROM_ANYWHERE, minimise
+from codegen.runtime.search.descent import UNBOUNDED_BELOW
+from codegen.runtime.search.grid import primal_unknowns
+from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
+from codegen.runtime.search.iteration_log import Log
+from codegen.runtime.search.newton import restored
 
 KNOWN = {**HOCK_SCHITTKOWSKI, **TRAJECTORIES}
-ITERATIONS: dict[str, int] = {}
 
 
 @pytest.mark.parametrize("name", KNOWN)
 def test_known_optimum(name: str) -> None:
-    optimum, _, problem = KNOWN[name]
+    optimum, of_ipopt, problem = KNOWN[name]
     grid = problem()
-    status, point, ITERATIONS[name] = solve(grid)
+    status, point, iterations = solve(grid)
     assert status == "solved"
+    assert iterations <= 1.3 * of_ipopt + 2
     if optimum is not None:
         assert point.cost == pytest.approx(optimum, rel=1e-6 if name in TRAJECTORIES else 1e-8, abs=1e-9)
     assert point.stationarity <= 1e-10
@@ -59,7 +40,7 @@ def test_bounds_hold_exactly_and_the_optimality_conditions_there() -> None:
     grid = nlp((2, 3), 5e4 * (x1 - x2) ** 2 + 1000 * x1, bounds={x1: (1, INFINITY)})
     status, point, _ = solve(grid)
     assert status == "solved"
-    assert point.unknowns[:2] == pytest.approx([1, 1], rel=1e-12)
+    assert variables(grid, point) == pytest.approx([1, 1], rel=1e-12)
     assert_optimal(grid, point)
     assert point.stationarity <= 1e-10  # as told
 
@@ -140,11 +121,11 @@ def test_infeasible_is_a_minimum_of_the_violation(equations: Any, inequalities: 
     status, point, _ = solve(grid)
     assert status == "infeasible"
     assert point.residual == pytest.approx(least, rel=1e-5)  # the barrier keeps a distance to the bound
-    jacobian = dense_problem.kkt_matrix(grid, point.unknowns)[np.ix_(grid.is_multiplier, ~grid.is_multiplier)]
-    residual = dense_problem.evaluate(grid, point.unknowns).gradient[grid.is_multiplier]
-    pull, found = jacobian.T @ residual, point.unknowns[~grid.is_multiplier]
-    lower, upper = grid.lower[~grid.is_multiplier], grid.upper[~grid.is_multiplier]
-    assert np.abs(found - np.clip(found - pull, lower, upper)).max() <= 1e-3
+    rows, columns, slopes = jacobian(grid, point.unknowns)
+    found, primal = variables(grid, point), primal_unknowns(grid)
+    pull = np.bincount(columns, slopes * constraints(grid, point.unknowns)[rows], found.size)
+    lower, upper = bounds_of(grid)
+    assert np.abs(found - np.clip(found - pull, lower[primal], upper[primal])).max() <= 1e-3
 
 
 def test_non_finite() -> None:
@@ -155,7 +136,7 @@ def test_iteration_limit() -> None:
     grid = HOCK_SCHITTKOWSKI["71"][2]()
     status, point, iterations = solve(grid, limit=3)
     assert (status, iterations) == ("iteration limit", 3)
-    assert (point.unknowns >= grid.lower).all()
+    assert (point.unknowns >= bounds_of(grid)[0]).all()
 
 
 def test_saddle_point_at_the_start_is_left() -> None:
@@ -172,20 +153,28 @@ def test_saddle_point_at_the_start_is_left() -> None:
 def test_rank_deficient() -> None:
     """No shift of the Hessian helps where derivatives are infinite."""
     grid = nlp((1, 1), x1**2 + x2**2, [x1 - x2])
-    broken = grid._replace(hessian=lambda unknowns: np.full((3, 3), np.nan))
-    assert solve(broken)[0] == "rank-deficient"
+    assert solve(with_hessian(grid, lambda unknowns: np.full((3, 3), np.nan)))[0] == "rank-deficient"
 
 
-def test_steps_that_are_short_in_turn_raise_the_shift_until_one_is_whole() -> None:
-    """Steps of a sixteenth, a few and then more in turn: only these count; a whole step lowers the shift again."""
-    whole = bounded.Step(*[np.empty(0)] * 3, -1.0, False, 1.0, 1.0, bounded.InertiaCorrection(1e-3))
-    assert line_search.damped(0.0, whole, 1 / 16, 1) == 0.0
-    shifts = [0.0]
-    for in_turn in (line_search.SHORT_IN_TURN, line_search.SHORT_IN_TURN + 1):
-        shifts.append(line_search.damped(shifts[-1], whole, 1 / 16, in_turn))
-    assert shifts == pytest.approx([0.0, 4e-3, 16e-3])
-    assert line_search.damped(shifts[-1], whole, 1.0, 0) == pytest.approx(8e-3)
-    assert line_search.damped(1e-6, whole, 1.0, 0) == 0.0
+def test_steps_that_are_short_in_turn_raise_the_shift_and_whole_ones_lower_it() -> None:
+    """Far away the cost is all but linear, and Newton's steps lead beyond the optimum.
+
+    Six steps in turn, of a quarter at most, raise the shift; after ten, full steps are tried, and taken back where they
+    lead nowhere.
+    """
+    cost = sum(sqrt(1 + (2**i * x_i) ** 2) for i, x_i in enumerate(x))
+    grid, iterates = nlp((3, -30, 50, 2, -9, 4, 1), cost), Log()
+    status, point, _ = minimise(grid, guess_of(grid), 1e-10, 300, False, iterates)
+    assert status == "solved"
+    assert point.cost == pytest.approx(7.0, rel=1e-12)
+    costs, _, _, shifts, lengths = np.array(iterates.rows).T
+    assert (shifts[:7] == 0.0).all()
+    assert (lengths[1:11] <= 0.25).all()
+    assert shifts[7:12] == pytest.approx(4e-5 * 4.0 ** np.arange(5))
+    assert lengths[11:15].tolist() == [1.0, 1.0, 1.0, 0.0]  # the last takes the three before it back
+    assert costs[14] == costs[10]
+    whole = 16 + int(np.argmax(lengths[16:] == 1.0))
+    assert shifts[whole + 1 :] == pytest.approx(shifts[whole] / 2.0 ** np.arange(1, shifts.size - whole))
 
 
 def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() -> None:
@@ -198,13 +187,19 @@ def test_chattering_takes_no_more_than_half_as_many_iterations_again_as_ipopt() 
     assert_optimal(grid, point)
 
 
+def restoration(grid: Any, push: float, reduction: float) -> tuple[str, Any]:
+    """Status and point of a restoration from the guess of a problem."""
+    search = search_on(grid)
+    iterate = begin(search, guess_of(grid), FROM_GUESS._replace(push=push))
+    status, found = restored(search, iterate, reduction, FROM_ANYWHERE, Log())
+    return status, found.point
+
+
 def test_restoration_goes_no_farther_than_it_has_to() -> None:
     """The second equation is a millionth as steep as the first: all of it would take a step of 100."""
     grid = nlp((2, 0), x1**2 + x2**2, [1000 * (x1 - 1), 0.01 * (x2 - 100)], [], {x1: POSITIVE})
-    search = bounded.search_on(grid)
-    iterate = bounded.begin(search, grid.guess, bounded.FROM_GUESS)
-    status, found = restoration.restore(search, iterate, 0.9, filter.Filter(np.inf), lambda: False)
-    first, second = found.point.unknowns[~grid.is_multiplier]
+    status, point = restoration(grid, 1e-2, 0.9)
+    first, second = variables(grid, point)
     assert status == "restored"
     assert abs(first - 1.0) < 0.1
     assert abs(second) < 1.0
@@ -215,41 +210,27 @@ def test_a_cost_that_falls_without_end_is_not_followed_to_infinity() -> None:
     status, point, iterations = solve(nlp((1, 1), -x1 - x2, [x1 - x2], [], {x1: POSITIVE}))
     assert status == "unbounded"
     assert iterations <= 15
-    assert point.cost < -newton.UNBOUNDED_BELOW
-
-
-FREE_PROBLEMS = [
-    nlp((-1.2, 1), 100 * (x2 - x1**2) ** 2 + (1 - x1) ** 2),
-    nlp((2, 1, 0.5), x1**2 + x2**2 + x3**4, [x1 * x2 * x3 - 1, x1 - x2**2]),
-    nlp((3, 3), (x1 - 1) ** 2 + exp(-x2), [exp(x1) * x2 - 1]),
-    nlp((1, 1), x1**2 + x2**2, [x1**2 + x2**2 + 1]),
-]
-
-
-@pytest.mark.parametrize("grid", FREE_PROBLEMS)
-def test_an_empty_barrier_leaves_the_iterates_as_they_are(grid: Dense, request: pytest.FixtureRequest) -> None:
-    """Where no shift is needed, which each seeks in its own way, steps are the same with a barrier as without."""
-    rows = []
-    for fixture in ((), ("without_bounds",)):
-        for name in fixture:
-            request.getfixturevalue(name)
-        log = Log()
-        status, point, iterations = cascade.minimise(grid, grid.guess.copy(), 1e-10, 300, False, log)
-        rows.append((status, iterations, point.cost, np.array([row[:5] for row in log.rows])))
-    (status, iterations, cost, path), (other, others, least, other_path) = rows
-    assert status == other
-    assert iterations == others or status == "infeasible"  # an attempt with another weight is none without bounds
-    assert cost == pytest.approx(least, rel=1e-12)
-    shared = min(len(path), len(other_path))
-    np.testing.assert_allclose(path[: shared // 2], other_path[: shared // 2], rtol=1e-6, atol=1e-9)
+    assert point.cost < -UNBOUNDED_BELOW
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e6, 1e12])
 def test_restoration_where_a_bound_is_close_and_residuals_are_in_any_unit(unit: float) -> None:
     """The weight of the barrier and what damps steps are in units of squared residuals; beside a bound it is steep."""
     grid = nlp((1e-6, 30), x1, [unit * (x2**2 - 4), unit * (x1 * x2 - 6)], [], {x1: POSITIVE, x2: POSITIVE})
-    search = bounded.search_on(grid)
-    iterate = bounded.begin(search, grid.guess, bounded.FROM_GUESS._replace(push=1e-9))
-    status, found = newton.restored(search, iterate, 1e-6, filter.Filter(np.inf), Log())
+    status, point = restoration(grid, 1e-9, 1e-6)
     assert status == "restored"
-    assert found.point.unknowns[~grid.is_multiplier][:2] == pytest.approx([3.0, 2.0], rel=1e-3)
+    assert variables(grid, point) == pytest.approx([3.0, 2.0], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["7", "71", "cart-pole, tight", "Goddard"])
+def test_a_search_that_returns_after_each_iteration_goes_on_as_if_it_had_not(name: str) -> None:
+    """As one does that is watched; from the guess, and from a solution that is not quite one."""
+    grid = KNOWN[name][2]()
+    cold, warm = Log(), Log()
+    _, point, _ = minimise(grid, guess_of(grid), 1e-10, 300, False, cold)
+    beside = point.unknowns + 1e-7 * ~grid.is_multiplier
+    minimise(grid, beside, 1e-10, 300, True, warm)
+    for start, is_warm, whole in ((guess_of(grid), False, cold), (beside, True, warm)):
+        watched = Log(watch=lambda number, row: None)
+        minimise(grid, start, 1e-10, 300, is_warm, watched)
+        assert watched.rows == whole.rows

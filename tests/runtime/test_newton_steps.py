@@ -1,68 +1,91 @@
-"""The search for a shift of the Hessian: which shifts are tried, for matrices of which the inertia is known."""
+"""The inertia correction: which shifts of the Hessian are tried, for matrices of which the inertia is known."""
 
 from __future__ import annotations
 
+import ctypes
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from dense_problem import assert_optimal, dense_grid, guess_of, solve
+from known_optima import HOCK_SCHITTKOWSKI
 
-from codegen.runtime.optimise import newton_steps, unbounded
-from codegen.runtime.optimise.newton_steps import regularised_step
-from codegen.runtime.optimise.unbounded import SMALL_DELTA_W, InertiaCorrection
+from codegen.runtime.kkt.any_shape import any_shape_address
+from codegen.runtime.search.descent import SMALL_DELTA_W
+from codegen.runtime.search.grid import Grid
+from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
+from codegen.runtime.search.iteration_log import Log
+from codegen.runtime.search.newton import descend
 
-GRID = SimpleNamespace(is_multiplier=np.array([False, True]), steps=1)
-POINT = SimpleNamespace(unknowns=np.zeros(2), gradient=np.array([1.0, 0.0]))
-
-
-@pytest.fixture
-def tried(monkeypatch):
-    """The shifts tried since the list was emptied; the system, a number, is the least curvature, or None."""
-    shifts: list[float] = []
-
-    def factor_kkt(grid, unknowns, weight, diagonal, curvature, gradient, step):
-        shifts.append(float(diagonal[0]))
-        step[:] = -gradient
-        if curvature is None:  # singular unless the multipliers' diagonal is shifted, too
-            return 0 if diagonal[1] < 0.0 else None
-        return 0 if curvature + diagonal[0] > 0.0 else 1
-
-    monkeypatch.setattr(newton_steps, "factor_kkt", factor_kkt)
-    monkeypatch.setattr(newton_steps, "INEQUALITIES", 0)
-    for name in ("corrected_inertia", "newton_system", "first_delta_w", "step_along"):
-        monkeypatch.setattr(newton_steps, name, getattr(unbounded, name))
-    monkeypatch.setattr(unbounded, "primal_ones", lambda steps: np.array([1.0, 0.0]))
-    return shifts
+INTEGER, ADDRESS = ctypes.c_int64, ctypes.c_void_p
+KINDS = (*[INTEGER] * 4, *[ADDRESS] * 4, INTEGER, *[ADDRESS] * 3, INTEGER)
+SYSTEM = ctypes.CFUNCTYPE(INTEGER, *KINDS)
+IS_NEW, DIAGONAL, STEP, IS_WANTED = 0, 7, 11, 12
+"""Places of arguments in those of `addresses.SYSTEM`."""
 
 
-def follow(tried, curvatures, shift=InertiaCorrection()):  # noqa: B008  a constant
-    """The shift at every iterate, and the shifts that were tried there."""
-    for curvature in curvatures:
-        tried.clear()
-        search = unbounded.Search(GRID, curvature, np.array([1]))
-        step = regularised_step(search, unbounded.Iterate(POINT), shift, 0.0, False)
-        assert step.slope < 0.0
-        shift = step.inertia
-        yield shift, list(tried)
+def with_system(grid: Grid, system: Callable[..., int]) -> tuple[Grid, Any]:
+    """The grid whose linear system is a callback, which is handed the arguments and the compiled system."""
+    compiled, problem = SYSTEM(any_shape_address()), replace(grid.problem)
+    callback = SYSTEM(lambda *arguments: system(compiled, arguments))
+    vars(problem)["system"] = ctypes.cast(callback, ADDRESS).value
+    return grid._replace(problem=problem), callback  # which has to be kept as long as it is called
 
 
-def test_where_the_hessian_is_convex_nothing_else_is_tried(tried):
-    assert [tries for _, tries in follow(tried, [1.0] * 3)] == [[0.0]] * 3
+def numbers_at(address: int, count: int) -> np.ndarray:
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), (count,))
 
 
-def test_a_shift_is_always_enough_and_the_step_is_one_of_descent(tried):
+def shifts_tried(curvatures: list[float | None]) -> list[list[float]]:
+    """The shifts that are tried at iterates where the cost x has so much curvature along x.
+
+    The equation is y = 0, or one without a slope where the curvature is None.
+    """
+    iterates = dict[bytes, int]()
+    tried: list[list[float]] = [[] for _ in curvatures]
+
+    def hessian(unknowns: np.ndarray) -> np.ndarray:
+        number = iterates.setdefault(unknowns.tobytes(), len(iterates))
+        curvature = curvatures[min(number, len(curvatures) - 1)]
+        if curvature is None:
+            return np.diag([1.0, 0.0, 1.0])
+        return np.array([[curvature, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+    def system(compiled: Any, arguments: tuple[int, ...]) -> int:
+        if arguments[IS_NEW] and arguments[IS_WANTED] and len(iterates) <= len(curvatures):
+            tried[len(iterates) - 1].append(float(numbers_at(arguments[DIAGONAL], 2)[1]))
+        return compiled(*arguments)
+
+    free = np.full(3, np.inf)
+    grid = dense_grid(
+        np.array([False, True, False]), -free, free, np.zeros(3),
+        lambda u: (u[0], np.array([1.0, u[2], u[1]])), hessian,
+    )  # fmt: skip
+    grid, _callback = with_system(grid, system)
+    search = search_on(grid)
+    descend(search, begin(search, guess_of(grid), FROM_GUESS), FROM_GUESS, 1e-10, len(curvatures), Log())
+    return [tried[0][1:], *tried[1:]]  # the first matrix was that of the multipliers at the start
+
+
+def test_where_the_hessian_is_convex_nothing_else_is_tried():
+    assert shifts_tried([1.0] * 3) == [[0.0]] * 3
+
+
+def test_a_shift_is_always_enough_and_the_step_is_one_of_descent():
     curvatures = [-3.0, -50.0, -700.0, -2.0, 1.0, -1e-3, 5.0]
-    for curvature, (shift, _) in zip(curvatures, follow(tried, curvatures), strict=True):
-        assert curvature + shift.delta_w > 0.0
+    for curvature, tries in zip(curvatures, shifts_tried(curvatures), strict=True):
+        assert curvature + tries[-1] > 0.0
 
 
-def test_lower_shifts_are_tried_at_once_until_they_are_small(tried):
+def test_lower_shifts_are_tried_at_once_until_they_are_small():
     """From the first shift down to none, with one factorisation at each iterate; ever faster."""
-    rows = list(follow(tried, [-500.0, *[1e-9] * 6]))
-    values = [shift.delta_w for shift, _ in rows]
+    rows = shifts_tried([-500.0, *[1e-3] * 6])
+    values = [tries[-1] for tries in rows]
     first_zero = values.index(0.0)
-    assert all(len(tries) == 1 for _, tries in rows[1:])
+    assert all(len(tries) == 1 for tries in rows[1:])
     assert all(value > SMALL_DELTA_W for value in values[:first_zero])
     assert values[first_zero:] == [0.0] * len(values[first_zero:])
     ratios = [a / b for a, b in pairwise(values[:first_zero])]
@@ -70,29 +93,36 @@ def test_lower_shifts_are_tried_at_once_until_they_are_small(tried):
     assert ratios == pytest.approx([3.0 ** (i + 1) for i in range(len(ratios))])
 
 
-def test_small_shifts_give_way_to_none(tried):
-    ((shift, tries),) = follow(tried, [1.0], InertiaCorrection(SMALL_DELTA_W, SMALL_DELTA_W, 0))
-    assert (shift.delta_w, tries) == (0.0, [0.0])
+def test_small_shifts_give_way_to_none():
+    first, second = shifts_tried([-0.005, 1.0])
+    assert 0.0 < first[-1] <= 3.0 * SMALL_DELTA_W
+    assert second == [0.0]
 
 
-def test_where_equations_depend_on_each_other_none_is_tried_first(tried):
+def test_where_equations_depend_on_each_other_none_is_tried_first():
     """What rounding calls the inertia of a singular matrix says nothing about curvatures, now and later."""
-    rows = list(follow(tried, [None, -500.0, 1.0, 1.0]))
-    assert all(shift.singular for shift, _ in rows)
-    assert all(tries[0] == 0.0 for _, tries in rows)
+    rows = shifts_tried([None, -500.0, 1.0, 1.0])
+    assert rows[0] == [0.0, 0.0]  # then with a shift of the multipliers' diagonal
+    assert all(tries[0] == 0.0 for tries in rows)
 
 
-@pytest.mark.parametrize("lowered", [False, True])
-def test_what_a_step_promises_is_measured_after_its_refinement(tried, monkeypatch, lowered):
-    """Lengths of a step before its corrections led beyond bounds, by a hundredth of them."""
+@pytest.mark.parametrize("name", ["43", "71", "76"])
+def test_steps_of_an_inaccurate_factorisation_are_refined(name):
+    """Unknowns of all steps are off by parts of them, each in its own way; without bounds and with them."""
+    _, _, problem = HOCK_SCHITTKOWSKI[name]
+    exact, grid = problem(), problem()
+    errors = 0.2 * np.sin(np.arange(grid.is_multiplier.size))
 
-    def refine(grid, unknowns, diagonal, system, gradient, step):
-        step *= 3.0
-        return lowered
+    def system(compiled: Any, arguments: tuple[int, ...]) -> int:
+        excess = compiled(*arguments)
+        if arguments[IS_WANTED] and excess == 0:
+            step = numbers_at(arguments[STEP], errors.size)
+            step += errors * step
+        return excess
 
-    monkeypatch.setattr(newton_steps, "refine", refine)
-    search, iterate = SimpleNamespace(grid=GRID, system=1.0), SimpleNamespace(point=POINT)
-    step = regularised_step(search, iterate, InertiaCorrection(), 0.0, True)
-    assert (step.primal == -3.0 * POINT.gradient).all()
-    assert step.slope == POINT.gradient @ step.primal
-    assert step.refined is lowered
+    grid, _callback = with_system(grid, system)
+    (_, expected, iterations), (status, found, others) = solve(exact), solve(grid)
+    assert status == "solved"
+    assert found.cost == pytest.approx(expected.cost, rel=1e-9)
+    assert others <= 1.5 * iterations
+    assert_optimal(exact, found)

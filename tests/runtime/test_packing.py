@@ -2,15 +2,17 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from golden import text_of
-from interpreted import config as interpreted_config
-from interpreted import without_compilation
 from numba import config, njit
 
+from codegen.runtime import addresses, kernels
+from codegen.runtime.kkt import specialised
+from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.packing import packed_operations
+from codegen.runtime.search import problem
 
 
 def products(x, y):
@@ -45,18 +47,17 @@ def test_what_numba_was_told_holds_again_after_an_error(monkeypatch):
         assert before == config.SLP_VECTORIZE
 
 
-def test_blocks_of_several_modules_may_overlap(interpreted, monkeypatch):
-    """Each module has a copy of the text; the option is one, and the last block to end gives it back."""
-    modules = [interpreted("pendulum", scheme=scheme) for scheme in ("midpoint", "stormer-verlet")]
+def test_blocks_may_overlap(monkeypatch):
+    """The option is one for all, and the last block to end gives it back."""
     for before in (0, 1):
-        monkeypatch.setattr(interpreted_config, "SLP_VECTORIZE", before, raising=False)
-        first, second = (module.packed_operations() for module in modules)
+        monkeypatch.setattr(config, "SLP_VECTORIZE", before)
+        first, second = packed_operations(), packed_operations()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)
-        assert interpreted_config.SLP_VECTORIZE == 1
+        assert config.SLP_VECTORIZE == 1
         second.__exit__(None, None, None)
-        assert before == interpreted_config.SLP_VECTORIZE
+        assert before == config.SLP_VECTORIZE
 
 
 def test_what_a_user_sets_meanwhile_holds(monkeypatch):
@@ -66,39 +67,45 @@ def test_what_a_user_sets_meanwhile_holds(monkeypatch):
     assert config.SLP_VECTORIZE == 0
 
 
-def test_threads_that_solve_at_once_leave_the_option_as_it_was(interpreted, monkeypatch):
-    module = interpreted("pendulum", scheme="stormer-verlet")
-    monkeypatch.setattr(interpreted_config, "SLP_VECTORIZE", 0, raising=False)
-    inside, own = Barrier(4), module.integrate
+def test_threads_that_are_inside_at_once_leave_the_option_as_it_was(monkeypatch):
+    monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
+    inside = Barrier(4)
 
-    def together(*arguments):
+    @packed_operations()
+    def seen(_):
         inside.wait(60)  # all are inside at once, and end in any order
-        return own(*arguments)
+        return config.SLP_VECTORIZE
 
-    monkeypatch.setattr(module, "integrate", together)
     with ThreadPoolExecutor(4) as pool:
-        assert {solution.status for solution in pool.map(module.solve, [100, 200, 300, 400])} == {"solved"}
-    assert interpreted_config.SLP_VECTORIZE == 0
+        assert list(pool.map(seen, range(8))) == [1] * 8
+    assert config.SLP_VECTORIZE == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "inside"),
-    [
-        ("hovercraft", "optimise"), ("bryson_denham", "optimise"), ("pendulum", "integrate"),
-        ("lennard_jones_stormer_verlet", "integrate"),
-    ],
-)  # fmt: skip
-def test_a_module_packs_what_its_solve_compiles(name, inside, monkeypatch):
-    """Whatever environment it is solved in."""
-    module = without_compilation(text_of(f"{name}.py"))
-    monkeypatch.setattr(interpreted_config, "SLP_VECTORIZE", 0, raising=False)
-    found, own = [], getattr(module, inside)
+@pytest.mark.parametrize("module", [kernels, problem])
+def test_functions_of_modules_are_packed(module, monkeypatch):
+    """Whatever environment they are compiled in."""
+    found = []
 
-    def noted(*arguments):
-        found.append(interpreted_config.SLP_VECTORIZE)
-        return own(*arguments)
+    def noted(*_, **__):
+        found.append(config.SLP_VECTORIZE)
+        return lambda function: function
 
-    setattr(module, inside, noted)
-    module.solve(steps=4)
-    assert found == [1]
-    assert interpreted_config.SLP_VECTORIZE == 0
+    def fill(filled):
+        """Nothing."""
+
+    monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
+    monkeypatch.setattr(kernels if module is kernels else addresses, "cfunc", noted)
+    made = module.Kernel(fill) if module is kernels else module.Loop(fill)
+    assert made.compiled is fill
+    assert (found, config.SLP_VECTORIZE) == ([1], 0)
+
+
+def test_linear_systems_are_packed(monkeypatch):
+    """What numba is told while a linear system is compiled, and what it is told afterwards."""
+    found = []
+    monkeypatch.setattr(config, "SLP_VECTORIZE", 0)
+    monkeypatch.setattr(specialised, "system_module", lambda shape: SimpleNamespace(system=shape))
+    monkeypatch.setattr(addresses, "cfunc", lambda *_, **__: lambda shape: found.append(config.SLP_VECTORIZE) or shape)
+    shape = Shape(*[0] * 11)
+    assert specialised.compiled_system.__wrapped__(shape) is shape
+    assert (found, config.SLP_VECTORIZE) == ([1], 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import PROBLEMS
-from interpreted import as_machine_code, of_problem, text_of
+from interpreted import of_problem, text_of, without_compilation
 from poorly_guessed import FIRST, SECOND, batch, charging, lane, reactions, thrust, yeast
 from sympy import cos, exp, sin
 
@@ -13,12 +13,16 @@ from codegen import Control, control, controls, free_parameter, solving, states,
 from codegen.author.problem import Phases
 from codegen.compiler import build
 from codegen.interfaces import time_grid
+from codegen.runtime.search.convergence import sizes_of_terms
+from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import scaled_unknowns
 
 POISON = 1.093664682973  # IPOPT 3.14 on the same program
 
 
 def module_of(problem: Control | Phases):
-    return as_machine_code(text_of(problem))
+    return without_compilation(text_of(problem))
 
 
 def take_off() -> Control:
@@ -44,7 +48,7 @@ def take_off() -> Control:
 @pytest.mark.parametrize("scheme", ["rk4", "gauss-4", "hermite-simpson"])
 def test_schemes_with_stages_take_no_more_iterations(scheme):
     """Equations of stages had a residual, and with it a size, of h a_ij f: 54, 174 and 52 iterations."""
-    solution = as_machine_code(text_of(take_off(), scheme=scheme)).solve(50)
+    solution = without_compilation(text_of(take_off(), scheme=scheme)).solve(50)
     assert solution.status == "solved", solution.message
     assert solution.iterations <= 1.5 * 16
 
@@ -52,7 +56,7 @@ def test_schemes_with_stages_take_no_more_iterations(scheme):
 def factors_by_name(module, steps: int) -> dict[str, float]:
     """The scaling factors of unknowns of a node and an interval, by their names."""
     grid = time_grid(module, steps)
-    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    scaled = scaled_grid(grid, module.initial_guess(grid))
     return dict(zip([*module.metadata["node"], *module.metadata["interval"]], scaled.sizes, strict=False))
 
 
@@ -60,8 +64,8 @@ def factors_by_name(module, steps: int) -> dict[str, float]:
 @pytest.mark.parametrize("scheme", ["rk4", "gauss-4", "hermite-simpson"])
 def test_stages_have_the_factors_of_their_states(scheme, controls_on):
     """And equations of stages those of the state's step: as by midpoint, whatever the number of intervals."""
-    midpoint = as_machine_code(text_of(spiral()))
-    module = as_machine_code(text_of(spiral(), scheme=scheme, controls=controls_on))
+    midpoint = without_compilation(text_of(spiral()))
+    module = without_compilation(text_of(spiral(), scheme=scheme, controls=controls_on))
     for steps in (12, 30, 100, 300):
         expected, factors = factors_by_name(midpoint, steps), factors_by_name(module, steps)
         assert len(set(expected.values())) > 5, "the problem is chosen for them"
@@ -74,7 +78,7 @@ def test_rates_that_do_not_matter_at_the_guess_are_told_by_their_scale():
     """The second rate has no effect there, and its factor is one; the closed form has 2e-5 and 1e-5."""
     module = module_of(reactions())
     grid = module.make_grid(20)
-    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes[-2:] == pytest.approx([1e-6, 1.0])
+    assert scaled_grid(grid, module.initial_guess(grid)).sizes[-2:] == pytest.approx([1e-6, 1.0])
     slow, quick = module.solve(20), module_of(reactions(1e-5)).solve(20)
     for solution in (slow, quick):
         assert solution.status == "solved", solution.message
@@ -104,7 +108,7 @@ def test_a_guess_outside_its_bounds_counts_as_the_bound():
     module = module_of(batch())
     grid = module.make_grid(40)
     with np.errstate(all="ignore"):  # of the guess, as machine code does
-        scaled = module.scaled_grid(grid, module.initial_guess(grid))
+        scaled = scaled_grid(grid, module.initial_guess(grid))
         result = solving.solve(module)
     assert scaled.sizes.size == 0 or scaled.sizes.min() >= 1e-6
     assert result.status == "solved", result.message
@@ -138,8 +142,8 @@ def test_unknowns_of_the_start_alone_do_not_weigh_in_the_cost():
     ordinary = module_of(poisoned(1.0, 1.0)).solve()
     module = module_of(poisoned(1e16, 1e14))
     grid, large = module.make_grid(60), module.solve()
-    scaled = module.scaled_grid(grid, module.initial_guess(grid))
-    _, terms = module.sizes_of_terms(scaled, module.scaled_unknowns(scaled, large.unknowns))
+    scaled = scaled_grid(grid, module.initial_guess(grid))
+    _, terms = sizes_of_terms(scaled, scaled_unknowns(scaled, large.unknowns))
     assert terms < 1e7, "with the ones it was 4e18, of which rounding would excuse a stationarity of 950"
     assert (ordinary.status, large.status) == ("solved", "solved")
     assert ordinary.cost == pytest.approx(POISON, rel=1e-6)
@@ -166,9 +170,9 @@ def spiral() -> Control:
 @pytest.mark.parametrize("choices", [{}, {"scheme": "gauss-4", "controls": "stages"}])
 def test_an_angle_is_one_radian_at_most(choices):
     """Balancing gravity took it for hundreds."""
-    module = as_machine_code(text_of(spiral(), **choices))
+    module = without_compilation(text_of(spiral(), **choices))
     grid = module.make_grid(30)
-    scaled = module.scaled_grid(grid, module.initial_guess(grid))
+    scaled = scaled_grid(grid, module.initial_guess(grid))
     angles = [i for i, name in enumerate((*module.metadata["node"], *module.metadata["interval"])) if name[0] == "a"]
     assert angles
     assert scaled.sizes[angles] == pytest.approx(1.0)
@@ -177,13 +181,13 @@ def test_an_angle_is_one_radian_at_most(choices):
 
 def test_a_guess_out_of_bounds_does_not_tell_sizes():
     """Drag at a tenth of the radius below the ground is e^50 of that above; so measured, rockets left for infinity."""
-    module = as_machine_code(build(PROBLEMS / "goddard_rocket.py").path.read_text())
+    module = without_compilation(build(PROBLEMS / "goddard_rocket.py").path.read_text())
     grid = module.make_grid(20)
     guess = module.initial_guess(grid)
     noise = np.random.default_rng(0).standard_normal(guess.size)
-    free = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    free = free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
     guess[free] += 0.1 * noise[free] * (np.abs(guess[free]) + 0.1)
-    own, noisy = (module.scaled_grid(grid, unknowns) for unknowns in (module.initial_guess(grid), guess))
+    own, noisy = (scaled_grid(grid, unknowns) for unknowns in (module.initial_guess(grid), guess))
     assert own.sizes.size == noisy.sizes.size == 0
     solution = module.solve(20, guess=guess)
     assert solution.status == "solved", solution.message
@@ -192,9 +196,9 @@ def test_a_guess_out_of_bounds_does_not_tell_sizes():
 
 def test_a_bound_beside_the_guess_does_not_tell_sizes_either():
     """A thousandth, the least mass of bacteria, became the size of a mass of one, and the end was called inaccurate."""
-    module = as_machine_code(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
+    module = without_compilation(build(PROBLEMS / "published" / "bioreactor.py").path.read_text())
     grid = module.make_grid(20)
-    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
+    assert scaled_grid(grid, module.initial_guess(grid)).sizes.size == 0
 
 
 def climb() -> Control:
@@ -216,12 +220,12 @@ def climb() -> Control:
 
 def test_a_sample_where_derivatives_leave_all_measure_does_not_count():
     """Else equations are divided by 1e18, and controls that seem to do nothing are as large."""
-    module = as_machine_code(text_of(climb()), "climb")
+    module = without_compilation(text_of(climb()), "climb")
     grid = time_grid(module, 40)
     sizes = dict(
         zip(
             [*module.metadata["node"], *module.metadata["interval"]],
-            module.scaled_grid(grid, module.initial_guess(grid)).sizes,
+            scaled_grid(grid, module.initial_guess(grid)).sizes,
             strict=False,
         )
     )
@@ -242,7 +246,7 @@ def test_a_duration_has_its_size_where_the_guess_is_at_rest():
     """It was 1e18 s, that of what balances rounding, and a search began there: 56 iterations on 100 intervals."""
     module = of_problem(charging())
     grid = time_grid(module, 20)
-    assert module.scaled_grid(grid, module.initial_guess(grid)).sizes[-1] == 100.0
+    assert scaled_grid(grid, module.initial_guess(grid)).sizes[-1] == 100.0
     solution = module.solve()
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(579.3235674463, rel=1e-9)

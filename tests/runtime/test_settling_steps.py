@@ -1,34 +1,18 @@
-"""Steps that a filter sees nothing of, at rounding level, and that lead closer to an optimum all the same."""
+"""Steps at rounding level, of which the cost tells nothing, and that lead closer to an optimum all the same."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
-import numpy as np
 import pytest
-
-from codegen.runtime.optimise import line_search
-from codegen.runtime.optimise.line_search import converges_unseen
-
-SEARCH = SimpleNamespace(grid=SimpleNamespace(is_multiplier=np.array([False, True])))
+from dense_problem import solve, variables
+from known_optima import nlp, x1, x2
+from sympy import exp
 
 
-def iterate(error: float) -> SimpleNamespace:
-    return SimpleNamespace(point=SimpleNamespace(error=error, unknowns=np.ones(2)))
-
-
-@pytest.mark.parametrize(
-    ("moved", "closer", "only_rounding", "accepted"),
-    [
-        (0.0, True, False, True),  # multipliers alone move
-        (1e-9, True, True, True),  # as in a fit to exact data, whose barrier leaves unknowns so far from their values
-        (1e-9, True, False, False),
-        (1e-9, False, True, False),  # nothing is won, and a search could go on for ever
-    ],
-)
-def test_what_is_taken_though_the_filter_refuses_it(monkeypatch, moved, closer, only_rounding, accepted):
-    monkeypatch.setattr(line_search, "INEQUALITIES", 0)
-    monkeypatch.setattr(line_search, "is_at_rounding_level", lambda grid, point: only_rounding)
-    step = SimpleNamespace(primal=np.array([moved, 1.0]))
-    found = converges_unseen(SEARCH, iterate(2.5e-9), step, iterate(1e-15 if closer else 2.4e-9))
-    assert found is accepted
+@pytest.mark.parametrize("bounds", [{}, {x1: (-1, 3), x2: (-1, 3)}])
+def test_steps_that_a_large_cost_does_not_show_are_taken(bounds):
+    """Beside 1e10 a fall of the cost below 1e-6 is rounding: seen by the cost, x1 would be known to 1e-3."""
+    grid = nlp((1.5, 0.5), 1e10 + exp(x1) - x1 + (x2 - x1) ** 2, bounds=bounds)
+    status, point, iterations = solve(grid)
+    assert status == "solved"
+    assert variables(grid, point) == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert iterations <= 16  # with bounds, five of them do not change anything

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from codegen.runtime.search import termination
+from codegen.runtime.search.grid import free_unknowns
+
 
 @pytest.mark.parametrize(
     ("residual", "cost", "has_run_away"),
@@ -16,13 +19,13 @@ def test_what_grows_from_a_guess_of_zero(interpreted, monkeypatch, residual, cos
     module = interpreted("goddard_rocket")
     grid = module.make_grid(5)
     guess = module.initial_guess(grid)
-    index = int(np.flatnonzero(module.free_unknowns(grid) & ~grid.is_multiplier)[0])
+    index = int(np.flatnonzero(free_unknowns(grid) & ~grid.is_multiplier)[0])
     first = module.evaluate(grid, guess)
-    monkeypatch.setitem(module.__dict__, "evaluate", lambda grid, unknowns: first._replace(cost=10.0))
+    monkeypatch.setattr(termination, "evaluate", lambda grid, unknowns: first._replace(cost=10.0))
     unknowns, gradient = guess.copy(), np.zeros(guess.size)
     unknowns[index], gradient[index] = 1e5, -2.0 * abs(cost)
     point = first._replace(unknowns=unknowns, gradient=gradient, residual=residual, cost=cost)
-    monkeypatch.setitem(module.__dict__, "at_bounds", lambda grid, unknowns: np.zeros(unknowns.size, bool))
-    grown = module.diverging_unknowns(grid, guess, point, False)
+    monkeypatch.setattr(termination, "at_bounds", lambda grid, unknowns: np.zeros(unknowns.size, bool))
+    grown = termination.diverging_unknowns(grid, guess, point, False)
     assert grown.any() == has_run_away
     assert not grown[np.arange(grown.size) != index].any()

@@ -49,7 +49,7 @@ def test_decay_is_fitted_as_by_scipy(folder, scheme, error):
     assert found.deviation == pytest.approx(np.sqrt(squares / (TIMES.size - 2)), rel=10 * error)
     # The motion follows the parameters.
     slopes = np.stack([-result.t * best[1] * np.exp(-best[0] * result.t), np.exp(-best[0] * result.t)])
-    motion = found.unknown_errors[: 31 * module.STRIDE : module.STRIDE]
+    motion = found.unknown_errors[: 31 * module.problem.structure.stride : module.problem.structure.stride]
     assert motion == pytest.approx(np.sqrt(np.einsum("it,ij,jt->t", slopes, exact, slopes)), rel=30 * error)
     # Student's distribution with nine degrees of freedom: 2.262157 in every table.
     half = 2.262157 * found.standard_errors

@@ -12,7 +12,8 @@ from codegen.solutions.notes import notes
 
 def metadata_of(text: str) -> dict[str, object]:
     """The metadata in the text of a module, and a fault where a key stands there twice."""
-    node = next(n.value for n in ast.parse(text).body if isinstance(n, ast.Assign))
+    assigned = [n for n in ast.parse(text).body if isinstance(n, ast.Assign)]
+    node = next(n.value for n in assigned if ast.unparse(n.targets[0]) == "metadata")
     assert isinstance(node, ast.Dict)
     keys = [ast.literal_eval(key) for key in node.keys if key is not None]
     assert len(keys) == len(set(keys)), sorted(key for key in set(keys) if keys.count(key) > 1)

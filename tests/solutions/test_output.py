@@ -14,6 +14,7 @@ from rich.console import Console
 from codegen import solving
 from codegen.notebooks.solution import html
 from codegen.plots import style
+from codegen.runtime.search.iteration_log import print_log
 from codegen.solutions.output import as_record, as_table, log_table
 
 NEWTON = (4.5, 1e-9, 2e-3, 0.0, 1.0)
@@ -48,7 +49,7 @@ def test_log_of_either_solver(interpreted, capsys, row, last):
         console.print(table)
     heading, *_ = (line for line in captured.get().splitlines() if "cost" in line)
     assert heading.split()[-1] == last
-    module.print_log([row, row])
+    print_log([row, row])
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert len(lines[-1].split()) == 1 + len(row)

@@ -14,6 +14,7 @@ from codegen import solving
 from codegen.author.points import PointSet, read_points
 from codegen.compiler import build
 from codegen.loading import load
+from codegen.runtime.particles import shooting, steps
 
 FILE = PROBLEMS / "image_registration.py"
 
@@ -136,7 +137,7 @@ def test_the_ansatz_solves_the_euler_poincare_equations(module):
 def test_shooting_and_all_states_agree(module, scheme):
     made = module(scheme)  # only the order of attempts differs between the two methods
     case = made.make_case(START, TARGET, 4)
-    one, other = (made.Solution(*made.described(case, method)) for method in ("stepping", "full"))
+    one, other = (made.solve_case(case, method=method) for method in ("stepping", "full"))
     assert one.status == other.status == "solved"
     assert len(one.attempts) == len(other.attempts) == 1
     assert "all states" in other.attempts[0]
@@ -210,7 +211,7 @@ def test_tangents_are_derivatives(module, scheme):
         np.testing.assert_allclose(matrix[:, k], column, atol=1e-8)
 
 
-def test_many_and_few_directions_agree(module):
+def test_many_and_few_directions_agree(module, monkeypatch):
     """GMRES, dense elimination and second derivatives that are not stored give the same solution."""
     made = module("explicit-euler")
     generator = np.random.default_rng(4)
@@ -218,12 +219,9 @@ def test_many_and_few_directions_agree(module):
     target = start + 0.02 * np.sin(3 * start[:, ::-1])
     solutions = []
     for dense, stored in ((24, 3e7), (100, 3e7), (24, 0.0)):
-        before = made.DENSE, made.STORED
-        made.DENSE, made.STORED = dense, stored
-        try:
-            solutions.append(made.solve(start, target, 2))
-        finally:
-            made.DENSE, made.STORED = before
+        monkeypatch.setattr(shooting, "DENSE", dense)
+        monkeypatch.setattr(steps, "STORED", stored)
+        solutions.append(made.solve(start, target, 2))
     for solution in solutions:
         assert solution.status == "solved"
         np.testing.assert_allclose(solution.p, solutions[0].p, atol=1e-8)

@@ -10,6 +10,8 @@ from few_landmarks import START, TARGET, few
 from codegen import solving
 from codegen.author.points import PointSet, read_points
 from codegen.errors import ArgumentError, PointsError, SchemeError
+from codegen.runtime.particles import cascade, shooting
+from codegen.runtime.particles.trajectory import follow
 from codegen.solutions.connect import connect_result
 from codegen.solutions.result import ConnectAttempt, Run
 
@@ -51,7 +53,7 @@ def test_implicit_steps_begin_at_points_of_a_nearby_trajectory(module):
     made_by = {}
     for near in (0.0, 1e-15, 1e-6):
         other, known = path.copy(), made.trajectory(case, first)[2]
-        made_by[near] = made.follow(case.duration / 4, case.own, case.parameters, other, known, near)
+        made_by[near] = follow(made.problem.pairs, case.duration / 4, case.own, case.parameters, other, known, near)
         np.testing.assert_allclose(other, path, rtol=0, atol=1e-13 if near < 1e-6 else 1e-5)
         np.testing.assert_allclose(known, points, rtol=0, atol=1e-13 if near < 1e-6 else 1e-5)
     assert 4 <= made_by[1e-6] < made_by[1e-15] < made_by[0.0]
@@ -67,28 +69,26 @@ ATTEMPTS = ("from_velocity", "from_least_action", "from_rest", "by_continuation"
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)
-def test_every_attempt_finds_the_solution_by_itself(module, attempt):
-    made = module("explicit-euler")
+def test_every_attempt_finds_the_solution_by_itself(module, attempt, monkeypatch):
+    made, attempts_of = module("explicit-euler"), cascade.attempts_of
     reference = made.solve(START, TARGET, 4)
-    cascade = made.ATTEMPTS["stepping"]
-    made.ATTEMPTS["stepping"] = tuple(attempted for attempted in cascade if attempted[1].__name__ == attempt)
-    try:
-        solution = made.solve(START, TARGET, 4)
-    finally:
-        made.ATTEMPTS["stepping"] = cascade
+    monkeypatch.setattr(
+        cascade, "attempts_of", lambda *given: [a for a in attempts_of(*given) if a[1].__name__ == attempt]
+    )
+    solution = made.solve(START, TARGET, 4)
     assert solution.status == "solved", solution.message
     np.testing.assert_allclose(solution.q, reference.q, atol=1e-10)
 
 
 def test_fewer_steps_are_taken_as_long_as_they_have_a_solution(module, monkeypatch):
     """Where steps below six never succeed, the attempt says so instead of handing over the solution with six."""
-    made, original = module("explicit-euler"), module("explicit-euler").shoot_at
+    made, original = module("explicit-euler"), cascade.shoot_at
 
     def shoot_at(case, *others):
-        return original(case, *others) if case.steps >= 6 else (made.STALLED, 1, 0.1)
+        return original(case, *others) if case.steps >= 6 else (shooting.STALLED, 1, 0.1)
 
-    monkeypatch.setattr(made, "shoot_at", shoot_at)
-    monkeypatch.setitem(made.ATTEMPTS, "stepping", made.LAST)
+    monkeypatch.setattr(cascade, "shoot_at", shoot_at)
+    monkeypatch.setattr(cascade, "attempts_of", lambda *_: cascade.LAST)
     solution = made.solve(START, TARGET, 4)
     assert solution.status == "not connected"
     assert solution.attempts[-1].endswith("residual 1.0e-01, with 5 steps, but solved with 6")
@@ -156,9 +156,8 @@ def test_neighbours_that_turn_at_a_millionth(module):
 @pytest.mark.parametrize(
     ("error", "noise", "outcome"), [(1e-9, 2e-9, "ROUNDED"), (2e-9, 1e-9, "STALLED"), (2e-8, 1e-6, "STALLED")]
 )
-def test_rounding_excuses_only_what_it_does(module, error, noise, outcome):
-    made = module("explicit-euler")
-    assert made.without_progress(error, noise) == getattr(made, outcome)
+def test_rounding_excuses_only_what_it_does(error, noise, outcome):
+    assert shooting.without_progress(error, noise) == getattr(shooting, outcome)
 
 
 def test_noise_of_the_arrival_grows_with_the_momenta(module):
@@ -167,6 +166,6 @@ def test_noise_of_the_arrival_grows_with_the_momenta(module):
     for distance in (1e-1, 1e-3, 1e-5):
         start, target = np.array([[0.1, 0.2], [0.1 + distance, 0.2]]), np.array([[0.1, 0.2], [0.1, 0.2 + distance]])
         solution = made.solve(start, target, 4)
-        noise.append(made.rounding(made.make_case(start, target, 4), np.stack([solution.q, solution.p], axis=1)))
+        noise.append(shooting.rounding(made.make_case(start, target, 4), np.stack([solution.q, solution.p], axis=1)))
     assert 1e-18 < noise[0] < 1e-14
     assert noise[0] < noise[1] < noise[2] < 1e-8

@@ -19,6 +19,9 @@ from sympy import lambdify
 from codegen.analysis.exact_optimum import exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.model.from_file import load_problem
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
 from codegen.schemes import METHODS
 from codegen.transcribe import MOST_PARTS
 
@@ -152,13 +155,13 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
     module = interpreted(name, text, **choices)
     grid = module.make_grid(steps)
     unknowns = trial_point(module, grid, seed, 0.2)
-    keep = np.flatnonzero(module.free_unknowns(grid))
+    keep = np.flatnonzero(free_unknowns(grid))
     gradient = module.evaluate(grid, unknowns).gradient
-    system, excess = module.allocate_system(grid), 1
+    system, excess = allocate_system(grid), 1
     step, carried = np.empty_like(unknowns), np.empty_like(unknowns)
     while excess is not None and excess > 0:  # the elimination stops early where the Hessian is not convex
         diagonal = shifts(module, grid, shift, 1e-3)
-        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient, carried)
+        excess = factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient, carried)
         shift = max(1e-2, 10.0 * shift)
     matrix = dense_kkt(module, grid, unknowns) + np.diag(diagonal)
     if excess is None:
@@ -166,7 +169,7 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
             module, grid, matrix
         )
         return
-    module.solve_kkt(grid, system, gradient, step)
+    solve_kkt(grid, system, gradient, step)
     np.testing.assert_allclose(carried, step, rtol=1e-9, atol=1e-9 * np.abs(step).max())
     scale = np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max()
     assert np.abs((matrix @ step + gradient)[keep]).max() <= 1e-8 * scale
@@ -179,31 +182,31 @@ def test_structured_step_solves_the_dense_system(interpreted, name, text, choice
 def test_callbacks_are_each_others_derivatives(interpreted, name, text, choices):
     module = interpreted(name, text, **choices)
     grid = module.make_grid(4)
-    free = module.free_unknowns(grid)
+    free = free_unknowns(grid)
     unknowns = trial_point(module, grid, 3, 0.1)
     direction = np.where(free, np.random.default_rng(4).normal(size=free.size), 0.0)
     step = 1e-6
     ahead, behind = (module.with_pinned_values(grid, unknowns + sign * step * direction) for sign in (1, -1))
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
 
-    slope = (module.cost(grid, ahead) - module.cost(grid, behind)) / (2 * step)
-    assert module.cost_gradient(grid, unknowns) @ direction[primal] == pytest.approx(slope, rel=1e-6, abs=1e-7)
+    slope = (callbacks.cost(grid, ahead) - callbacks.cost(grid, behind)) / (2 * step)
+    assert callbacks.cost_gradient(grid, unknowns) @ direction[primal] == pytest.approx(slope, rel=1e-6, abs=1e-7)
     matrix = dense_kkt(module, grid, unknowns)
     change = (module.evaluate(grid, ahead).gradient - module.evaluate(grid, behind).gradient) / (2 * step)
     np.testing.assert_allclose((matrix @ direction)[free], change[free], rtol=1e-6, atol=1e-5 * np.abs(change).max())
-    assert module.constraints(grid, unknowns).size == multipliers.size
+    assert callbacks.constraints(grid, unknowns).size == multipliers.size
 
 
 def test_layouts_are_shared_by_grids_and_cannot_be_changed(interpreted):
     module = interpreted("linear_pendulum")
     grid = module.make_grid(5)
-    free = module.free_unknowns(grid)
+    free = free_unknowns(grid)
     with pytest.raises(ValueError, match="read-only"):
         free[0] = True
     grid.is_multiplier[:] = True  # a grid's own
     assert module.make_grid(5).is_multiplier.tolist() == [False, True, False] * 5 + [False, True]
     assert free.tolist() == [False, True, True] + [True] * 12 + [False, True]
-    assert module.free_unknowns(module.make_grid(6)).size == 20
+    assert free_unknowns(module.make_grid(6)).size == 20
 
 
 def test_boundary_values_stay_arguments(linear_pendulum):

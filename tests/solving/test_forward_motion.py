@@ -8,6 +8,8 @@ from interpreted import of_problem
 from scipy.integrate import solve_ivp
 
 from codegen import Control, control, controls, states
+from codegen.runtime.search import solve
+from codegen.runtime.search.forward_motion import forward_motion
 
 
 def tuberculosis(steps: int = 100) -> Control:
@@ -67,7 +69,7 @@ def explosion() -> Control:
 def test_the_motion_obeys_the_equations(scheme):
     module = of_problem(vaccination(1.0), scheme=scheme)
     grid = module.make_grid(60)
-    motion = module.forward_motion(grid, module.initial_guess(grid))
+    motion = forward_motion(grid, module.initial_guess(grid))
     residual = module.evaluate(grid, motion).gradient[grid.is_multiplier]
     assert np.abs(residual[:-1]).max() <= 1e-9, "all but the integral, which has no slack yet"
     _, q, _, u, _ = module.unpack(grid, motion)
@@ -83,7 +85,7 @@ def test_the_motion_obeys_the_equations(scheme):
 def test_a_search_that_takes_long_begins_anew_at_a_motion(monkeypatch):
     """On 100 intervals it takes 169 iterations for 1142; here the first search may take ten."""
     module = of_problem(tuberculosis(20))
-    monkeypatch.setattr(module, "SLOW", 10)
+    monkeypatch.setattr(solve, "SLOW", 10)
     result = module.solve()
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(5152.0731, rel=2e-3)
@@ -94,10 +96,10 @@ def test_a_search_that_takes_long_begins_anew_at_a_motion(monkeypatch):
 def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
     """From its beginning, and as far as it would have gone without the attempt: iterates are the same."""
     module = of_problem(vaccination(1.0))
-    monkeypatch.setattr(module, "forward_motion", lambda grid, unknowns: None)
-    monkeypatch.setattr(module, "SLOW", 3000)
+    monkeypatch.setattr(solve, "forward_motion", lambda grid, unknowns: None)
+    monkeypatch.setattr(solve, "SLOW", 3000)
     own = module.solve(20)
-    monkeypatch.setattr(module, "SLOW", 3)
+    monkeypatch.setattr(solve, "SLOW", 3)
     result = module.solve(20)
     assert (own.status, result.status) == ("solved", "solved")
     assert result.cost == own.cost
@@ -108,7 +110,7 @@ def test_where_there_is_no_motion_the_first_search_goes_on(monkeypatch):
 def test_after_a_failure_the_search_from_the_motion_has_all_iterations(monkeypatch, ended, expected):
     """Where the first search may still get there, the one from the motion leaves iterations for it."""
     module, limits = of_problem(vaccination(1.0)), []
-    minimise = module.minimise
+    minimise = solve.minimise
 
     def fails_at_first(grid, unknowns, tolerance, limit, *others):
         limits.append(limit)
@@ -116,15 +118,15 @@ def test_after_a_failure_the_search_from_the_motion_has_all_iterations(monkeypat
             return ended, module.evaluate(grid, unknowns), 20
         return minimise(grid, unknowns, tolerance, limit, *others)
 
-    monkeypatch.setattr(module, "minimise", fails_at_first)
+    monkeypatch.setattr(solve, "minimise", fails_at_first)
     assert module.solve(20, max_iterations=3000).status == "solved"
-    assert limits == [module.SLOW, expected]
+    assert limits == [solve.SLOW, expected]
 
 
 def test_motions_that_run_away_are_none():
     module = of_problem(explosion())
     grid = module.make_grid(40)
-    assert module.forward_motion(grid, module.initial_guess(grid)) is None
+    assert forward_motion(grid, module.initial_guess(grid)) is None
     assert module.solve().status == "solved"
 
 
@@ -135,4 +137,5 @@ def test_what_ends_prescribe_leaves_it_out(ends):
     start = {x: 0, v: 0} if ends.get("start", True) else {x: 0}
     end = {x: 1} if ends.get("end") else {}
     problem = Control(dynamics={x: v, v: u - v**3}, cost=u**2 + x**2, duration=1, start=start, end=end, steps=10)
-    assert not hasattr(of_problem(problem), "forward_motion")
+    assert not of_problem(problem).problem.structure.forward
+    assert of_problem(explosion()).problem.structure.forward

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from codegen.runtime.particles import cascade, least_action
+
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
 TARGET = START + np.array([[0.12, -0.05], [0.03, 0.1], [-0.08, 0.04]])
 SIGMA = np.array([0.0, 0.3, 0.1])
@@ -18,7 +20,7 @@ def made(interpreted):
 @pytest.fixture
 def bent(made):
     case = made.make_case(START, TARGET, 4, sigma=SIGMA)
-    positions = made.bent_path(case, 4, 0.3)
+    positions = least_action.bent_path(case, 4, 0.3)
     positions[-1, SIGMA > 0.0] += 0.02
     return case, positions
 
@@ -26,23 +28,26 @@ def bent(made):
 @pytest.mark.slow
 def test_the_gradient_of_the_action(made, bent):
     case, positions = bent
-    gradient = made.action_of(case, positions)[1]
+    gradient = least_action.action_of(case, positions)[1]
     for k in range(1, 5):
         for i in range(3):
             for a in range(2):
                 step = np.zeros_like(positions)
                 step[k, i, a] = 1e-5
-                change = made.action_of(case, positions + step)[0] - made.action_of(case, positions - step)[0]
+                change = (
+                    least_action.action_of(case, positions + step)[0]
+                    - least_action.action_of(case, positions - step)[0]
+                )
                 expected = 0.0 if k == 4 and SIGMA[i] == 0.0 else change / 2e-5
                 assert gradient[k, i, a] == pytest.approx(expected, abs=2e-8)
 
 
 def test_elimination_solves_with_the_block_tridiagonal_matrix(made, bent):
     case, positions = bent
-    inverses = made.action_of(case, positions)[3]
+    inverses = least_action.action_of(case, positions)[3]
     forces = np.random.default_rng(0).normal(size=(4, 3, 2))
     forces[-1, 0] = 0.0  # the first landmark's target is met exactly
-    moved = np.concatenate([np.zeros((1, 3, 2)), made.relaxed(*made.stiffness(case, inverses), forces)])
+    moved = np.concatenate([np.zeros((1, 3, 2)), least_action.relaxed(*least_action.stiffness(case, inverses), forces)])
     pulls = 4.0 * np.einsum("kij,kja->kia", inverses, moved[1:] - moved[:-1])
     expected = pulls - np.concatenate([pulls[1:], np.zeros((1, 3, 2))])
     expected[-1, 1:] += moved[-1, 1:] / SIGMA[1:, None] ** 2
@@ -99,8 +104,8 @@ def test_of_too_many_particles_no_path_is_sought(made):
     many = radius[:, None] * np.stack([np.cos(40.0 * angle), np.sin(40.0 * angle)], axis=1)
     case = made.make_case(many, many[::-1].copy(), 4)
     assert np.isnan(made.momenta_of_least_action(case)).all()
-    path, points = made.allocate_path(case)
-    assert made.OUTCOMES[made.from_least_action(case, None, path, points, None)[0]].startswith("no guessed path")
+    path, points = cascade.allocate_path(case)
+    assert cascade.OUTCOMES[cascade.from_least_action(case, None, path, points, None)[0]].startswith("no guessed path")
 
 
 def test_a_sigma_too_small_for_its_square_is_no_warning(made):
@@ -127,9 +132,9 @@ def problem():
 def test_particles_with_a_potential_have_no_such_attempt(interpreted):
     """Two masses at the ends of a spring: their distance is a sum of sin and cos of sqrt(2) t."""
     spring = interpreted("spring", text=SPRING, arguments={}, scheme="rk4", method=None)
-    assert not any("least action" in name for name, _ in spring.ATTEMPTS["stepping"])
     solution = spring.solve([[0.0], [1.0]], [[0.5], [3.0]], 40)
     assert solution.status == "solved"
     w = np.sqrt(2.0)
+    assert cascade.LEAST_ACTION not in cascade.attempts_of(spring.make_case([[0.0], [1.0]], [[0.5], [3.0]]), "stepping")
     rate = w * (2.5 - np.cos(w)) / np.sin(w)  # of the distance, from 1 to 2.5
     np.testing.assert_allclose(solution.p[0, 1] - solution.p[0, 0], rate, rtol=1e-6)

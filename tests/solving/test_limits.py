@@ -13,7 +13,9 @@ from codegen import drivers, solving, terminal
 from codegen.cli import main
 from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
-from codegen.runtime.optimise.iteration_log import Log
+from codegen.runtime.search import descent, iteration_log, restoration, solution
+from codegen.runtime.search.messages import row_text
+from codegen.runtime.search.slacks import with_violations
 from codegen.solutions import output
 from codegen.solving.outcome import LEAST_TIME, Outcome
 
@@ -29,13 +31,42 @@ class Clock:
         return self.now
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of searches, which goes on where a test says so."""
+    found = SteadyClock()
+    monkeypatch.setattr(iteration_log, "perf_counter", found)
+    return found
+
+
+class SteadyClock:
+    """A clock that goes on only where a test says so."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.mark.parametrize("is_watched", [False, True])
 @pytest.mark.parametrize("name", ["cart_pole", "brachistochrone"])
-def test_the_time_runs_out(interpreted, monkeypatch, name):
-    """Both solvers stop at the first iterate after the time, and say how far they came."""
-    module = interpreted(name)
+def test_the_time_runs_out(interpreted, monkeypatch, clock, name, is_watched):
+    """With and without bounds, the search stops at the first iterate after the time, and says how far it came."""
+    module, seen = interpreted(name), []
     whole = solving.solve(module, steps=10)
-    monkeypatch.setattr(module, "perf_counter", Clock())
-    stopped = solving.solve(module, steps=10, time_limit=3.5)
+    search = descent.descend
+
+    def of_one_second_per_iteration(*arguments):
+        counts = arguments[STATE]
+        before = counts[descent.ITERATIONS]
+        status = search(*arguments)
+        clock.now += counts[descent.ITERATIONS] - before
+        return status
+
+    monkeypatch.setattr(descent, "descend", of_one_second_per_iteration)
+    watch = {"watch": lambda number, row: seen.append(number)} if is_watched else {}
+    stopped = solving.solve(module, steps=10, time_limit=2.5, **watch)
     assert whole.status == "solved"
     assert stopped.status == "time limit"
     assert stopped.iterations == 3 < whole.iterations
@@ -43,24 +74,53 @@ def test_the_time_runs_out(interpreted, monkeypatch, name):
     assert f"equations hold to {stopped.log[-1][1]:.1e}, " in stopped.message
     assert " so far; " in stopped.message
     assert "raise time_limit" in stopped.message
+    assert [row[0] for row in stopped.log] == [row[0] for row in whole.log[:4]]
+    assert seen == ([0, 1, 2, 3] if is_watched else [])
+
+
+def test_with_a_time_limit_the_clock_is_looked_at_after_a_millisecond(interpreted, monkeypatch, clock):
+    """The search returns after one iteration, then after as many as take a millisecond; the path stays the same."""
+    module, counts = interpreted("cart_pole"), []
+    whole = solving.solve(module, steps=10)
+    search = descent.descend
+
+    def of_a_third_of_a_millisecond_per_iteration(*arguments):
+        state = arguments[STATE]
+        before = state[descent.ITERATIONS]
+        status = search(*arguments)
+        counts.append(int(state[descent.ITERATIONS] - before))
+        clock.now += counts[-1] * 0.33e-3
+        return status
+
+    monkeypatch.setattr(descent, "descend", of_a_third_of_a_millisecond_per_iteration)
+    timed = solving.solve(module, steps=10, time_limit=1.0)
+    assert counts[0] == 1
+    assert set(counts[1:-1]) == {3}
+    np.testing.assert_array_equal(timed.log, whole.log)
+    counts.clear()
+    solving.solve(module, steps=10)
+    assert counts == [whole.iterations]
+
+
+STATE = 8
+"""Which argument of the compiled search has its integers."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["circles-that-do-not-meet", "thrust-too-small"])
-def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
+def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, clock, name):
     """Both solvers lower the violation of equations without a solution, and stop at the first step after the time."""
     (failing,) = (case for case in INFEASIBLE if case.id == name)
-    module, clock, steps = interpreted(name.replace("-", "_"), failing.text), Clock(), []
+    module, steps = interpreted(name.replace("-", "_"), failing.text), []
     whole = solving.solve(module)
-    original = module.sum_of_squares
+    original = restoration.sum_of_squares
 
     def of_the_restoration(grid, point):
         clock.now += 1e6
         steps.append(point)
         return original(grid, point)
 
-    monkeypatch.setattr(module, "perf_counter", clock)
-    monkeypatch.setattr(module, "sum_of_squares", of_the_restoration)
+    monkeypatch.setattr(restoration, "sum_of_squares", of_the_restoration)
     stopped = solving.solve(module, time_limit=1e5)
     assert (whole.status, stopped.status) == ("infeasible", "time limit")
     assert 1 <= len(steps) <= 4
@@ -69,11 +129,12 @@ def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, name):
 def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
     module, limits = interpreted("cart_pole"), []
 
-    def recording(limit, watch):
-        limits.append(limit)
-        return Log(limit, watch)
+    class Recording(iteration_log.Log):
+        def __init__(self, limit, watch):
+            limits.append(limit)
+            super().__init__(limit, watch)
 
-    monkeypatch.setattr(module, "Log", recording)
+    monkeypatch.setattr(solution, "Log", Recording)
     monkeypatch.setattr("codegen.solving.run.time.perf_counter", Clock())  # every solve takes one second
     result = solving.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
     assert result.levels[0].status == "solved"
@@ -239,17 +300,17 @@ def test_an_inequality_is_off_by_what_it_exceeds(interpreted):
     grid = module.make_grid(4)
     unknowns = module.initial_guess(grid)
     nodes, intervals = module.views(grid, unknowns)
-    nodes[0, :, :2], intervals[0, :, module.SLACKS - module.NODE] = 0.0, 0.0
+    nodes[0, :, :2], intervals[0, :, module.problem.structure.slacks - module.problem.structure.node] = 0.0, 0.0
     controls = intervals[0, :, list(module.metadata["interval"]).index("u")]
     controls[2] = 7.0
-    intervals[0, 1, module.SLACKS - module.NODE] = 3e12
+    intervals[0, 1, module.problem.structure.slacks - module.problem.structure.node] = 3e12
     point = module.evaluate(grid, unknowns)
     assert np.abs(point.gradient[grid.is_multiplier]).max() >= 2e12
-    violated = module.with_violations(grid, point)
+    violated = with_violations(grid, point)
     index = np.argmax(np.where(grid.is_multiplier, np.abs(violated.gradient), 0.0))
-    assert module.row_text(grid, violated, index).startswith("u + v <= 5")
-    assert "interval 2" in module.row_text(grid, violated, index)
+    assert row_text(grid, violated, index).startswith("u + v <= 5")
+    assert "interval 2" in row_text(grid, violated, index)
     assert violated.gradient[index] == 2.0
     controls[2] = 0.0
     holds = module.evaluate(grid, unknowns)
-    assert module.with_violations(grid, holds) is holds  # nothing else is wrong: the row stays
+    assert with_violations(grid, holds) is holds  # nothing else is wrong: the row stays

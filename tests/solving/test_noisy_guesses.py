@@ -5,6 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from codegen.runtime.search import cascade
+from codegen.runtime.search.grid import free_unknowns, shared_views
+from codegen.runtime.search.iterates import begin, search_on
+from codegen.runtime.search.iteration_log import Log
+from codegen.runtime.search.restoration import restore
+
 
 @pytest.fixture(scope="module")
 def hovercraft(interpreted):
@@ -14,7 +20,7 @@ def hovercraft(interpreted):
 def noisy(module, grid, seed: int):
     """The problem's guess with noise of a tenth on everything that is not given."""
     guess = module.initial_guess(grid)
-    indices = module.free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
+    indices = free_unknowns(grid) & ~np.asarray(grid.is_multiplier)
     size = np.abs(guess[indices])
     guess[indices] += 0.1 * np.random.default_rng(seed).standard_normal(size.size) * (size + 0.1 * size.max())
     return module.with_pinned_values(grid, guess)
@@ -36,8 +42,9 @@ def test_noise_does_not_lead_to_another_optimum(hovercraft, seed):
 def test_noise_is_a_gross_violation_and_the_guess_is_not(hovercraft):
     for steps in (10, 20, 200):  # on coarser grids straight lines are gross, too
         grid = hovercraft.make_grid(steps)
-        assert not hovercraft.is_gross(grid, at(hovercraft, grid, hovercraft.initial_guess(grid)))
-        assert hovercraft.is_gross(grid, at(hovercraft, grid, noisy(hovercraft, grid, 0)))
+        search = search_on(grid)
+        assert not cascade.is_gross(search, at(hovercraft, grid, hovercraft.initial_guess(grid)))
+        assert cascade.is_gross(search, at(hovercraft, grid, noisy(hovercraft, grid, 0)))
 
 
 def test_what_fails_nearby_begins_anew_at_the_guess(hovercraft, monkeypatch):
@@ -48,10 +55,10 @@ def test_what_fails_nearby_begins_anew_at_the_guess(hovercraft, monkeypatch):
         starts.append((start.point.unknowns, max_iterations))
         return "iteration limit", start, 7
 
-    monkeypatch.setattr(hovercraft, "descend", descend)
+    monkeypatch.setattr(cascade, "descend", descend)
     grid = hovercraft.make_grid(20)
     guess = noisy(hovercraft, grid, 0)
-    status, point, iterations = hovercraft.minimise(grid, guess, 1e-8, 100, False, hovercraft.Log())
+    status, point, iterations = cascade.minimise(grid, guess, 1e-8, 100, False, Log())
     (near, first), (again, rest) = starts
     assert (status, iterations, first, rest) == ("iteration limit", 14, 50, 93)
     np.testing.assert_array_equal(again, np.where(grid.is_multiplier, 0.0, guess))
@@ -63,11 +70,12 @@ def test_restoration_gets_past_neighbours_that_almost_meet(hovercraft):
     """There the slope of their distance all but vanishes, and the shortest step that removes the residual is huge."""
     grid = hovercraft.make_grid(20)
     guess = hovercraft.initial_guess(grid)
-    own, _ = hovercraft.shared_views(guess)
+    own, _ = shared_views(grid, guess)
     own[1] = own[0] + 1e-6
-    point = at(hovercraft, grid, hovercraft.with_pinned_values(grid, guess))
-    search, filtered = hovercraft.search_on(grid), hovercraft.Filter(np.inf)
-    status, restored = hovercraft.restore(search, hovercraft.Iterate(point), 1e-6, filtered, lambda: False)
+    search = search_on(grid)
+    start = begin(search, hovercraft.with_pinned_values(grid, guess), cascade.FROM_GUESS)
+    point = start.point
+    status, restored = restore(search, start, 1e-6, cascade.FROM_ANYWHERE, lambda: False)
     assert status == "restored"
     assert restored.point.violation <= 1e-6 * point.violation
     assert np.abs(restored.point.unknowns - point.unknowns).max() < 100.0

@@ -8,6 +8,9 @@ from hypothesis import strategies as st
 from interpreted import of_problem
 from random_problems import phase_problems, single_problems
 
+from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
+
 
 @pytest.mark.parametrize("problems", [single_problems(), phase_problems()], ids=["single", "phases"])
 @settings(
@@ -21,12 +24,12 @@ def test_newton_steps_of_random_problems(problems, data, seed):
     unknowns = trial_point(module, grid, seed, 0.2)
     gradient = module.evaluate(grid, unknowns).gradient
     assert np.isfinite(gradient).all()
-    free = module.free_unknowns(grid)
-    system, excess, shift = module.allocate_system(grid), 1, 0.3
+    free = free_unknowns(grid)
+    system, excess, shift = allocate_system(grid), 1, 0.3
     step, carried = np.empty_like(unknowns), np.empty_like(unknowns)
     while excess is not None and excess > 0:
         diagonal = shifts(module, grid, shift, 1e-3)
-        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient, carried)
+        excess = factor_kkt(grid, unknowns, 1.0, diagonal, system, gradient, carried)
         shift *= 10.0
     hessian = dense_kkt(module, grid, unknowns)
     matrix = hessian + np.diag(diagonal)
@@ -35,7 +38,7 @@ def test_newton_steps_of_random_problems(problems, data, seed):
         assert np.linalg.cond(inner) > 1e8 or not eliminated_blocks_are_positive(module, grid, matrix)
         return
     assert np.count_nonzero(np.linalg.eigvalsh(inner) < 0.0) == module.multiplier_unknowns(grid).size
-    module.solve_kkt(grid, system, gradient, step)
+    solve_kkt(grid, system, gradient, step)
     for found in (carried, step):
         scale = np.abs(matrix).max() * np.abs(found).max() + np.abs(gradient).max()
         assert np.abs((matrix @ found + gradient)[free]).max() <= 1e-8 * scale

@@ -9,7 +9,7 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from interpreted import as_machine_code
+from interpreted import without_compilation
 from scipy.integrate import solve_ivp
 from simulation_systems import SYSTEMS, H, T, compiled, falling_root, kepler, model_of, module_of, pendulum, text_of
 from textbook_stages import TABLES, composed_of_midpoint, higher_order_step
@@ -266,7 +266,7 @@ def test_newton_failure_is_reported(build: Callable[..., Any]) -> None:
 def test_non_finite_state_is_reported() -> None:
     for scheme in ("symplectic-euler", "midpoint"):
         with np.errstate(all="ignore"):
-            solution = as_machine_code(text_of(falling_root(), scheme, "hamiltonian")).solve(100)
+            solution = without_compilation(text_of(falling_root(), scheme, "hamiltonian")).solve(100)
         assert solution.status == "non-finite"
         assert 15 < solution.steps < 25  # q = 0 is passed soon after t = 2
         assert "t = " in solution.message

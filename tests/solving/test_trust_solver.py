@@ -174,3 +174,19 @@ def test_steps_do_not_go_round_in_circles(problem, cost, iterations):
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(cost, rel=1e-9)
     assert solution.iterations <= 2 * iterations
+
+
+def test_a_search_without_progress_makes_way_for_another():
+    """The straight guess leads through the middle of a disc; one search creeps for ever where the cost is 2070."""
+    (x, y), (vx, vy) = coordinates("x y")
+    ux, uy = controls("ux uy")
+    ends = {"start": {x: 0, y: 0, vx: 0, vy: 0}, "end": {x: 1, y: 0, vx: 0, vy: 0}}
+    around = [(x - 0.5) ** 2 + y**2 >= 0.04]
+    kinetic = (vx**2 + vy**2) / 2
+    problem = Control(
+        lagrangian=kinetic, force={x: ux, y: uy}, cost=ux**2 + uy**2, duration=2, path=around, steps=40, **ends
+    )
+    solution = of_problem(problem).solve()
+    assert solution.status == "solved", solution.message
+    assert solution.cost == pytest.approx(2.46334386, rel=1e-8)  # as with bounds of the forces
+    assert solution.iterations < 1000

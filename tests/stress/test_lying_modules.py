@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from interpreted import as_machine_code, without_compilation
+from interpreted import without_compilation
 from stress_cases import PLAIN, every_case
 
 from codegen.compiler import generate
@@ -29,7 +29,7 @@ def verlet():
 
 def test_an_honest_module_is_accurate_and_its_limit_is_two(verlet):
     text, case = verlet
-    module = as_machine_code(text)
+    module = without_compilation(text)
     seen = measure(module, replace(case, limit=True))
     assert classify(case, seen).outcome == "accurate", classify(case, seen).text
     assert seen.textbook < 10.0
@@ -46,7 +46,7 @@ def _growth(x):
 def test_a_consistent_lie_of_all_kernels_is_found_by_the_textbook(verlet):
     text, case = verlet
     assert text.count("omega**2") >= 4
-    lying = as_machine_code(text.replace("omega**2", "(1.0000001*omega**2)"))
+    lying = without_compilation(text.replace("omega**2", "(1.0000001*omega**2)"))
     row = classify(case, measure(lying, case))
     assert row.outcome == "false solved"
     assert "textbook" in row.text
@@ -56,7 +56,7 @@ def test_a_consistent_lie_of_all_kernels_is_found_by_the_textbook(verlet):
 
 def test_a_large_lie_is_found_by_the_closed_form(verlet):
     text, case = verlet
-    lying = as_machine_code(text.replace("omega**2", "(1.5*omega**2)"))
+    lying = without_compilation(text.replace("omega**2", "(1.5*omega**2)"))
     row = classify(case, measure(lying, replace(case, textbook=False)))
     assert row.outcome == "false solved"
 
@@ -67,13 +67,13 @@ def test_a_lie_of_the_steps_alone_is_no_success(verlet):
     end = text.index("def ", begin + 1)
     lying = text[:begin] + text[begin:end].replace("omega**2", "(1.5*omega**2)") + text[end:]
     assert lying != text
-    row = classify(case, measure(as_machine_code(lying), case))
+    row = classify(case, measure(without_compilation(lying), case))
     assert not row.passed
 
 
 def test_numbers_that_are_none_are_refused_by_name(verlet):
     text, case = verlet
-    module = as_machine_code(text)
+    module = without_compilation(text)
     with pytest.raises(NumericsError, match="finite"):
         measure(module, replace(case, values=(("omega", math.nan),)))
 
@@ -95,7 +95,7 @@ def test_a_prescribed_value_beyond_its_bound_is_refused():
 @pytest.mark.parametrize("problem", FORCES)
 def test_forces_written_by_hand_are_those_of_the_problem_file(problem):
     """Against the gradient of the generated energy, by complex-free central differences."""
-    module = as_machine_code(generate(OWN_PROBLEMS / f"{problem}.py", {}, Choices("explicit-euler", "hamiltonian")))
+    module = without_compilation(generate(OWN_PROBLEMS / f"{problem}.py", {}, Choices("explicit-euler", "hamiltonian")))
     grid = module.make_grid(1)
     random = np.random.default_rng(3)
     q, p = 1.0 + 0.1 * random.standard_normal((2, len(grid.start) // 2))

@@ -12,6 +12,7 @@ from command_lines import run
 from compiled_modules import compiled
 
 import codegen
+from codegen.runtime.search import callbacks
 from codegen.sweeping.store import Store
 
 HILL = '''"""Past a hill, on its one side or the other."""
@@ -56,7 +57,7 @@ def test_a_planted_jump_is_found_and_mended(hill):
     case = data.sel(c=0.1, method="nearest")
     assert case.improvement > 5.0
     np.testing.assert_allclose(
-        case.cost + case.improvement, module.cost(module.make_grid(20, c=0.1), alone.unknowns), rtol=1e-9
+        case.cost + case.improvement, callbacks.cost(module.make_grid(20, c=0.1), alone.unknowns), rtol=1e-9
     )
     np.testing.assert_array_equal(np.flatnonzero(data.improvement > 0.0), [21, 22, 23])  # from 0.05 to 0.15
     assert (data.jump == 0).all()

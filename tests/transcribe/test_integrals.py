@@ -46,7 +46,7 @@ def solved(problem: Control | Phases, steps: int, **choices: str):
 
 
 def multipliers(module, solution) -> list[float]:
-    first = solution.unknowns.size - module.ROOT
+    first = solution.unknowns.size - module.problem.structure.root
     return [float(solution.unknowns[first + index]) for _, index in module.metadata["integrals"]]
 
 

@@ -18,6 +18,8 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.callbacks import submatrix
 from codegen.solutions.notes import shortened
 from codegen.transcribe.program import ControlProgram, EndElement
 from codegen.transcribe.redundancy.redundant_couplings import independent_couplings
@@ -123,7 +125,7 @@ def _decomposed(module: Any, grid: Any, unknowns: Any) -> tuple[int, NDArray[np.
     None where the Jacobian is not finite.
     """
     rows, columns = module.multiplier_unknowns(grid), module.primal_unknowns(grid)
-    matrix = _dense(module.jacobian(grid, unknowns), (rows.size, columns.size))
+    matrix = _dense(callbacks.jacobian(grid, unknowns), (rows.size, columns.size))
     if not np.isfinite(matrix).all():
         return None
     row_scale = np.abs(matrix).max(axis=1, initial=0.0)
@@ -135,7 +137,7 @@ def _decomposed(module: Any, grid: Any, unknowns: Any) -> tuple[int, NDArray[np.
     rank = int(np.sum(singular > _SINGULAR * singular.max(initial=0.0)))
     nulls = left[:, rank:]
     every = np.flatnonzero(~grid.is_multiplier)
-    full = _dense(module.submatrix(grid, unknowns, rows, every, False), (rows.size, every.size))
+    full = _dense(submatrix(grid, unknowns, rows, every, False), (rows.size, every.size))
     share = nulls.T @ (full / row_scale[:, None])
     touched = np.zeros((nulls.shape[1], unknowns.size))
     touched[:, every] = np.abs(share)

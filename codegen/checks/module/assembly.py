@@ -24,6 +24,8 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps, other_symbols
 from codegen.expressions import checks as expressions
 from codegen.model import Model
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.couplings import shared_symbols
 
@@ -175,9 +177,9 @@ def _kkt_matrix(module: Any, grid: Any, unknowns: Vector) -> Vector:
     """The dense KKT matrix from the module's Jacobian and Hessian; zero in what is given."""
     matrix = np.zeros((unknowns.size, unknowns.size))
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    rows, columns, values = module.hessian(grid, unknowns)
+    rows, columns, values = callbacks.hessian(grid, unknowns)
     np.add.at(matrix, (primal[rows], primal[columns]), values)
-    rows, columns, values = module.jacobian(grid, unknowns)
+    rows, columns, values = callbacks.jacobian(grid, unknowns)
     np.add.at(matrix, (dual[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], dual[rows]), values)
     return matrix
@@ -187,7 +189,7 @@ def _newton_step(
     module: Any, grid: Any, unknowns: Vector, matrix: Vector, gradient_: Vector, free: Any, names: list[str]
 ) -> Finding:
     """The structured elimination against the dense matrix; a shift of the Hessian makes both regular."""
-    system, step = module.allocate_system(grid), np.empty_like(unknowns)
+    system, step = allocate_system(grid), np.empty_like(unknowns)
     subject = "Newton step"
     # The last shift is enough whatever the Hessian's units: it makes every row diagonally dominant.
     primal = module.primal_unknowns(grid)
@@ -196,12 +198,12 @@ def _newton_step(
     for shift in (*_SHIFTS, dominant[free]):
         diagonal = np.zeros(unknowns.size)
         diagonal[free] = np.where(grid.is_multiplier[free], -_DUAL_SHIFT, shift)
-        excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
-        if module.is_factored(excess):
+        excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
+        if is_factored(excess):
             break
     else:
         return Finding("assembly", subject, False, "the KKT matrix cannot be factored, however its Hessian is shifted")
-    module.solve_kkt(grid, system, gradient_, step)
+    solve_kkt(grid, system, gradient_, step)
     shifted = matrix[np.ix_(free, free)] + np.diag(diagonal[free])
     left_over = np.abs(shifted @ step[free] + gradient_[free])
     sizes = np.abs(shifted) @ np.abs(step[free]) + np.abs(gradient_[free]).max(initial=0.0)

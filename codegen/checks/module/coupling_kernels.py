@@ -18,6 +18,7 @@ from codegen.checks.evaluation import DIGITS, NOTHING, function_of, gradient, ra
 from codegen.checks.module.agreement import Agreement
 from codegen.checks.module.kernel_arguments import parameter_vector
 from codegen.model import Model
+from codegen.solutions.fit import plain
 from codegen.transcribe.program import ControlProgram
 from codegen.verify.couplings import shared_symbols
 
@@ -79,7 +80,7 @@ def _assembled(module: Any, shared: list[float], parameters: Any, count: int) ->
         first, second = np.zeros(width), np.zeros(width * width)
         inputs = np.zeros(width)
         inputs[:read] = values[here]
-        total[row] += module.coupling_term(int(kind), inputs, parameters, first, second)
+        total[row] += plain(getattr(module, f"coupling_{kind}"))(inputs, parameters, first, second)
         np.add.at(slope[row], here, first[:read])
         np.add.at(curvature[row], np.ix_(here, here), second[: read * read].reshape(read, read))
     return total, slope, curvature

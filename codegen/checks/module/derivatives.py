@@ -17,7 +17,6 @@ from sympy import Expr, Symbol
 from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import (
     DIGITS,
-    Function,
     curved_beyond,
     function_of,
     gradient,
@@ -30,6 +29,7 @@ from codegen.checks.module.kernel_arguments import kernel_stems, other_symbols, 
 from codegen.checks.module.step_kernels import check_step
 from codegen.checks.solution.ranges import near_end, near_interval
 from codegen.discretise import STEP
+from codegen.solutions.fit import plain
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement
 from codegen.verify.arithmetic import CONTINUED
 
@@ -55,7 +55,7 @@ def _interval(context: Context, program: ControlProgram, stem: str, share: Inter
     symbols = [*unknowns, *other_symbols(program)]
     scalar, indices = function_of(symbols, [share.element]), range(len(unknowns))
     cost = function_of(symbols, [share.cost])
-    first, second, steps, block = Agreement(), Agreement(), Agreement(), Agreement()
+    first, second, steps = Agreement(), Agreement(), Agreement()
     analytic = not share.element.has(*_NOT_ANALYTIC)
     module, pattern = context.module, pattern_of(context.module, "interval")
     names = [f"dl/d{x}" for x in unknowns]
@@ -66,44 +66,20 @@ def _interval(context: Context, program: ControlProgram, stem: str, share: Inter
         x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
         t, h = point[program.model.time], point[STEP]
         emitted, entries = np.empty(len(unknowns)), np.empty(len(pattern))
-        found = getattr(module, f"{stem}_gradient")(x, t, h, parameters, emitted)
-        getattr(module, f"{stem}_hessian")(x, t, h, parameters, entries)
+        found = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, emitted)
+        plain(getattr(module, f"{stem}_hessian"))(x, t, h, parameters, entries)
         with mpmath.workdps(DIGITS):
             first.compare(names, emitted, gradient(scalar, numbers, indices))
             first.compare(["Cd"], [found], cost(*map(mpmath.mpf, numbers)))
             exact = second_differences(scalar, numbers, pattern)
             wanted = [exact[pair] for pair in pattern]
             second.compare([f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern], entries, wanted)
-            if hasattr(module, "control_hessian"):
-                _compare_block(block, module, program, scalar, numbers, h, parameters)
         if analytic:
             steps.compare(names, emitted, _complex_steps(share.element, symbols, numbers, len(unknowns)))
     yield first.finding(f"{stem}_gradient", "120-digit differences of l")
     if analytic:
         yield steps.finding(f"{stem}_gradient", "complex steps of l")
     yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
-    if hasattr(module, "control_hessian"):
-        yield block.finding("control_hessian", "120-digit second differences of l")
-
-
-def _compare_block(
-    block: Agreement,
-    module: Any,
-    program: ControlProgram,
-    scalar: Function,
-    numbers: Sequence[float],
-    h: float,
-    parameters: Any,
-) -> None:
-    """The controls' block of the Hessian, of which the kernel fills the lower triangle."""
-    controls = program.control_symbols
-    first, size = len(program.left_symbols) + len(program.interval_symbols), len(controls)
-    emitted = np.zeros((size, size))
-    module.control_hessian(h, parameters, emitted)
-    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
-    exact = second_differences(scalar, numbers, [(first + i, first + j) for i, j in pairs])
-    names = [f"d2l/d{controls[i]} d{controls[j]}" for i, j in pairs]
-    block.compare(names, [emitted[pair] for pair in pairs], list(exact.values()))
 
 
 def _complex_steps(scalar: Expr, symbols: Sequence[Symbol], numbers: Sequence[float], count: int) -> list[Any]:
@@ -132,9 +108,9 @@ def _end(
         numbers = [point[symbol] for symbol in symbols]
         x, t, parameters = np.array(numbers[: len(node)]), point[program.model.time], parameter_vector(point, program)
         emitted, entries = np.zeros(len(unknowns)), np.zeros(len(pattern))
-        found = getattr(module, f"{name}_gradient")(x, t, parameters, emitted)
+        found = plain(getattr(module, f"{name}_gradient"))(x, t, parameters, emitted)
         if pattern:
-            getattr(module, f"{name}_hessian")(x, t, parameters, entries)
+            plain(getattr(module, f"{name}_hessian"))(x, t, parameters, entries)
         with mpmath.workdps(DIGITS):
             exact = gradient(scalar, numbers, free)
             first.compare([f"by {unknowns[i]}" for i in free], emitted[free], exact)

@@ -17,9 +17,10 @@ from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.evaluation import NoPointError, random_points
 from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, other_symbols, parameter_vector
-from codegen.checks.module.step_kernels import step_length
+from codegen.checks.module.step_kernels import step_lengths
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
+from codegen.runtime.search.grid import free_unknowns
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
 from codegen.verify.couplings import shared_symbols
@@ -55,9 +56,9 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     }
     return (
         _differing_metadata(module.metadata, names)
-        or _differing_values(module, _sizes(program))
+        or _differing_values(module, _sizes(program) | _tables(program))
+        or _differing_structure(module, program)
         or _differing_condensed(module, program)
-        or _differing_values(module, _tables(program))
         or _differing_patterns(module, program)
         or _differing_couplings(module, program)
         or _differing_grid(module, program, flat)
@@ -76,10 +77,29 @@ def _differing_values(module: Any, wanted: Mapping[str, Any]) -> str:
     """The first of some constants that is missing or not what it should be."""
     for name, value in wanted.items():
         found = getattr(module, name, None)
-        found = found.tolist() if isinstance(found, np.ndarray) else found
-        if found != value:
-            return f"{name} is {found}, expected {value}"
+        if _plain(found) != value:
+            return f"{name} is {_plain(found)}, expected {value}"
     return ""
+
+
+def _differing_structure(module: Any, program: ControlProgram) -> str:
+    """The first field of the structure, which all solvers read, that contradicts the program."""
+    structure = module.problem.structure
+    for name, value in (_sizes(program) | _tables(program)).items():
+        found = _plain(getattr(structure, name.lower()))
+        if found != value:
+            return f"{name.lower()} of the structure is {found}, expected {value}"
+    for prefix in ("", "START_", "END_"):
+        for side in ("ROWS", "COLUMNS"):
+            found, own = getattr(structure, f"{prefix}{side}".lower()), _indices(module, f"{prefix}HESSIAN_{side}")
+            if not np.array_equal(found, own):
+                return f"{prefix}{side} of the structure are not {prefix}HESSIAN_{side}".lower()
+    return ""
+
+
+def _plain(value: Any) -> Any:
+    """A number, or an array as a list."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _sizes(program: ControlProgram) -> dict[str, int]:
@@ -103,9 +123,10 @@ def _differing_condensed(module: Any, program: ControlProgram) -> str:
     """Slacks are eliminated inside their interval, and with them controls if their block allows it."""
     slacks = len(program.slacks)
     possible = sorted({slacks, slacks + len(program.controls)})
-    if module.CONDENSED in possible:
+    condensed = module.problem.structure.condensed
+    if condensed in possible:
         return ""
-    return f"CONDENSED is {module.CONDENSED}, expected {' or '.join(map(str, possible))}"
+    return f"condensed of the structure is {condensed}, expected {' or '.join(map(str, possible))}"
 
 
 def _tables(program: ControlProgram) -> dict[str, list[Any]]:
@@ -173,14 +194,15 @@ def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> s
     parameters += len(program.shared) + len(numbers_of(program.model))
     if program.sample is not None:
         own = parameters, 1 + len(program.sample.symbols)
-        if own != (module.FIRST_SAMPLE, module.SAMPLE):
-            return f"samples of {module.SAMPLE} numbers begin at {module.FIRST_SAMPLE}, expected {own[1]} at {own[0]}"
+        first, size = module.problem.structure.first_sample, module.problem.structure.sample
+        if own != (first, size):
+            return f"samples of {size} numbers begin at {first}, expected {own[1]} at {own[0]}"
         parameters += own[1] * max(len(data.rows) for data in program.model.measurements)
     if grid.parameters.shape != (program.bodies, parameters):
         return f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, parameters)}"
     for name, found, wanted in (
         ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
-        ("free_unknowns", module.free_unknowns(grid), flat.free()),
+        ("free_unknowns", free_unknowns(grid), flat.free()),
     ):
         if found.shape != wanted.shape:
             return f"{name} has {found.size} entries, expected {wanted.size}"
@@ -213,7 +235,7 @@ def _control_run(module: Any, program: ControlProgram) -> str:
         if hasattr(module, f"{end}_hessian") or entries:
             problem = problem or _run(module, f"{end}_hessian", (local, t, given), hessian=(entries,))
     if program.sample is not None:
-        row = np.concatenate([given, np.full(module.SAMPLE, 0.5)])
+        row = np.concatenate([given, np.full(module.problem.structure.sample, 0.5)])
         arguments = (x, t, h, row, given.size)
         problem = problem or _run(module, "sample_values", arguments, values=(len(program.sample.values),))
         problem = problem or _run(module, "sample_gradient", arguments, adds=True, gradient=(size,))
@@ -248,7 +270,6 @@ def _step_difference(module: Any, program: StepProgram) -> str:
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     sizes = {"STATE": len(program.state), "STAGES": len(program.stage_symbols), "UNKNOWNS": len(program.unknowns)}
-    sizes["PARTS"] = len(program.fractions)
     if program.fractions:
         found = np.array(getattr(module, "FRACTIONS", []))
         exact = np.array([[float(sympy.N(f, 20)) for f in row] for row in program.fractions])
@@ -268,7 +289,7 @@ def _step_run(module: Any, program: StepProgram) -> str:
     def at(group: Any) -> Any:
         return np.array([point[symbol] for symbol in group])
 
-    length = step_length(point, program)
+    length = step_lengths(point, program)
     parameters = np.array([*at(program.model.parameters), *numbers_of(program.model)])
     base = (at(program.left_symbols), point[program.model.time], length, parameters)
     size, whole = len(program.unknowns), len(interval)
@@ -279,7 +300,7 @@ def _step_run(module: Any, program: StepProgram) -> str:
     y = at(program.unknowns)
     problem = problem or _run(module, "predict_step", base, unknowns=(size,))
     problem = problem or _run(module, "step_residual", (y, *base), residual=(size,))
-    problem = problem or _run(module, "step_jacobian", (y, *base), residual=(size,), jacobian=(size, size))
+    problem = problem or _run(module, "step_jacobian", (y, *base), residual=(size,), jacobian=(size**2,))
     return problem or _run(module, "complete_step", (y, *base), interval=(whole,))
 
 
@@ -290,7 +311,7 @@ def _run(module: Any, name: str, inputs: Any, adds: bool = False, **outputs: tup
         return f"kernel {name} is missing"
     arrays = {key: np.full(shape, 0.0 if adds else np.nan) for key, shape in outputs.items()}
     try:
-        getattr(kernel, "py_func", kernel)(*inputs, **arrays)
+        getattr(kernel, "py_func", getattr(kernel, "function", kernel))(*inputs, **arrays)
     except Exception as error:  # a damaged kernel may fail in any way
         return " ".join(f"kernel {name} fails ({type(error).__name__}: {error})".split())
     for key, array in arrays.items():

@@ -14,6 +14,7 @@ from codegen.checks.evaluation import DIGITS, function_of, gradient, random_poin
 from codegen.checks.module.agreement import Agreement
 from codegen.checks.module.kernel_arguments import other_symbols, parameter_vector, pattern_of
 from codegen.model import Model
+from codegen.solutions.fit import plain
 from codegen.transcribe.program import ControlProgram, SampleElement
 
 _CHECK = "measurements"
@@ -40,11 +41,11 @@ def _numbers(module: Any, model: Model) -> Iterator[Finding]:
 
 def _places(module: Any, model: Model) -> Finding:
     """Whether on intervals of different lengths every sample is told the interval in which it lies, and where."""
-    grid = module.make_grid(len(_GRID), grid=_GRID)
+    grid, structure = module.make_grid(len(_GRID), grid=_GRID), module.problem.structure
     nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
     worst, count = 0.0, 0
     for row, data in zip(grid.parameters, model.measurements, strict=True):
-        samples = row[module.FIRST_SAMPLE :].reshape(-1, module.SAMPLE)[: len(data.rows)]
+        samples = row[structure.first_sample :].reshape(-1, structure.sample)[: len(data.rows)]
         for (middle, fraction, *_), (time, *_) in zip(samples, data.rows, strict=True):
             k = int(np.searchsorted(nodes, middle)) - 1
             inside = 0 <= k < len(_GRID) and 0.0 <= fraction <= 1.0
@@ -107,8 +108,9 @@ def _emitted(
     row = np.array([*row, point[time] + point[step] / 2, *(point[s] for s in sample.symbols)])
     size = len(program.element_symbols)
     slopes, entries, matrix = np.zeros(size), np.zeros(len(pattern)), np.zeros((size, size))
-    value = module.sample_gradient(*given, row, module.FIRST_SAMPLE, slopes)
-    module.sample_hessian(*given, row, module.FIRST_SAMPLE, entries)
+    first = module.problem.structure.first_sample
+    value = plain(module.sample_gradient)(*given, row, first, slopes)
+    plain(module.sample_hessian)(*given, row, first, entries)
     for (i, j), entry in zip(pattern, entries, strict=True):
         matrix[i, j] += entry
     return slopes, matrix, value

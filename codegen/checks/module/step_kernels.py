@@ -12,6 +12,7 @@ from codegen.checks.base import Context, Finding
 from codegen.checks.evaluation import DIGITS, Function, Point, function_of, gradient, random_points
 from codegen.checks.module.agreement import Agreement
 from codegen.expressions.table_functions import numbers_of
+from codegen.runtime.stepping.steps import part_of_step
 from codegen.transcribe.step_program import StepProgram
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)
@@ -30,7 +31,7 @@ def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
     points = random_points([v for _, v in program.equations], [*base, *interval], program.model)
     for point in points:
         arguments = _step_arguments(point, program)
-        after = np.array([point[symbol] for symbol in interval])
+        after = np.array([point[symbol] for symbol in interval], dtype=float)
         emitted = np.empty(size)
         module.step_equations(arguments[0], after, *arguments[1:], emitted)
         numbers = [mpmath.mpf(point[symbol]) for symbol in base]
@@ -65,8 +66,7 @@ def _after_a_step(context: Context, program: StepProgram, point: Point, equation
     for shorter in _SHORTER:
         shortened = {**point, **{h: shorter * point[h] for h in program.lengths}}
         arguments = _step_arguments(shortened, program)
-        given = (arguments[3], 1e-14, 50)
-        if module.advance(*arguments[:3], given, module.allocate_work(arguments[2], given), made) >= 0:
+        if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, made) >= 0:
             base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
             scale = max(1.0, np.abs(arguments[0]).max(), np.abs(made).max())
             with mpmath.workdps(DIGITS):
@@ -83,7 +83,7 @@ def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
     values_seen, entries_seen = Agreement(), Agreement()
     for point in random_points(program.residual, symbols, program.model, assignments=program.before):
         numbers = [point[symbol] for symbol in symbols]
-        unknowns, arguments = np.array(numbers[:size]), _step_arguments(point, program)
+        unknowns, arguments = np.array(numbers[:size], dtype=float), _step_arguments(point, program)
         alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))
         context.module.step_residual(unknowns, *arguments, alone)
         context.module.step_jacobian(unknowns, *arguments, beside, matrix)
@@ -98,13 +98,12 @@ def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
 
 
 def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:
-    state = np.array([point[symbol] for symbol in program.left_symbols])
+    state = np.array([point[symbol] for symbol in program.left_symbols], dtype=float)
     numbers = numbers_of(program.model)
     parameters = np.array([*(point[symbol] for symbol in program.model.parameters), *numbers], dtype=float)
-    return state, point[program.model.time], step_length(point, program), parameters
+    return state, point[program.model.time], step_lengths(point, program), parameters
 
 
-def step_length(point: Point, program: StepProgram) -> Any:
-    """What a kernel takes for the length of the step: an array of all lengths where a composition repeats it."""
-    lengths = np.array([point[h] for h in program.lengths])
-    return lengths if program.fractions else float(lengths[0])
+def step_lengths(point: Point, program: StepProgram) -> Any:
+    """The lengths that a kernel takes: several where a composition has them, else that of the step."""
+    return np.array([point[h] for h in program.lengths], dtype=float)

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, RectBivariateSplin
 
 from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.expressions.table_functions import tables_of
+from codegen.solutions.fit import plain
 from codegen.tables.data import TableData
 from codegen.tables.evaluation import ORDERS
 
@@ -30,7 +31,7 @@ def check(context: Context) -> Iterator[Finding]:
         same = np.array_equal(np.array(context.module.TABLES[shape.name]), table.numbers)
         detail = f"{' and '.join(str(size) for size in shape.sizes)} breakpoints"
         yield Finding("tables", f"{shape.name}: numbers", same, detail if same else f"others than in {table.source}")
-        worst = _difference(table, getattr(context.module, shape.lookup), parameters)
+        worst = _difference(table, plain(getattr(context.module, shape.lookup)), parameters)
         detail = f"value and derivatives differ from scipy's spline by {worst:.1g} of their sizes"
         yield Finding("tables", f"{shape.name}: {shape.kind}", worst <= _LIMIT, detail)
 
@@ -50,7 +51,7 @@ def _difference(table: TableData, function: Any, parameters: Any) -> float:
 
 
 def _looked_up(function: Any, parameters: Any, at: Sequence[Any]) -> Any:
-    """All derivatives at some points, (points, derivatives), by the module's machine code."""
+    """All derivatives at some points, (points, derivatives), by the module's look-up."""
     return np.array([function(parameters, *map(float, point)) for point in zip(*at, strict=True)])
 
 

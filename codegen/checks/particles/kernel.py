@@ -69,7 +69,7 @@ def _is_inside(model: PairwiseModel, place: NDArray[np.float64]) -> bool:
 
 def _matrix(model: PairwiseModel, module: Any, places: NDArray[np.float64]) -> NDArray[np.float64]:
     state, matrix = np.stack([places, np.zeros_like(places)]), np.empty((len(places), len(places)))
-    module.momentum_matrix(state, np.ones((len(places), len(model.own))), np.array(model.defaults), matrix)
+    module.momentum_matrix(state, np.ones((len(places), len(model.own))), np.array(model.defaults, dtype=float), matrix)
     return matrix
 
 

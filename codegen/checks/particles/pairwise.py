@@ -19,6 +19,7 @@ from codegen.loading import load
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
 from codegen.naming import Choices
+from codegen.runtime.particles.steps import advance, advance_directions, curvature_at
 from codegen.schemes.particles import PARTICLE_SCHEMES
 
 DIGITS = 50
@@ -99,7 +100,7 @@ def _functions(model: PairwiseModel) -> tuple[Any, Any]:
 
 
 def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
-    own, parameters = _own(model), np.array(model.defaults)
+    own, parameters = _own(model), np.array(model.defaults, dtype=float)
     errors = []
     for state in states:
         total, _ = exact(model, state, own)
@@ -108,7 +109,7 @@ def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
 
 
 def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
-    own, parameters = _own(model), np.array(model.defaults)
+    own, parameters = _own(model), np.array(model.defaults, dtype=float)
     errors = []
     for state in states:
         _, wanted = exact(model, state, own)
@@ -120,7 +121,7 @@ def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
 
 
 def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
-    own, parameters = _own(model), np.array(model.defaults)
+    own, parameters = _own(model), np.array(model.defaults, dtype=float)
     hessian = np.empty((state.size, state.size))
     module.hamiltonian_hessian(state, own, parameters, hessian)
     error = 0.0
@@ -139,7 +140,7 @@ def _hessian(model: PairwiseModel, module: Any, state: Any) -> Finding:
 
 
 def _products(model: PairwiseModel, module: Any, state: Any, generator: np.random.Generator) -> Finding:
-    own, parameters = _own(model), np.array(model.defaults)
+    own, parameters = _own(model), np.array(model.defaults, dtype=float)
     hessian = np.empty((state.size, state.size))
     module.hamiltonian_hessian(state, own, parameters, hessian)
     directions = generator.normal(size=(state.size, 3))
@@ -151,19 +152,19 @@ def _products(model: PairwiseModel, module: Any, state: Any, generator: np.rando
 
 def _symplectic(model: PairwiseModel, module: Any, state: Any, scheme: str) -> Iterator[Finding]:
     """D' J D = J for the derivative D of one step, for a scheme that promises it; and that no other one does."""
-    if not hasattr(module, "advance_directions"):
+    if module.problem.gradient is None:
         return
-    own, parameters = _own(model), np.array(model.defaults)
-    points, given, after = np.zeros((module.POINTS, *state.shape)), (parameters, own), np.empty_like(state)
-    made = (h for h in _LENGTHS if module.advance(state, 0.0, h, given, (points, 0.0), after) >= 0)
+    own, parameters, pairs = _own(model), np.array(model.defaults, dtype=float), module.problem.pairs
+    points, after = np.zeros((module.POINTS, *state.shape)), np.empty_like(state)
+    made = (h for h in _LENGTHS if advance(pairs, state, h, own, parameters, points, 0.0, after) >= 0)
     if (h := next(made, None)) is None:
         yield Finding(
             "symplecticity", "one step", False, f"no step could be made, down to a length of {_LENGTHS[-1]:g}"
         )
         return
-    curvature = module.curvature_at(points, own, parameters)
+    curvature = curvature_at(module.problem, points, own, parameters)
     derivative = np.empty((state.size, state.size))
-    module.advance_directions(curvature, points, 0, h, own, parameters, np.eye(state.size), derivative)
+    advance_directions(pairs, curvature, points, 0, h, own, parameters, np.eye(state.size), derivative)
     half = state.size // 2
     form = np.block([[np.zeros((half, half)), np.eye(half)], [-np.eye(half), np.zeros((half, half))]])
     size = np.abs(derivative).T @ np.abs(form) @ np.abs(derivative)  # coordinates and momenta have units of their own

@@ -11,6 +11,8 @@ import sympy
 
 from codegen.checks.base import Finding
 from codegen.model.pairwise import PairwiseModel
+from codegen.runtime.particles.steps import advance
+from codegen.runtime.particles.tracers import carry_points
 
 DIGITS = 50
 
@@ -19,7 +21,7 @@ def findings(model: PairwiseModel, module: Any, states: list[Any]) -> Iterator[F
     """All evidence about a module that carries tracer points, from some states of particles."""
     if not model.passive:
         return
-    own, parameters = np.ones((states[0].shape[1], len(model.own))), np.array(model.defaults)
+    own, parameters = np.ones((states[0].shape[1], len(model.own))), np.array(model.defaults, dtype=float)
     generator = np.random.default_rng(2)
     yield from _kernels(model, module, states, own, parameters, generator)
     yield _company(module, states[0], own, parameters)
@@ -78,14 +80,15 @@ def _company(module: Any, state: Any, own: Any, parameters: Any) -> Finding:
 def _way_back(module: Any, state: Any, own: Any, parameters: Any, generator: np.random.Generator) -> Iterator[Finding]:
     """Points that make a step and its inverse, and the product of the derivatives of both."""
     h, stages = 0.02, np.zeros((module.POINTS, *state.shape))
-    if module.advance(state, 0.0, h, (parameters, own), (stages, 0.0), np.empty_like(state)) < 0:
+    if advance(module.problem.pairs, state, h, own, parameters, stages, 0.0, np.empty_like(state)) < 0:
         yield Finding("consistency", "the way back", False, "the step could not be made")
         return
     size, count = state.shape[2], int(module.BLOCK)
     points = np.abs(state[0]).max() * generator.uniform(-0.7, 0.7, (count, size))
     there, back, tangents, inverse = (np.empty((count, *[size] * k)) for k in (1, 1, 2, 2))
-    module.carry_points(points, h, 0.0, 1.0, stages, own, parameters, there, tangents)
-    module.carry_points(there, h, 1.0, 0.0, stages, own, parameters, back, inverse)
+    tracers = module.problem.tracers
+    carry_points(tracers, points, h, 0.0, 1.0, stages, own, parameters, there, tangents)
+    carry_points(tracers, there, h, 1.0, 0.0, stages, own, parameters, back, inverse)
     yield small_error("consistency", "tracer points carried there and back", float(np.abs(back - points).max()), 1e-13)
     error = float(np.abs(inverse @ tangents - np.eye(size)).max())
     yield small_error("consistency", "the derivatives of both", error, 1e-12)

@@ -16,6 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.runtime.search import callbacks
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.transcribe.program import ControlProgram
 
 _NOTHING = (1e-9, 1e-8, 1e-7)
@@ -57,7 +59,7 @@ def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagona
     Regular to rounding, that is, after rows and columns are brought to sizes of one.
     """
     free = diagonal[module.primal_unknowns(grid)] <= _HELD
-    rows, columns, values = module.jacobian(grid, unknowns)
+    rows, columns, values = callbacks.jacobian(grid, unknowns)
     shape = (module.multiplier_unknowns(grid).size, free.size)
     matrix = coo_array((values, (rows, columns)), shape=shape).tocsc()[:, free]
     if matrix.shape[0] != matrix.shape[1]:
@@ -103,13 +105,13 @@ def _judged(
     module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64], sizes: NDArray[np.float64]
 ) -> tuple[bool, str] | None:
     """Whether it is a minimum, and how that is known; None where the KKT matrix is singular whatever the curvature."""
-    equations, system = module.multiplier_unknowns(grid).size, module.allocate_system(grid)
-    excess = module.factor_kkt(grid, unknowns, 1.0, diagonal, system)
-    if excess == 0 and module.factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
+    equations, system = module.multiplier_unknowns(grid).size, allocate_system(grid)
+    excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
+    if excess == 0 and factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
         return True, f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
     # Where a symmetry moves an optimum to another one, the curvature is zero along it, and its sign is rounding.
     for part in _NOTHING:
-        if module.factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
+        if factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
             return (
                 True,
                 f"a minimum, isolated or not: a curvature is zero up to rounding, above -{part:g} of its terms",
@@ -121,7 +123,7 @@ def _judged(
 
 def sizes_of_curvature(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """For every unknown but multipliers the size of its second derivatives, or of a typical one if it has none."""
-    rows, _, values = module.hessian(grid, unknowns)
+    rows, _, values = callbacks.hessian(grid, unknowns)
     free, sizes = module.primal_unknowns(grid), np.zeros(unknowns.size)
     np.maximum.at(sizes, free[rows], np.abs(values))
     present = sizes[sizes > 0.0]

@@ -20,7 +20,6 @@ from codegen.lower.control.layout import (
     slack_bounds,
     views,
 )
-from codegen.lower.control.mixed_kernels import choices
 from codegen.lower.kernels import Line
 from codegen.lower.module import SensitivityText
 from codegen.lower.printer import array_code, scalar_code
@@ -48,8 +47,23 @@ def text_of(program: ControlProgram) -> SensitivityText:
         coupling_kinds=(tuple(f"coupling_{i}_mixed" for i, _ in enumerate(term_kinds(program))),)
         if program.couplings
         else (),
-        choices=choices(program),
+        fields=_fields(program),
     )
+
+
+def _fields(program: ControlProgram) -> tuple[tuple[str, str], ...]:
+    """Return fields of the record `DataDerivatives` with their code."""
+    constants = {
+        "quantities": "QUANTITIES", "count": "DATA", "parametric": "PARAMETRIC", "acting": "ACTING",
+        "rows": "MIXED_ROWS", "columns": "MIXED_COLUMNS",
+        **{f"{end}_{side}": f"{end}_mixed_{side}".upper() for end in ("start", "end") for side in ("rows", "columns")},
+        "loop": "data_loop", "rates": "data_rates", "pins": "pinned_rates", "durations": "duration_rates",
+    }  # fmt: skip
+    if bound_lines(program):
+        constants |= {"bounds": "bound_rates", "bounding": "BOUNDING"}
+    if program.inner.clock is not None:
+        constants["clock"] = "CLOCK"
+    return tuple(constants.items())
 
 
 def _rates(program: ControlProgram) -> tuple[list[Line], list[tuple[str, tuple[Line, ...]]], list[Expr]]:

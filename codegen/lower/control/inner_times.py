@@ -54,7 +54,7 @@ def times_and_values(program: ControlProgram, boundary_code: Callable[[Expr], st
 
 def grid_code(program: ControlProgram, duration: str) -> str:
     """Code that makes the grid of a duration, which has the inner times among its nodes."""
-    made = f"checked_grid(steps, {duration}, parameters, grid)"
+    made = f"checked_grid(problem, steps, {duration}, parameters, grid)"
     return f"with_inner_times({made})" if program.inner.times else made
 
 

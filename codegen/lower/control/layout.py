@@ -58,11 +58,50 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
         for name, entries in (("START", derivatives.start.hessian), ("END", derivatives.end.hessian)):
             lines.append(Line(f"{name}_HESSIAN_ROWS", integers([r for r, _, _ in entries])))
             lines.append(Line(f"{name}_HESSIAN_COLUMNS", integers([c for _, c, _ in entries])))
+    curved = has_nonlinear_ends(derivatives)
+    lines.append(Line("START_COUNT", str(len(derivatives.start.hessian) if curved else 0), "entries of its Hessian"))
+    lines.append(Line("END_COUNT", str(len(derivatives.end.hessian) if curved else 0), "entries of its Hessian"))
+    if program.shared:
+        first = len(parameters(program)) - len(program.shared_symbols)
+        lines.append(Line("LINKING", str(first), "where linking variables stand behind the parameters"))
     if slack_indices(program):
         slacks, multipliers = zip(*slack_indices(program), strict=True)
         lines.append(Line("SLACKS", integers(slacks), "unknowns of an interval that take up an inequality's distance"))
         lines.append(Line("SLACK_MULTIPLIERS", integers(multipliers), "of the equations that define them"))
     return lines
+
+
+def structure(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[tuple[str, str], ...]:
+    """Fields of the record `Structure` with their code: constants of the module where there are any."""
+    number = dict(sizes(program, derivatives))
+    differ = program.has_inequalities or bool(program.phases)
+    flags = {
+        "backward": bool(number["BACKWARD"]),
+        "bordered": bool(number["BORDERED"]),
+        "carried": bool(number["CARRIED"]),
+        "constant": bool(derivatives.condensed) and not differ,
+        "inequalities": program.has_inequalities,
+        "linear_quadratic": derivatives.linear_quadratic,
+        "costless": bool(number["COSTLESS"]),
+        "forward": bool(number["FORWARD"]) and not derivatives.linear_quadratic,
+    }
+    named = [line.target for line in constants(program, derivatives) if line.target not in ("ELEMENT", "ROOT")]
+    others = {
+        "PHASES": bool(program.phases), "PHASE_LACKS": bool(program.phases), "SWITCH_LACKS": bool(program.phases),
+        **dict.fromkeys(("INNER_TIMES", "INNER_FIRST", "INNER_UNKNOWNS", "INNER_PRESENT"), bool(program.inner.times)),
+        "INNER_LACKS": bool(program.inner.lacking),
+        **dict.fromkeys(("SAMPLE", "FIRST_SAMPLE"), bool(program.sample)),
+    }  # fmt: skip
+    named = [name for name in named if name not in _FLAGS] + [name for name, there in others.items() if there]
+    fields = [(_FIELDS.get(name, name.lower()), name) for name in named]
+    return (*fields, *((name, "True") for name, flag in flags.items() if flag))
+
+
+_FLAGS = ("BACKWARD", "BORDERED", "CARRIED", "CURVED", "START_COUNT", "END_COUNT", "LINKING")
+_FIELDS = {"HESSIAN_ROWS": "rows", "HESSIAN_COLUMNS": "columns"} | {
+    f"{end}_HESSIAN_{side}": f"{end}_{side}".lower() for end in ("START", "END") for side in ("ROWS", "COLUMNS")
+}
+"""Fields of the record whose names are not those of the module's constants in small letters."""
 
 
 def has_nonlinear_ends(derivatives: ControlDerivatives) -> bool:
@@ -296,7 +335,7 @@ def inputs(program: ControlProgram, values: Sequence[Expr], column: bool = True)
 
 def shared_views(program: ControlProgram, target: str, vector: str) -> tuple[Line, ...]:
     """The line that makes views of the shared unknowns, where there are any."""
-    return (Line(target, f"shared_views({vector})"),) if program.shared else ()
+    return (Line(target, f"shared_views(grid, {vector})"),) if program.shared else ()
 
 
 def _names(unknowns: Sequence[Unknown]) -> str:

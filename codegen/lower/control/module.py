@@ -13,9 +13,10 @@ from codegen.discretise import STEP
 from codegen.expressions.table_functions import tables_of
 from codegen.lower.control import guesses, inner_times, layout, phases, sensitivities
 from codegen.lower.control.coupling import Couplings, lower_couplings
+from codegen.lower.control.mixed_kernels import choices
 from codegen.lower.control.notable import notable
 from codegen.lower.control.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
-from codegen.lower.control.sizes import motion_indices, sizes
+from codegen.lower.control.sizes import sizes
 from codegen.lower.control.statement import description
 from codegen.lower.control.text import left_out, metadata
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
@@ -28,7 +29,6 @@ from codegen.lower.tables import (
     table_constants,
     table_kernels,
     table_metadata,
-    table_runtime,
 )
 from codegen.tables.data import TableData
 from codegen.transcribe.program import ControlProgram, EndElement
@@ -42,12 +42,13 @@ def lower_control(
     couplings, curved = lower_couplings(program), layout.has_nonlinear_ends(derivatives)
     first = len(layout.parameters(program))
     ranged, guessed = ranged_inputs(tables, first, _equations(program)), _guess_tables(program)
-    added = sensitivities.added(program, by_data, curved, lambda unknowns: _codes(program, unknowns))
+    added = sensitivities.added(program, by_data, lambda unknowns: _codes(program, unknowns))
     own = (*_own_kernels(program, derivatives, curved), *couplings.kernels, *_inputs_kernels(program, ranged))
     kernels = (*own, *added.kernels)
     of_phases = (phases.guesses, phases.duration, phases.bounds)
     parts = of_phases if program.phases else (guesses.guesses, layout.duration, layout.bounds)
     code = {name: value for part in parts for name, value in part(program).items()}
+    code["choices"] = (*code["choices"], *(choices(program) if by_data else ()))
     return ControlModule(
         template="control.py.j2",
         name=model.name,
@@ -63,19 +64,14 @@ def lower_control(
         ),
         constants=(*_own_constants(program, derivatives, couplings, ranged), *added.constants),
         kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
-        runtime=(
-            *table_runtime(tables),
-            *(("table_rows",) if tables else ()),
-            *(("table_ranges",) if ranged else ()),
-            *(("table_guesses",) if guessed else ()),
-            *_runtime(program, derivatives),
-            *added.runtime,
-        ),
+        structure=layout.structure(program, derivatives),
+        features=_features(program, tables, ranged),
         sizes=(
             *sizes(program, derivatives),
-            *added.sizes,
+            ("SENSITIVE", int(by_data is not None)),
             ("RANGED", len(ranged)),
             ("SAMPLED", len(model.measurements)),
+            ("CURVED", int(curved)),
         ),
         arguments=arguments_of(model),
         **data_arguments(program, tables, inner_times.grid_code(program, code["grid_duration"])),
@@ -95,7 +91,6 @@ def _own_kernels(program: ControlProgram, derivatives: ControlDerivatives, curve
     return (
         *_all_interval_kernels(program, derivatives),
         *sample_kernels(program, derivatives, _codes(program, program.element_symbols)),
-        *_control_kernels(program, derivatives),
         *_end_kernels(program, program.start, derivatives.start, "start", curved),
         *_end_kernels(program, program.end, derivatives.end, "end", curved),
     )
@@ -217,26 +212,6 @@ def _inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[K
     return tuple(kernels)
 
 
-def _control_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
-    """The controls' block of the Hessian, where it is the same on all of length h."""
-    if not derivatives.condensed or program.has_inequalities or program.phases:
-        return ()
-    controls = {program.control_symbols.index(s): s for s in program.control_symbols}
-    first = len(program.left_symbols) + len(program.interval_symbols)
-    block = [
-        Output(
-            f"block[{row - first}, {column - first}]",
-            value,
-            f"d2l/d{controls[row - first]} d{controls[column - first]}",
-        )
-        for row, column, value in derivatives.element.hessian
-        if row - first in controls and column - first in controls
-    ]
-    codes = _codes(program, derivatives.element.unknowns)
-    summary = "Controls' `block` (CONDENSED, CONDENSED) of the Hessian, lower triangle, the same on all of length h."
-    return (kernel("control_hessian", summary, ("h", "parameters", "block"), codes, block, decorators=INNER),)
-
-
 def _end_kernels(
     program: ControlProgram, end: EndElement, derivatives: ElementDerivatives, name: str, curved: bool
 ) -> tuple[Kernel, ...]:
@@ -270,42 +245,14 @@ def _end_kernels(
     return tuple(kernels)
 
 
-def _runtime(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[str, ...]:
-    """The files of `codegen/runtime` that the module needs, in the order in which they are to be read."""
-    differ = program.has_inequalities or program.phases
-    condensed = ("inverse", "static_condensation", "element_barrier" if differ else "element_condensed")
-    solver: tuple[str, ...] = ("newton_linear",)
-    if not derivatives.linear_quadratic:
-        kind = ("barrier", "bounded") if program.has_inequalities else ("unbounded",)
-        solver = ("stagnation", "descent", "filter", "refinement", *kind, "newton_steps", "line_search", "restoration")
-        solver = (*solver, *(("exact_bounds",) if program.has_inequalities else ()), "warm_start", "newton")
-        solver = (*solver, "cascade", *(("forward_motion",) if motion_indices(program)[0] else ()))
+def _features(
+    program: ControlProgram, tables: Sequence[TableData], ranged: Sequence[Input]
+) -> tuple[tuple[str, str], ...]:
+    """What the record of the problem holds beside what every problem has: names of fields with their code."""
     return (
-        "arrays", "times", *(("inner_number",) if program.inner.times else ()),
-        *(("shared",) if program.shared else ()),
-        *(("tied_ends",) if program.start.shared or program.end.shared else ()),
-        *(("coupling",) if program.couplings else ()),
-        *(("samples",) if program.sample else ()),
-        "iteration_log", "lagrangian", "norms", "point", "elements",
-        "ends_nonlinear" if layout.has_nonlinear_ends(derivatives) else "ends_linear",
-        "symmetric",
-        *(condensed if derivatives.condensed else ("element_uncondensed",)),
-        "frontal", "substitution", "bordered" if program.shared else "unbordered", "system", "convergence_test",
-        *solver,
-        *(("momenta",) if program.method == "variational" else ()),
-        "counts", "tolerances", "time_grid",
-        *(("observations",) if program.sample else ()),
-        *(("slacks",) if layout.slack_indices(program) else ()),
-        *(("phases",) if program.phases else ()),
-        "layout",
-        *(("inner_times",) if program.inner.times else ()),
-        "callbacks",
-        *(("active_bounds",) if program.has_inequalities else ()),
-        *(("tied",) if program.has_inequalities and (program.start.shared or program.end.shared) else ()),
-        "negative_curvature",
-        *(() if derivatives.linear_quadratic else ("saddle_points",)),
-        "termination",
-        "messages",
-        *(("unscaled_solve",) if derivatives.linear_quadratic
-          else ("scaling", "scaled_solve")),
-    )  # fmt: skip
+        *((("variable_bounds", "variable_bounds"),) if program.has_inequalities else ()),
+        *((("phase_durations", "phase_durations"),) if program.phases else ()),
+        *((("inputs", "input_loop"), ("ranges", "RANGES"), ("range_names", "RANGE_NAMES")) if ranged else ()),
+        *((("tables", "TABLES"),) if tables else ()),
+        *((("observations", "OBSERVATIONS"),) if program.sample else ()),
+    )

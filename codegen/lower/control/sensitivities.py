@@ -22,21 +22,17 @@ class Added:
 
     kernels: tuple[Kernel, ...] = ()
     constants: tuple[Line, ...] = ()
-    sizes: tuple[tuple[str, int], ...] = ()
-    runtime: tuple[str, ...] = ()
     metadata: tuple[tuple[str, str], ...] = ()
     text: tuple[SensitivityText, ...] = ()
 
 
-def added(program: ControlProgram, found: ControlSensitivities | None, curved: bool, codes: Codes) -> Added:
-    """What belongs to derivatives by data, where there are any; `curved` ends have entries of their own."""
+def added(program: ControlProgram, found: ControlSensitivities | None, codes: Codes) -> Added:
+    """Return the parts of a module that belong to derivatives by data, if there are any."""
     if found is None:
         return Added()
     return Added(
         kernels=kernels_of(program, found, codes),
         constants=tuple(_constants(program, found)),
-        sizes=_sizes(program, curved),
-        runtime=(*(("mixed_samples",) if program.sample else ()), "directions", "substitutions", "sensitivities"),
         metadata=(("sensitivities", repr(quantities(program))),),
         text=(text_of(program),),
     )
@@ -69,13 +65,3 @@ def _constants(program: ControlProgram, found: ControlSensitivities) -> list[Lin
     if program.inner.clock is not None:
         lines.append(Line("CLOCK", str(program.inner.clock), "the time of a node among its unknowns"))
     return lines
-
-
-def _sizes(program: ControlProgram, curved: bool) -> tuple[tuple[str, int], ...]:
-    """Whether ends are curved, bounds move with parameters, nodes have times of their own, and momenta are derived."""
-    return (
-        ("CURVED", int(curved)),
-        ("MOVING", int(bool(bound_lines(program)))),
-        ("CLOCKED", int(program.inner.clock is not None)),
-        ("VARIATIONAL", int(program.method == "variational")),
-    )

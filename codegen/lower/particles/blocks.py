@@ -16,14 +16,17 @@ from codegen.lower.kernels import Line
 class BlockLoop:
     """A function that adds up what all particles j contribute to each point m of a block.
 
-    `head` comes first; for each block `before` for each point m of it; `inputs` for each particle j, then for each m
-    `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose code is `over_points` where it is
-    not needed always. Blocks divide the points from `begin` to `end`, which are code.
+    `views` make arrays of pointers. `head` comes first; for each block `before` for each point m of it; `inputs` for
+    each particle j, then for each m `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose
+    code is `over_points` where it is not needed always. Blocks divide the points from `begin` to `end`, which are
+    code.
     """
 
     name: str
     summary: str
     arguments: tuple[str, ...]
+    decorator: str
+    views: tuple[Line, ...]
     head: tuple[Line, ...]
     before: tuple[Line, ...]
     inputs: tuple[Line, ...]

@@ -16,7 +16,7 @@ from codegen.derive.pairwise import PairDerivatives
 from codegen.errors import ExpressionError
 from codegen.lower.kernels import Line
 from codegen.lower.particles.blocks import BlockLoop, entry, packed
-from codegen.lower.particles.pair_writer import STATE, Writer
+from codegen.lower.particles.pair_writer import STATE, Writer, signature, views
 from codegen.model.pairwise import PairwiseModel
 
 GROUP = 64
@@ -48,6 +48,8 @@ def _of_some(gradient: BlockLoop) -> BlockLoop:
         name="gradient_of_some",
         summary="Fill `gradient`, shape (2, n, d), with H_q and H_p of particles from `begin` to `end`.",
         arguments=(*STATE, "begin", "end", "gradient"),
+        decorator='@njit(error_model="numpy", fastmath={"contract"})',
+        views=(),
         begin="begin",
         end="end",
     )
@@ -73,7 +75,9 @@ def _gradient(writer: Writer) -> BlockLoop:
     return BlockLoop(
         name="hamiltonian_gradient",
         summary="Fill `gradient`, shape (2, n, d), with H_q and H_p.",
-        arguments=(*STATE, "gradient"),
+        arguments=signature((*STATE, "gradient")),
+        decorator="@Contracted",
+        views=views((*STATE, "gradient"), writer.model),
         head=(
             *singles,
             Line("state", f"np.empty({len(codes)}*GROUP)"),

@@ -1,8 +1,8 @@
-"""PairwiseProgram and its derivatives -> Module: loops over pairs, tables, and the runtime files of particles."""
+"""PairwiseProgram and its derivatives -> Module: loops over pairs, tables, and the record of the problem."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from codegen.lower.kernels import Line
 from codegen.lower.module import Argument, Module, arguments_of
 from codegen.lower.particles.blocks import BlockLoop
 from codegen.lower.particles.gathered import GROUP, gathered_loops
-from codegen.lower.particles.pair_writer import PairLoop
+from codegen.lower.particles.pair_writer import STATE, PairLoop, views
 from codegen.lower.particles.pairwise import pair_loops, separable_loops
 from codegen.lower.particles.particle_loops import ParticleLoop, particle_loops
 from codegen.lower.particles.text import description, left_out, metadata
@@ -24,8 +24,13 @@ from codegen.transcribe.connect import PairwiseProgram
 
 @dataclass(frozen=True)
 class PairwiseModule(Module):
-    """A module about particles; `own` are a particle's own parameters."""
+    """A module about particles; `own` are a particle's own parameters.
 
+    `public` are names for users, and `record` the fields of the PairProblem with their code.
+    """
+
+    public: tuple[str, ...]
+    record: tuple[tuple[str, str], ...]
     particle_loops: tuple[ParticleLoop, ...]
     loops: tuple[PairLoop, ...]
     own: tuple[Argument, ...]
@@ -35,11 +40,14 @@ class PairwiseModule(Module):
 
 @dataclass(frozen=True)
 class ConnectModule(PairwiseModule):
-    """A module that connects given points by the motion of particles; `tracer_loops` carry points along."""
+    """A module that connects given points by the motion of particles; `tracer_loops` carry points along.
+
+    Where threads share the gradient, `threaded` has one group of lines, which make arrays of pointers.
+    """
 
     gathered_loops: tuple[BlockLoop, ...]
+    threaded: tuple[tuple[Line, ...], ...]
     tracer_loops: tuple[BlockLoop, ...]
-    method: str
 
 
 @dataclass(frozen=True)
@@ -68,12 +76,12 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         left_out=tuple(left_out(program, derivatives, singles, implicit=implicit, gathered=bool(gathered))),
         metadata=tuple(metadata(program, derivatives, all_loops)),
         constants=tuple(constants),
-        runtime=_runtime(program, derivatives, loops, around, gathered, carried),
-        sizes=(("IMPLICIT", int(implicit)), ("QUADRATIC", int(derivatives.quadratic))),
+        public=_public(program, derivatives, loops),
+        record=_record(program, derivatives, _names(loops, around, gathered, carried)),
         gathered_loops=gathered,
+        threaded=(views((*STATE, "gradient"), model),) if model.parallel else (),
         tracer_loops=carried,
         own=tuple(Argument(name, "1.0") for name in model.own),
-        method=program.method,
     )
 
 
@@ -88,9 +96,6 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     singles, loops = (separable_loops if by_turns else pair_loops)(model, derivatives)
     around = particle_loops(model, singles)
     implicit = _is_implicit(program) and not by_turns
-    step = ["pair_separable"] if by_turns else [
-        "pair_algebra", "pair_curvature", *_step(program), *(["lu", "pair_implicit"] if implicit else []),
-    ]  # fmt: skip
     return ParticlesModule(
         **_common(program, loops, around),
         template="particles.py.j2",
@@ -98,8 +103,8 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         left_out=tuple(left_out(program, derivatives, singles, implicit=implicit, by_turns=by_turns)),
         metadata=tuple(metadata(program, derivatives, loops)),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
-        runtime=(*_special(loops, around), *step, "counts", "pair_motion", "motion"),
-        sizes=(("IMPLICIT", int(implicit)), ("STATE", 0), ("PARTS", 0), ("RANGED", 0)),
+        public=("OWN", "START", "energy", "make_grid", "metadata", "path_residual", "problem", "solve", "step"),
+        record=_record(program, derivatives, _names(loops, around)),
         own=tuple(Argument(name, "") for name in model.own),
         start=model.start,
         own_values=model.own_values,
@@ -113,6 +118,7 @@ def _common(program: PairwiseProgram, loops: tuple[PairLoop, ...], around: tuple
         "name": model.name,
         "title": model.title,
         "kernels": (),
+        "sizes": (),
         "arguments": arguments_of(model),
         "steps": model.steps,
         "particle_loops": around,
@@ -155,42 +161,52 @@ def _floats(values: Iterable[Rational]) -> str:
     return f"({', '.join(repr(float(v)) for v in values)},)"
 
 
-def _runtime(
-    program: PairwiseProgram,
-    derivatives: PairDerivatives,
-    loops: tuple[PairLoop, ...],
-    around: tuple[ParticleLoop, ...],
-    gathered: tuple[BlockLoop, ...],
-    carried: tuple[BlockLoop, ...],
-) -> tuple[str, ...]:
-    """The files of `codegen/runtime` that a module of connection needs, in the order in which they are to be read."""
-    in_blocks = [line for visit in (*gathered, *carried) for line in (*visit.body, *visit.outputs)]
-    flow = ("tracer_newton", "tracer_substeps" if program.substeps else "tracer_runge_kutta", "tracer_flow")
-    return (
-        *(["packed_logarithms"] if any("packed_" in line.code for line in in_blocks) else []),
-        *(["pair_parallel"] if program.model.parallel else []),
-        *_special(loops, around),
-        "lu", "pair_algebra", "pair_curvature", *_step(program),
-        *(["pair_implicit"] if _is_implicit(program) else []),
-        "pair_trajectory", "pair_broyden", "pair_shooting", "counts", "tolerances", "pair_case",
-        *(["pair_least_action"] if derivatives.quadratic else []),
-        "pair_cascade", "pair_callbacks",
-        *(["pair_action"] if program.method == "action" else []),
-        *(flow if carried else ()),
-    )  # fmt: skip
+def _names(*groups: Sequence[PairLoop] | Sequence[ParticleLoop] | Sequence[BlockLoop]) -> list[str]:
+    """The names of loops."""
+    return [visit.name for group in groups for visit in group]
 
 
-def _special(loops: tuple[PairLoop, ...], around: tuple[ParticleLoop, ...]) -> tuple[str, ...]:
-    """The files of special functions that are called."""
-    code = [line.code for visit in loops for line in (*visit.pair, *visit.pair_outputs, *visit.alone)]
-    special = any("x_minus_log1p(" in c or "log1p_minus_ratio(" in c for c in code)
-    accurate = any("accurate_dot(" in line.code for visit in around for line in visit.lines)
-    return (*(["pair_special"] if special else []), *(["pair_accurate"] if accurate else []))
+def _public(program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[PairLoop]) -> tuple[str, ...]:
+    """Names for users of a module that connects points."""
+    names = (
+        "Linearised all_equations all_equations_jacobian all_states domain_margin end_residual first_momenta "
+        "first_unknowns guessed_path jacobian make_case metadata momenta_of path_cost path_errors path_of "
+        "preconditioner problem residual solve solve_case trajectory hamiltonian_gradient"
+    )
+    if derivatives.quadratic:
+        names += " misses_by_far momenta_of_least_action penalised"
+    if program.method == "action":
+        names += (
+            " action_constraints action_cost action_cost_gradient action_hessian action_jacobian action_path"
+            " action_start"
+        )
+    if program.model.passive:
+        names += " carry stages_of"
+    return tuple(sorted({*names.split(), *(visit.name for visit in loops)}))
 
 
-def _step(program: PairwiseProgram) -> tuple[str, ...]:
-    """The files that make a step."""
-    return ("pair_moved", "pair_substeps") if program.substeps else ("pair_runge_kutta",)
+def _record(
+    program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[str]
+) -> tuple[tuple[str, str], ...]:
+    """The fields of the PairProblem with their code; `loops` are the names of those that there are."""
+    kernels = {
+        "gradient": "hamiltonian_gradient", "hessian": "hamiltonian_hessian", "products": "hessian_products",
+        **{name: name for name in ("momentum_matrix", "slope", "velocity", "domain_margin", "guide")},
+        **{name: name for name in ("tracer_velocity", "tracer_gradient")},
+    }  # fmt: skip
+    made = {*loops, *(("hamiltonian_gradient",) if program.model.parallel else ())}
+    coefficients = {"substeps": "SUBSTEPS"} if program.substeps else {"rows": "ROWS", "weights": "WEIGHTS"}
+    return tuple(
+        {
+            **{"metadata": "metadata", "dimension": "DIMENSION", "hamiltonian": "hamiltonian"},
+            **{field: name for field, name in kernels.items() if name in made},
+            **coefficients,
+            **({"blocks": "BLOCKS", "cost_weights": "COST_WEIGHTS"} if program.model.connects else {}),
+            **({"quadratic": "True"} if derivatives.quadratic else {}),
+            **({"block": "BLOCK"} if program.model.passive else {}),
+            **({"abscissa": "ABSCISSA"} if program.method == "action" else {}),
+        }.items()
+    )
 
 
 def _is_implicit(program: PairwiseProgram) -> bool:

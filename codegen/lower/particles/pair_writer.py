@@ -18,10 +18,30 @@ STATE = ("z", "own", "parameters")
 """The arguments that every loop has: state, particles' own parameters, common parameters."""
 
 
+def signature(arguments: Sequence[str]) -> tuple[str, ...]:
+    """The arguments of a kernel: after the first array of particles their number, after directions how many."""
+    first = next((name for name in ("z", "start") if name in arguments), "")
+    after = {first: "count", "directions": "columns"}
+    return tuple(name for a in arguments for name in ((a, after[a]) if a in after else (a,)))
+
+
+def views(arguments: Sequence[str], model: PairwiseModel, blocks: int = 1) -> tuple[Line, ...]:
+    """Lines that make arrays of the pointers that a kernel is given; `blocks` are the rows of H_pp for a particle."""
+    size, own = len(model.coordinates), len(model.own)
+    state, positions, rows = f"(2, count, {size})", f"(count, {size})", f"{2 * size}*count"
+    shapes = {"z": state, "gradient": state, "hessian": f"({rows}, {rows})"}
+    shapes |= dict.fromkeys(("rates", "start", "target", "position"), positions)
+    shapes |= dict.fromkeys(("directions", "products"), f"({rows}, columns)")
+    shapes |= {"own": f"(count, {own})"} if own else {}
+    shapes["matrix"] = "(count, count)" if blocks == 1 else f"({blocks}*count, {blocks}*count)"
+    return tuple(Line(name, f"carray({name}, {shapes[name]})") for name in arguments if name in shapes)
+
+
 @dataclass(frozen=True)
 class PairLoop:
     """A function that visits all particles, and all pairs, as groups of lines in the order in which they are run.
 
+    `arguments` are pointers and numbers, of which `views` make arrays.
     `head` comes first; for each particle i `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair`
     and `pair_outputs`; then `after` for particle i, and at last `tail` and `results`. Lines of `alone_directions` and
     `pair_directions` are repeated for each of several `directions`. `over_pairs` and `over_directions` are the code of
@@ -31,6 +51,8 @@ class PairLoop:
     name: str
     summary: str
     arguments: tuple[str, ...]
+    decorator: str
+    views: tuple[Line, ...]
     head: tuple[Line, ...]
     inputs: tuple[Line, ...]
     alone: tuple[Line, ...]
@@ -145,7 +167,9 @@ class Writer:
         return PairLoop(
             name=name,
             summary=summary,
-            arguments=tuple(arguments),
+            arguments=signature(arguments),
+            decorator="@Value" if results else "@Kernel",
+            views=views(arguments, self.model, 1 if self.derivatives.isotropic else self.dimension),
             head=(*start, *head),
             inputs=tuple(read_i),
             alone=alone.body,

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.lower.kernels import Line, Output, kernel
+from codegen.lower.kernels import INNER, Line, Output, kernel
+from codegen.lower.particles.pair_writer import signature, views
 from codegen.lower.printer import scalar_code
 from codegen.model.pairwise import FRACTION, PairwiseModel
 
@@ -20,6 +21,8 @@ class ParticleLoop:
     name: str
     summary: str
     arguments: tuple[str, ...]
+    decorator: str
+    views: tuple[Line, ...]
     head: tuple[Line, ...]
     over: tuple[str, ...]
     lines: tuple[Line, ...]
@@ -35,6 +38,7 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
             ParticleLoop(
                 "single_values",
                 f"Scalars of particles at `z`, shape (2, n, d), that all their pairs share, shape (n, {size}).", ("z",),
+                INNER[0], (),
                 (Line("singles", f"np.empty((z.shape[1], {size}))"),), ("for i in range(z.shape[1]):",),
                 tuple(Line(f"singles[i, {k}]", code) for k, code in enumerate(singles)), ("singles",),
             )
@@ -45,7 +49,8 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     loops.append(
         ParticleLoop(
             "domain_margin",
-            "The least value of what must be positive wherever a particle of `z`, shape (2, n, d), is.", ("z",),
+            "The least value of what must be positive wherever a particle of `z`, shape (2, n, d), is.",
+            signature(("z",)), "@Value", views(("z",), model) if domain else (),
             (Line("margin", "np.inf"),), ("for i in range(z.shape[1]):",) if domain else (),
             tuple(Line("margin", f"min(margin, {code})") for code in domain), ("margin",),
         )
@@ -54,10 +59,11 @@ def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[Partic
     codes |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
     codes[FRACTION] = "fraction"
     made = kernel("", "", (), codes, [Output(f"position[i, {a}]", e, "") for a, e in enumerate(model.path)])
+    of_guide = ("start", "target", "fraction", "position")
     loops.append(
         ParticleLoop(
             "guide", "Fill `position`, shape (n, d) as all are, with where particles may be after a part of their way.",
-            ("start", "target", "fraction", "position"), (), ("for i in range(start.shape[0]):",),
+            signature(of_guide), "@Kernel", views(of_guide, model), (), ("for i in range(start.shape[0]):",),
             (*made.inputs, *made.body, *made.outputs), (),
         )
     )  # fmt: skip

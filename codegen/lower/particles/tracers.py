@@ -15,7 +15,7 @@ from codegen.derive.pairwise import PairDerivatives
 from codegen.derive.tracers import TracerDerivatives, tracer_derivatives
 from codegen.lower.kernels import Line
 from codegen.lower.particles.blocks import BlockLoop, entry, packed
-from codegen.lower.particles.pair_writer import Writer
+from codegen.lower.particles.pair_writer import STATE, Writer, signature, views
 from codegen.lower.particles.particle_loops import accurate_sum
 from codegen.model.pairwise import PairwiseModel
 
@@ -66,7 +66,9 @@ def _loop(
     return BlockLoop(
         name=name,
         summary=summary,
-        arguments=("positions", "z", "own", "parameters", *filled),
+        arguments=signature(("positions", *STATE, *filled)),
+        decorator="@Contracted",
+        views=views(STATE, model),
         head=(*singles, *(line for line in made.inputs if line.code.startswith("parameters["))),
         before=(
             *(Line(target, code) for code, target in scalars.items()),

@@ -45,7 +45,7 @@ def landmarks(settings: Settings) -> Figure:
     for axes, count in zip(_row(figure, len(settings.counts)), settings.counts, strict=True):
         points, module = few_landmarks(count), settings.module("explicit-euler")
         case = module.make_case(points.start, points.target, 40)
-        states = module.guessed_path(case.start, case.target, 40, case.duration, case.own, case.parameters)
+        states = module.guessed_path(case, 40)
         draw_paths(axes, states[:, 0], f"$n_c = {count}$")
     return figure
 

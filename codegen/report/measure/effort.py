@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from codegen.author.points import PointSet
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.interfaces import ConnectModule
 from codegen.report.measure.accuracy import points_of
 from codegen.report.measure.dimension import least_time

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen import solving
-from codegen.drivers.scaled import quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.interfaces import ConnectModule, Matrix, Vector
 from codegen.report.settings import Settings, few_landmarks
 from codegen.report.store import Case, Store, Values
@@ -87,13 +87,13 @@ def unknowns(place: str, size: int, steps: int) -> Unknowns:
 
 def start(module: ConnectModule, case: Any, place: str, path: str) -> Vector:
     """Places on curved or straight paths, momenta by the Legendre transform of each interval; of nodes: its first."""
-    states = module.guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+    states = module.guessed_path(case)
     if path == "straight":
         fractions = np.arange(case.steps + 1)[:, None, None] / case.steps
         states[:, 0] = case.start + fractions * (case.target - case.start)
         moved = (case.target - case.start) / case.duration
         for k in range(case.steps + 1):
-            states[k, 1] = module.momenta_of(np.ascontiguousarray(states[k, 0]), moved, case.own, case.parameters)
+            states[k, 1] = module.momenta_of(case, states[k, 0], moved)
     momenta = states[:, 1] if place == "nodes" else states[:-1, 1]
     return np.concatenate([states[1:-1, 0].ravel(), momenta.ravel()])
 

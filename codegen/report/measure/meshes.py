@@ -22,6 +22,7 @@ from codegen.interfaces import ControlModule, Vector
 from codegen.report.measure.limits import limit_of
 from codegen.report.measure.orders import measured_order
 from codegen.report.store import Values
+from codegen.runtime.search import callbacks
 from codegen.solutions.control import bound_distances
 from codegen.solutions.result import Result
 from codegen.solving.refinement import order_of_optima
@@ -118,7 +119,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     assert unknowns is not None
     below, above = bound_distances(module, grid, unknowns)
     active = np.zeros(unknowns.size)
-    active[module.primal_unknowns(grid)] = np.abs(module.stationarity(grid, unknowns)) > np.minimum(below, above)
+    active[module.primal_unknowns(grid)] = np.abs(callbacks.stationarity(grid, unknowns)) > np.minimum(below, above)
     nodes, intervals = module.views(grid, active)
     names, phases = [*module.metadata["node"], *module.metadata["interval"]], module.metadata.get("phases", 1)
     changes = np.zeros(len(names), dtype=bool)

@@ -39,7 +39,7 @@ def cases(settings: Settings, store: Store) -> Iterator[Case]:
 def guess(module: ConnectModule, case: Any, kind: str) -> Any:
     """States, shape (N + 1, 2, n, d), of a kind of guess; their places end at the targets where the kind knows them."""
     if kind == "curved":
-        return module.guessed_path(case.start, case.target, case.steps, case.duration, case.own, case.parameters)
+        return module.guessed_path(case)
     if kind == "spline":
         return module.trajectory(case, module.first_momenta(case))[1]
     if kind == "shot":
@@ -57,7 +57,7 @@ def guess(module: ConnectModule, case: Any, kind: str) -> Any:
     for k in range(case.steps + 1):
         states[k, 0] = case.start + k / case.steps * (case.target - case.start)
         velocity = (case.target - case.start) / case.duration
-        states[k, 1] = module.momenta_of(np.ascontiguousarray(states[k, 0]), velocity, case.own, case.parameters)
+        states[k, 1] = module.momenta_of(case, states[k, 0], velocity)
     return states
 
 

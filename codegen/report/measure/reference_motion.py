@@ -36,18 +36,8 @@ def field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector
     The step is linear in h, so that a long one loses no digits to the subtraction.
     """
     h = 2.0 ** math.ceil(math.log2(duration))
-    if hasattr(module, "step"):
-        grid: Any = module.make_grid(1, duration=h)
-        return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
-    shape = np.shape(module.START)  # type: ignore[attr-defined]
-
-    def field(t: float, z: Vector) -> Vector:
-        grid: Any = module.make_grid(1, duration=h, start=z.reshape(shape))
-        path = np.empty((2, z.size))
-        module.follow(grid.start, 1, h, grid.given, 1, path, path)  # type: ignore[attr-defined]
-        return np.asarray((path[1] - z) / h)
-
-    return field
+    grid: Any = module.make_grid(1, duration=h)
+    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
 
 
 def reference_motion(module: SimulateModule, checkpoints: int, duration: float | None = None) -> Motion:

@@ -1,217 +1,226 @@
 """Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
 
-The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Block k
-holds the unknowns of node k and of the interval after it; with BACKWARD, blocks are counted from the end, and each
-holds those of a node and of the interval before it. Blocks 1, 2, ... are eliminated in this order, with pivoting
-inside each; that is the sweep of a Riccati recursion. BACKWARD eliminates the equations of an interval with the state
-at its end, which they determine: with that at its start, rounding would grow as dissipative dynamics do backward in
-time. Block 0 is singular by itself where its node is given, because its equations are matched by later unknowns: it is
-BORDERED then, which means that it borders the front to the end and is eliminated with the last node. Where nothing is
-given it is eliminated first, as at the end of a controller's horizon. Shared unknowns border all fronts of all bodies;
-what elimination leaves of them is the Schur complement that ties bodies together, a dense matrix. The pivots' signs
-give the inertia of the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element
-analysis; Haynsworth (1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings
-(1998), Application of interior-point methods to model predictive control, for the Riccati view.
+The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Its rows are
+those of block k, which is a node and its interval without what is condensed; of the next node; of block 0 if it stays
+to the end; and of the linking variables. One more column is the right-hand side, if it is carried along. Blocks are
+eliminated one after the other, with pivoting inside each; that is the sweep of a Riccati recursion. With `backward`,
+blocks are counted from the end, and each holds a node and the interval before it: the equations of an interval are then
+eliminated with the state at its end, which they determine. With the state at its start, rounding would grow as
+dissipative dynamics do backward in time. Block 0 is singular by itself where its node is given, because its equations
+are matched by later unknowns: then it is `bordered`, and eliminated with the last node. Linking variables border all
+fronts of all bodies; elimination leaves their Schur complement, a dense matrix. The pivots' signs give the inertia of
+the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth
+(1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of
+interior-point methods to model predictive control, for the Riccati view.
 
 Too many negative pivots show before the end. At a minimum, the rows that are eliminated and the multipliers of all
 equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
 that are still to come it has at most as many (Cauchy's interlacing theorem).
 """
 
-import numpy as np
 from numba import njit
 
-from codegen.runtime.arrays import clear, copy_part, zero_matrix, zero_vector
-from codegen.runtime.kkt.element_condensed import add_element, allocate_condensed, prepare_condensed
-from codegen.runtime.kkt.elements import (
-    BLOCK, BORDER, COLUMNS, FIRST, INNER, IS_CURVATURE, IS_LACKING, LOCAL_IS_MULTIPLIER, RIGHT, ROWS, SIZE, TAIL,
-    WIDTH, interval_of, padded, unknown_of,
-)  # fmt: skip
-from codegen.runtime.kkt.ends_linear import apply_boundary_conditions
-from codegen.runtime.stand_ins.example import (
-    BODIES, BORDERED, CARRIED, ELEMENT, HESSIAN_COLUMNS, HESSIAN_ROWS, IS_MULTIPLIER, NODE, ROOT, SCALED, SHARED,
-    STRIDE, interval_hessian,
-)  # fmt: skip
-from codegen.runtime.unknowns.shared import root_index
-from codegen.runtime.kkt.symmetric import eliminate_rows, subtract_products
-from codegen.runtime.unknowns.times import span
-
-REST = ROWS - BLOCK  # rows of what borders a block: node k + 1, block 0 if it stays, shared unknowns
-REST_WIDTH = padded(REST)
-LAST = NODE + BORDER  # unknowns that are eliminated as the last node is
-LAST_WIDTH = padded(LAST + padded(CARRIED + SHARED))
-MULTIPLIERS = np.count_nonzero(IS_MULTIPLIER)  # in a block
-ENDING = np.count_nonzero(IS_MULTIPLIER[:NODE]) + MULTIPLIERS  # in the last node and in another block
-COMMON = np.count_nonzero(LOCAL_IS_MULTIPLIER[STRIDE + NODE :])  # among the shared unknowns
-
-
-def allocate_factors(grid):
-    """Room for the factors of all bodies, and for what is condensed.
-
-    A body has R rows: BLOCK for each block, then LAST for its last node, and for block 0 if it stays to the end. Three
-    arrays hold the rows of the upper factor (BODIES, R, WIDTH), the inverse of the pivots (BODIES, R, 2), and the order
-    of elimination (BODIES, R). The right-hand side, if it was carried along, is a column of the upper factor,
-    multiplied by the inverse of the pivots already. Indices and the inverse of the pivots are zeros, so that solving
-    without factors, as compilation does, stays inside the arrays. `inverses` and `couplings` are those of
-    `allocate_condensed`.
-    """
-    rows = grid.steps * BLOCK + LAST
-    upper, inverse = np.empty((BODIES, rows, WIDTH)), np.zeros((BODIES, rows, 2))
-    return upper, inverse, np.zeros((BODIES, rows), np.uint64), *allocate_condensed(grid)
+from codegen.runtime.kkt.condensation import invert_block, scatter, subtract_schur_complement
+from codegen.runtime.kkt.shape import block_size, interval_of, last_size, padded, row_count, tail_of, unknown_of
+from codegen.runtime.kkt.symmetric import clear, eliminate_once, eliminate_rows, subtract_products
+from codegen.runtime.kkt.tables import (
+    COMMON,
+    COUNTS,
+    END_COLUMNS,
+    END_PINNED,
+    END_ROWS,
+    END_SHARED,
+    END_TIED,
+    ENDING,
+    FIRST,
+    MULTIPLIERS,
+    START_COLUMNS,
+    START_PINNED,
+    START_ROWS,
+    START_SHARED,
+    START_TIED,
+    count_of,
+    place_of,
+)
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def eliminate_body(
-    unknowns, gradient, diagonal, steps, h, nodes, parameters, weight, parts, upper, inverse, order, inverses,
-    couplings, last,
+    shape, tables, entries, at_start, at_end, gradient, diagonal, steps, upper, inverse, order, inverses, couplings,
+    element, rest, last,
 ):  # fmt: skip
-    """Run the front over all intervals of a body, then eliminate what is left: `last`, its last node and its border.
+    """Run the front over all intervals of a body, then eliminate what remains: the last node and its border.
 
-    `unknowns`, `gradient`, `diagonal` (N STRIDE + NODE,), `parameters` (P + SHARED,), `parts` (ELEMENT + SHARED,) and
-    the factors `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `inverses`, `couplings` are those of the body, as in
-    `allocate_factors`; `nodes` (N + 1,), `last` (LAST + SHARED, LAST_WIDTH). Returns whether that was possible, the
-    number of negative pivots, and by how many they are too many: when there are, the elimination has stopped.
+    `entries` (N, entries of an interval), `at_start` and `at_end` those of the ends, `gradient` and `diagonal`
+    (N stride + node,); the factors `upper` (R, width), `inverse` (R, 2), `order` (R,) have R = N block + last rows;
+    `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `element` (rows, width), `rest`
+    (rows - block, ..) and `last` (last + shared, ..) are work space. Return whether the matrix is regular, the number
+    of negative pivots, and by how many these are too many: then the elimination has stopped.
     """
-    if not prepare_condensed(h, nodes, parameters, weight, parts, diagonal, inverses):
-        return False, 0, 0
-    negative, hessian, factors = 0, zero_vector(HESSIAN_ROWS.size), zero_vector(HESSIAN_ROWS.size)
-    is_weighted = fill_factors(weight, parts, factors)
-    local, element, rest = zero_vector(ELEMENT), zero_matrix(ROWS, WIDTH), zero_matrix(REST, REST_WIDTH)
+    block_rows, rows, counts = block_size(shape), row_count(shape), place_of(tables, COUNTS)
+    remaining, negative = rows - block_rows, 0
+    clear(rest)
+    multipliers, ending = tables[counts + MULTIPLIERS], tables[counts + ENDING] + tables[counts + COMMON]
     for block in range(steps):
-        k, first, behind = interval_of(block, steps), block * BLOCK, (block + 1) * BLOCK
-        copy_part(unknowns, k * STRIDE, local)
-        t, length = span(nodes, k, h)
-        interval_hessian(local, t, length, parameters, hessian)
-        if is_weighted:
-            for j in range(hessian.size):
-                hessian[j] *= factors[j]
+        k, first, behind = interval_of(shape, block, steps), block * block_rows, (block + 1) * block_rows
         clear(element)
-        if not add_element(hessian, diagonal, gradient, inverses, couplings, k, element):
-            return False, 0, 0
-        for i in range(BLOCK):
-            element[i, i] += diagonal[unknown_of(block, i, steps)]
-        if CARRIED:
-            add_right_hand_side(gradient, block, steps, element)
+        scatter(shape, tables, entries[k], k, element, couplings)
+        if shape.condensed:
+            number = min(k, inverses.shape[0] - 1)
+            if inverses.shape[0] > 1 or block == 0:  # noqa: SIM102
+                if not invert_block(shape, tables, entries[k], diagonal, k, inverses[number]):
+                    return False, 0, 0
+            if shape.carried:
+                for a in range(shape.condensed):
+                    couplings[k, a, rows] = -gradient[k * shape.stride + block_rows + a]
+            subtract_schur_complement(shape, tables, couplings[k], inverses[number], padded(rows), element)
+        for i in range(block_rows):
+            element[i, i] += diagonal[unknown_of(shape, block, i, steps)]
+        if shape.carried:
+            for i in range(block_rows):
+                element[i, rows] -= gradient[unknown_of(shape, block, i, steps)]
+            if block == steps - 1:
+                for i in range(shape.node):
+                    element[block_rows + i, rows] -= gradient[unknown_of(shape, steps, i, steps)]
         if k == 0 or k == steps - 1:
-            apply_boundary_conditions(unknowns, k, steps, h, parameters, weight, parts, diagonal, element)
-        if BORDERED:  # noqa: SIM102  decided when a module is made
-            if block == 0:
-                begin_front(element, rest)
-                continue
-        move_front(element, rest)
-        found = eliminate_rows(element, INNER, COLUMNS, upper[first:behind], inverse[first:behind], order[first:behind])
+            apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element)
+        if shape.bordered and block == 0:
+            begin_front(shape, tables, element, rest)
+            continue
+        move_front(shape, element, rest)
+        found = eliminate_rows(
+            element, shape.inner, padded(rows), upper[first:behind], inverse[first:behind], order[first:behind]
+        )
         if found < 0:
             return False, 0, 0
         negative += found
-        # What is left of blocks 0 to k + 1 has as many multipliers as the last node and one block.
-        if negative > block * MULTIPLIERS + ENDING + COMMON:
-            return True, negative, negative - (block * MULTIPLIERS + ENDING + COMMON)
-        subtract_products(upper[first:behind], element, INNER, BLOCK, REST, REST_WIDTH, rest)
-    end_front(rest, last)
-    first = steps * BLOCK
-    found = eliminate_rows(last, order.size - first, last.shape[1], upper[first:], inverse[first:], order[first:])
+        # Blocks 0 to k + 1 have as many multipliers left as the last node and one block.
+        if negative > block * multipliers + ending:
+            return True, negative, negative - (block * multipliers + ending)
+        subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
+    end_front(shape, rest, remaining, last)
+    first, size = steps * block_rows, last_size(shape)
+    found = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
     if found < 0:
         return False, 0, 0
     # No multiplier of another body reaches into this one.
     negative += found
-    return True, negative, negative - ((steps - 1) * MULTIPLIERS + ENDING + COMMON)
-
-
-if CARRIED:
-
-    @njit(error_model="numpy", inline="always")
-    def add_right_hand_side(slopes, block, steps, element):
-        """Subtract `slopes` (N STRIDE + NODE,) by a block, and by the node after all, from the column carried along."""
-        for i in range(BLOCK):
-            element[i, RIGHT] -= slopes[unknown_of(block, i, steps)]
-        if block == steps - 1:
-            for i in range(NODE):
-                element[BLOCK + i, RIGHT] -= slopes[unknown_of(steps, i, steps)]
+    return True, negative, negative - ((steps - 1) * multipliers + ending)
 
 
 @njit(error_model="numpy")
-def fill_parts(sizes, forces, parts):
-    """Fill the sizes (ELEMENT + SHARED,) of an element's unknowns, by which derivatives are multiplied.
+def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element):
+    """Add the ends' own second derivatives to the first or last `element` (rows, width), and pin what is given.
 
-    The same on all intervals, they include the root of the cost's weight, and are ones where nothing is scaled:
-    `sizes` and `forces` are (n,), or empty.
+    Rows and columns of unknowns that a boundary condition gives become those of the unit matrix.
     """
-    for i in range(parts.size):
-        parts[i] = 1.0
-    if SCALED and sizes.size:
-        for i in range(ELEMENT):
-            parts[i] = np.sqrt(sizes[i] * forces[i])
-        for i in range(SHARED):
-            index = sizes.size - ROOT + root_index(0, i)
-            parts[ELEMENT + i] = np.sqrt(sizes[index] * forces[index])
+    block, tail = block_size(shape), tail_of(shape)
+    left, right = (block, 0) if shape.backward else (0, block)
+    if k == 0:
+        add_entries(tables, START_ROWS, START_COLUMNS, at_start, element)
+    if k == steps - 1:
+        add_entries(tables, END_ROWS, END_COLUMNS, at_end, element)
+    if k == interval_of(shape, steps - 1, steps):
+        for i in range(shape.node):
+            element[block + i, block + i] += diagonal[unknown_of(shape, steps, i, steps)]
+    if k == 0:
+        add_tied_rows(tables, START_TIED, START_SHARED, left, tail, element)
+        pin(shape, tables, START_PINNED, left, element)
+    if k == steps - 1:
+        add_tied_rows(tables, END_TIED, END_SHARED, right, tail, element)
+        pin(shape, tables, END_PINNED, right, element)
 
 
 @njit(error_model="numpy")
-def fill_factors(weight, parts, factors):
-    """Fill what an interval's `hessian` is multiplied by, entry by entry; return whether that makes a difference.
+def add_entries(tables, of_rows, of_columns, entries, element):
+    """Add entries of an end's Hessian to an element matrix, mirrored."""
+    rows, columns = place_of(tables, of_rows), place_of(tables, of_columns)
+    for j in range(count_of(tables, of_rows)):
+        row, column = tables[rows + j], tables[columns + j]
+        element[row, column] += entries[j]
+        if row != column:
+            element[column, row] += entries[j]
 
-    It is the sizes of both unknowns, and the weight where both are primal. The one for a multiplier that there is not
-    stays one: a shift of the multipliers' diagonal would turn a smaller one's sign, and so be counted as an equation.
+
+@njit(error_model="numpy")
+def add_tied_rows(tables, of_tied, of_shared, first, tail, element):
+    """Add rows and columns of unknowns that equal linking variables to those of the latter, which begin at `tail`."""
+    tied, shared = place_of(tables, of_tied), place_of(tables, of_shared)
+    for i in range(count_of(tables, of_tied)):
+        index, to = first + tables[tied + i], tail + tables[shared + i]
+        for j in range(element.shape[1]):
+            element[to, j] += element[index, j]
+        for j in range(element.shape[0]):
+            element[j, to] += element[j, index]
+
+
+@njit(error_model="numpy")
+def pin(shape, tables, of_pinned, first, element):
+    """Make rows and columns of an element matrix those of the unit matrix, and their right-hand sides zero."""
+    pinned = place_of(tables, of_pinned)
+    for n in range(count_of(tables, of_pinned)):
+        index = first + tables[pinned + n]
+        for i in range(element.shape[0]):
+            element[index, i] = 0.0
+            element[i, index] = 0.0
+        element[index, index] = 1.0
+        if shape.carried:
+            element[index, row_count(shape)] = 0.0
+
+
+@njit(error_model="numpy")
+def begin_front(shape, tables, element, rest):
+    """Put the first `element` (rows, width) into `rest`, where block 0 has its place."""
+    block, rows, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
+    size = block + shape.node
+    for i in range(shape.border):
+        index = tables[first + i]
+        for j in range(rows + shape.carried):
+            element[size + i, j] = element[index, j]
+        for j in range(rows):
+            element[j, size + i] = element[j, index]
+    for i in range(rows - block):
+        for j in range(rows - block + shape.carried):
+            rest[i, j] = element[block + i, block + j]
+
+
+@njit(error_model="numpy", forceinline=True)
+def move_front(shape, element, rest):
+    """Add what borders block k - 1, of which the node is now in block k, to the element matrix of the interval.
+
+    Rows and columns of the next node and of the linking variables, in turn, go to what borders block k: `rest`, of
+    which only the upper triangle is in use. `element` is (rows, width).
     """
-    is_weighted = False
-    for j in range(factors.size):
-        factors[j] = 1.0 if IS_LACKING[j] else parts[HESSIAN_ROWS[j]] * parts[HESSIAN_COLUMNS[j]]
-        if IS_CURVATURE[j]:
-            factors[j] *= weight
-        is_weighted = is_weighted or factors[j] != 1.0
-    return is_weighted
-
-
-if BORDERED:
-
-    @njit(error_model="numpy")
-    def begin_front(element, rest):
-        """Put the first `element` (ROWS, WIDTH) into `rest` (REST, REST_WIDTH), where block 0 has its place."""
-        for i in range(BORDER):
-            for j in range(ROWS + CARRIED):
-                element[SIZE + i, j] = element[FIRST[i], j]
-            for j in range(ROWS):
-                element[j, SIZE + i] = element[j, FIRST[i]]
-        for i in range(REST):
-            for j in range(REST + CARRIED):
-                rest[i, j] = element[BLOCK + i, BLOCK + j]
-
-
-@njit(error_model="numpy", inline="always")
-def move_front(element, rest):
-    """Add what borders block k - 1, of which node k is now in block k, to the element matrix of interval k.
-
-    Its rows and columns of node k + 1 and of the shared unknowns, in turn, go to what borders block k: `rest` (REST,
-    REST_WIDTH), of which only the upper triangle is in use. `element` is (ROWS, WIDTH).
-    """
-    for i in range(NODE):
+    block, tail, last, remaining = block_size(shape), tail_of(shape), last_size(shape), row_count(shape)
+    remaining -= block
+    for i in range(shape.node):
         element[i, i] += rest[i, i]
-        for j in range(i + 1, NODE):
+        for j in range(i + 1, shape.node):
             element[i, j] += rest[i, j]
             element[j, i] += rest[i, j]
-        for j in range(NODE, REST + CARRIED):
-            element[i, BLOCK + j] += rest[i, j]
-    for i in range(NODE):
-        for j in range(0, REST_WIDTH, 4):
-            one, two = element[BLOCK + i, BLOCK + j], element[BLOCK + i, BLOCK + j + 1]
-            three, four = element[BLOCK + i, BLOCK + j + 2], element[BLOCK + i, BLOCK + j + 3]
+        for j in range(shape.node, remaining + shape.carried):
+            element[i, block + j] += rest[i, j]
+    for i in range(shape.node):
+        for j in range(0, padded(remaining), 4):
+            one, two = element[block + i, block + j], element[block + i, block + j + 1]
+            three, four = element[block + i, block + j + 2], element[block + i, block + j + 3]
             rest[i, j] = one
             rest[i, j + 1] = two
             rest[i, j + 2] = three
             rest[i, j + 3] = four
-    for i in range(SHARED):
-        for j in range(SHARED + CARRIED):
-            rest[LAST + i, LAST + j] += element[TAIL + i, TAIL + j]
+    for i in range(shape.shared):
+        for j in range(shape.shared + shape.carried):
+            rest[last + i, last + j] += element[tail + i, tail + j]
 
 
 @njit(error_model="numpy")
-def end_front(rest, last):
-    """Fill `last` (LAST + SHARED, LAST_WIDTH): last node and block 0 if it stays, both triangles; then shared."""
+def end_front(shape, rest, remaining, last):
+    """Fill `last` (last + shared, ..): last node and block 0 if it stays, both triangles; then linking variables."""
     clear(last)
-    for i in range(REST):
+    for i in range(remaining):
         last[i, i] = rest[i, i]
-        for j in range(i + 1, REST + CARRIED):
+        for j in range(i + 1, remaining + shape.carried):
             last[i, j] = rest[i, j]
-            if j < LAST:
+            if j < last_size(shape):
                 last[j, i] = rest[i, j]

@@ -1,79 +1,88 @@
 """Solve with the factors of a body's part of the KKT matrix: forward and backward over its blocks.
 
-A right-hand side that took part in the elimination needs no way forward any more: its column in the factors counts on
-the way back, as if it belonged to one more unknown, with the value -1.
+A right-hand side that took part in the elimination needs no way forward: its column in the factors counts on the way
+back, as if it belonged to one more unknown, with the value -1.
 """
 
 from numba import njit
 
-from codegen.runtime.arrays import zero_vector
-from codegen.runtime.kkt.elements import (
-    BLOCK, BORDER, COLUMNS, FIRST, FIRST_BLOCK, FIRST_PINNED, INNER, LAST_PINNED, RIGHT, SIZE, TAIL, WIDTH,
-)  # fmt: skip
-from codegen.runtime.stand_ins.example import BORDERED, CARRIED, NODE, SHARED
-from codegen.runtime.kkt.frontal import LAST
-from codegen.runtime.kkt.symmetric import solve_backward, solve_forward, solve_pivots
+from codegen.runtime.kkt.shape import block_size, last_size, padded, row_count, tail_of
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    forward_once,
+    solve_backward,
+    solve_forward,
+    solve_pivots,
+)
+from codegen.runtime.kkt.tables import FIRST, FIRST_PINNED, LAST_PINNED, count_of, place_of
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def forward(upper, inverse, order, steps, right, last):
-    """Solve with a body's upper factor, transposed, and the pivots; the last node's share goes to `last`.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def forward(shape, tables, upper, inverse, order, steps, right, front, last):
+    """Solve with a body's upper factor, transposed, and the pivots; the share of the last node goes to `last`.
 
-    `upper` (R, WIDTH), `inverse` (R, 2), `order` (R,), `right` (N BLOCK + NODE + SHARED,), `last` (LAST_WIDTH,).
+    `upper` (R, width), `inverse` (R, 2), `order` (R,), `right` (N block + node + shared,), `front` (width,), `last`.
     """
-    front = zero_vector(WIDTH)
-    for i in FIRST_PINNED:
-        right[i] = 0.0
-    for i in LAST_PINNED:
-        right[steps * BLOCK + i] = 0.0
-    for k in range(FIRST_BLOCK, steps):
-        first, behind = k * BLOCK, (k + 1) * BLOCK
-        for i in range(BLOCK):
+    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    for i in range(front.size):
+        front[i] = 0.0
+    for i in range(last.size):
+        last[i] = 0.0
+    place = place_of(tables, FIRST_PINNED)
+    for i in range(count_of(tables, FIRST_PINNED)):
+        right[tables[place + i]] = 0.0
+    place = place_of(tables, LAST_PINNED)
+    for i in range(count_of(tables, LAST_PINNED)):
+        right[steps * block + tables[place + i]] = 0.0
+    for k in range(shape.bordered, steps):
+        first, behind = k * block, (k + 1) * block
+        for i in range(block):
             front[i] = right[first + i]
-        for i in range(NODE):
-            front[BLOCK + i] = right[behind + i]
-        solve_forward(upper[first:behind], order[first:behind], INNER, COLUMNS, front)
-        solve_pivots(inverse[first:behind], order[first:behind], INNER, front)
-        for i in range(BLOCK):
+        for i in range(shape.node):
+            front[block + i] = right[behind + i]
+        solve_forward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        solve_pivots(inverse[first:behind], order[first:behind], shape.inner, front)
+        for i in range(block):
             right[first + i] = front[i]
-        for i in range(NODE):
-            right[behind + i] = front[BLOCK + i]
-    first = steps * BLOCK
-    for i in range(NODE):
+        for i in range(shape.node):
+            right[behind + i] = front[block + i]
+    first, end = steps * block, last_size(shape)
+    for i in range(shape.node):
         last[i] = right[first + i]
-    if BORDERED:
-        for i in range(BORDER):
-            last[NODE + i] = right[FIRST[i]] + front[SIZE + i]
-    for i in range(SHARED):
-        last[LAST + i] = front[TAIL + i]
-    solve_forward(upper[first:], order[first:], order.size - first, last.size, last)
-    solve_pivots(inverse[first:], order[first:], order.size - first, last)
+    place = place_of(tables, FIRST)
+    for i in range(shape.border):
+        last[shape.node + i] = right[tables[place + i]] + front[size + i]
+    for i in range(shape.shared):
+        last[end + i] = front[tail_of(shape) + i]
+    forward_once(upper[first:], inverse[first:], order[first:], end, last.size, last)
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"})
-def backward(upper, order, steps, carried, last, right):
-    """Solve with a body's upper factor, from its last node, and block 0 if it stays to the end, in `last`, backward.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def backward(shape, tables, upper, order, steps, carried, last, front, right):
+    """Solve with a body's upper factor, from its last node and block 0 if it stays to the end, in `last`, backward.
 
-    Arrays as in `forward`; `right` holds what is left of the right-hand side, zeros where that is a column of the
-    factors.
+    Arrays as in `forward`; `right` holds what the way forward has left, zeros where the right-hand side was carried.
     """
-    front, first = zero_vector(WIDTH), steps * BLOCK
-    if CARRIED:
-        front[RIGHT] = -1.0 if carried else 0.0
-    solve_backward(upper[first:], order[first:], order.size - first, last.size, last)
-    for i in range(NODE):
+    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    first = steps * block
+    for i in range(front.size):
+        front[i] = 0.0
+    if shape.carried:
+        front[row_count(shape)] = -1.0 if carried else 0.0
+    backward_once(upper[first:], order[first:], last_size(shape), last.size, last)
+    for i in range(shape.node):
         right[first + i] = last[i]
-    if BORDERED:
-        for i in range(BORDER):
-            right[FIRST[i]] = front[SIZE + i] = last[NODE + i]
-    for i in range(SHARED):
-        front[TAIL + i] = last[LAST + i]
-    for k in range(steps - 1, FIRST_BLOCK - 1, -1):
-        first, behind = k * BLOCK, (k + 1) * BLOCK
-        for i in range(BLOCK):
+    place = place_of(tables, FIRST)
+    for i in range(shape.border):
+        right[tables[place + i]] = front[size + i] = last[shape.node + i]
+    for i in range(shape.shared):
+        front[tail_of(shape) + i] = last[last_size(shape) + i]
+    for k in range(steps - 1, shape.bordered - 1, -1):
+        first, behind = k * block, (k + 1) * block
+        for i in range(block):
             front[i] = right[first + i]
-        for i in range(NODE):
-            front[BLOCK + i] = right[behind + i]
-        solve_backward(upper[first:behind], order[first:behind], INNER, COLUMNS, front)
-        for i in range(BLOCK):
+        for i in range(shape.node):
+            front[block + i] = right[behind + i]
+        solve_backward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        for i in range(block):
             right[first + i] = front[i]

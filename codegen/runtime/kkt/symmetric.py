@@ -16,6 +16,14 @@ BALANCE = 0.6403882032022076  # (1 + sqrt(17)) / 8 balances the growth by both k
 
 
 @njit(error_model="numpy", forceinline=True)
+def clear(matrix):
+    """Make all entries of a matrix zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@njit(error_model="numpy", forceinline=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
     """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
 
@@ -57,7 +65,9 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def largest_beside(matrix, row, count):
-    """The largest modulus beside the diagonal of a row, in `count` columns, which are zero where they are eliminated.
+    """Return the largest modulus beside the diagonal of a row, in `count` columns.
+
+    Columns of eliminated unknowns are zero.
 
     In the order of memory, and with indices that have no sign, it takes half the time of a look at what is left alone.
     """
@@ -205,3 +215,25 @@ def solve_backward(upper, order, count, width, values):
         for k in range(count - 1, c, -1):
             value -= upper[order[c], order[k]] * values[order[k]]
         values[order[c]] = value
+
+
+# The same functions for matrices that are eliminated once in a factorisation: compiled once, not part of their callers.
+
+
+@njit(error_model="numpy")
+def eliminate_once(matrix, count, width, upper, inverse, order):
+    """Eliminate rows as `eliminate_rows` does."""
+    return eliminate_rows(matrix, count, width, upper, inverse, order)
+
+
+@njit(error_model="numpy")
+def forward_once(upper, inverse, order, count, width, values):
+    """Solve as `solve_forward` and `solve_pivots` do."""
+    solve_forward(upper, order, count, width, values)
+    solve_pivots(inverse, order, count, values)
+
+
+@njit(error_model="numpy")
+def backward_once(upper, order, count, width, values):
+    """Solve as `solve_backward` does."""
+    solve_backward(upper, order, count, width, values)

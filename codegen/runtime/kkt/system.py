@@ -1,42 +1,267 @@
-"""The linear system of a Newton step: factor the KKT matrix, solve with the factors."""
+"""The linear system of a Newton step: factor the KKT matrix of all bodies, and solve with the factors.
 
-from codegen.runtime.kkt.unbordered import solve_system
-from codegen.runtime.stand_ins.example import SCALED
-from codegen.runtime.unknowns.time_grid import NONE
+Linking variables are the separator between bodies, eliminated last from the Schur complement of all others.
+"""
+
+from numba import carray, njit
+
+from codegen.runtime.addresses import ahead
+from codegen.runtime.kkt.condensation import condense, recover_condensed
+from codegen.runtime.kkt.frontal import eliminate_body
+from codegen.runtime.kkt.shape import block_size, last_size, last_width, padded, row_count, row_width
+from codegen.runtime.kkt.substitution import backward, forward
+from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
+from codegen.runtime.kkt.tables import (
+    COUNTS,
+    END_COLUMNS,
+    END_SHARED,
+    END_TIED,
+    ENTRIES,
+    OWN,
+    START_ROWS,
+    START_SHARED,
+    START_TIED,
+    count_of,
+    place_of,
+)
+
+SINGULAR = 1 << 40
+"""The excess of negative pivots of a matrix that is singular, or whose condensed block is not positive definite."""
 
 
-def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=None):
-    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def solve_system(
+    shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+    is_wanted,
+):  # fmt: skip
+    """Factor the matrix if it `is_new`, bodies and then linking variables, and solve for `step` if it `is_wanted`.
 
-    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
-    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian by primal unknowns is multiplied by `weight`; then `diagonal` (n,),
-    like `unknowns` (n,), is added to the diagonal of the whole matrix. Where it was factored, `step` (n,), if given, is
-    Newton's: the solution of KKT matrix . step = -gradient. The right-hand side takes part in the elimination where
-    there is room for it, which takes a third of the work of `solve_kkt` away. Everything is in parts of sizes where the
-    grid has them, so that pivots do not depend on units.
+    Parameters
+    ----------
+    shape : Shape
+        Numbers of unknowns, constants in a compiled system.
+    is_new : int
+        1 to factor, 0 to solve with the factors of an earlier call.
+    bodies, steps : int
+        Numbers of bodies and of intervals.
+    inverses : int
+        Blocks of condensed unknowns that are kept for a body: 1 if they are equal on all intervals, else `steps`.
+    tables : pointer
+        Index tables, see `tables`.
+    entries : pointer
+        Entries of the lower triangle: (bodies, steps, entries of an interval), those of all starts, of all ends, and
+        the matrix (root, root) of conditions between linking variables if there are any.
+    gradient, diagonal, step : pointer
+        Vectors (n,): the right-hand side is minus the gradient; the diagonal is added to that of the matrix.
+    equations : int
+        Negative eigenvalues at a minimum.
+    factors, orders : pointer
+        Work space as `factor_sizes` has it, kept between calls.
+    is_wanted : int
+        1 if `step` is to be filled, else 0.
+
+    Returns
+    -------
+    int
+        By how many negative pivots are too many, 0 at a minimum; then a positive number may be too low, and there is no
+        step. SINGULAR if there are no factors.
     """
-    factors, equations = system
-    right = unknowns if gradient is None else gradient  # anything will do where nobody asks for the solution
-    step = NONE if step is None else step
-    steps, h, nodes, _, parameters, _, sizes, forces, *_ = grid  # by name it takes four times as long
-    if SCALED and sizes.size:
-        unknowns = unknowns * sizes
-    regular, excess = solve_system(
-        True, unknowns, right, sizes, forces, steps, h, nodes, parameters, weight, diagonal, equations, *factors, step
-    )
-    return excess if regular else None
+    node, block, width, root = shape.node, block_size(shape), row_width(shape), shape.root
+    rows, end, end_width, shared_width = row_count(shape), last_size(shape), last_width(shape), padded(root)
+    chain, size, length = steps * shape.stride + node, steps * block + end, steps * block + node + shape.shared
+    counts, of_chains = place_of(tables, COUNTS), bodies * chain
+    own, entry_count = tables[counts + OWN], tables[counts + ENTRIES]
+    starts, ends = count_of(tables, START_ROWS), count_of(tables, END_COLUMNS)
+    # Where the parts of the work space begin.
+    at_inverse = bodies * size * width
+    at_inverses = at_inverse + bodies * size * 2
+    at_couplings = at_inverses + bodies * inverses * shape.condensed * shape.condensed
+    at_right = at_couplings + bodies * steps * shape.condensed * width
+    at_last = at_right + bodies * length
+    at_root = at_last + bodies * end_width
+    at_scratch = at_root + root * (shared_width + 3) + shared_width
+    root_upper = carray(ahead(factors, at_root), (root, shared_width))
+    root_inverse = carray(ahead(factors, at_root + root * shared_width), (root, 2))
+    root_right = carray(ahead(factors, at_root + root * (shared_width + 2)), (root,))
+    shared = carray(ahead(factors, at_root + root * (shared_width + 3)), (shared_width,))
+    root_order = carray(ahead(orders, bodies * size), (root,))
+    element = carray(ahead(factors, at_scratch), (rows, width))
+    at_rest = at_scratch + rows * width
+    rest = carray(ahead(factors, at_rest), (rows - block, padded(rows - block)))
+    at_matrix = at_rest + (rows - block) * padded(rows - block)
+    last_matrix = carray(ahead(factors, at_matrix), (end + shape.shared, end_width))
+    at_front = at_matrix + (end + shape.shared) * end_width
+    front = carray(ahead(factors, at_front), (width,))
+    root_matrix = carray(ahead(factors, at_front + width), (root, shared_width))
+    at_left = at_front + width + root * shared_width
+    left_width = padded(shape.shared + shape.carried)
+    left = carray(ahead(factors, at_left), (shape.shared, left_width))
+    carried, excess = is_new and shape.carried, 0
+    if is_new:
+        if root:
+            for i in range(root):
+                root_right[i] = -gradient[of_chains + i]
+                for j in range(shared_width):
+                    root_matrix[i, j] = 0.0
+        after = bodies * steps * entry_count
+        for body in range(bodies):
+            regular, negative, beyond = eliminate_body(
+                shape, tables, carray(ahead(entries, body * steps * entry_count), (steps, entry_count)),
+                carray(ahead(entries, after + body * starts), (starts,)),
+                carray(ahead(entries, after + bodies * starts + body * ends), (ends,)),
+                carray(ahead(gradient, body * chain), (chain,)), carray(ahead(diagonal, body * chain), (chain,)), steps,
+                carray(ahead(factors, body * size * width), (size, width)),
+                carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
+                carray(ahead(orders, body * size), (size,)),
+                carray(
+                    ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
+                    (inverses, shape.condensed, shape.condensed),
+                ),
+                carray(
+                    ahead(factors, at_couplings + body * steps * shape.condensed * width),
+                    (steps, shape.condensed, width),
+                ),
+                element, rest, last_matrix,
+            )  # fmt: skip
+            if not regular:
+                return SINGULAR
+            if beyond > 0:
+                return beyond
+            excess += negative
+            if root:
+                first = (body * size + steps * block) * width
+                for i in range(shape.shared):
+                    for j in range(shape.shared + shape.carried):
+                        left[i, j] = last_matrix[end + i, end + j]
+                subtract_products(
+                    carray(ahead(factors, first), (end, width)), last_matrix, end, end, shape.shared, left_width, left
+                )
+                for i in range(shape.shared):
+                    index = root_index(own, bodies, body, i)
+                    for j in range(shape.shared):
+                        root_matrix[index, root_index(own, bodies, body, j)] += left[min(i, j), max(i, j)]
+                    if shape.carried:
+                        root_right[index] += left[i, shape.shared]
+        if root:
+            at_conditions = after + bodies * (starts + ends)
+            for i in range(root):
+                for j in range(root):
+                    root_matrix[i, j] += entries[at_conditions + i * root + j]
+                root_matrix[i, i] += diagonal[of_chains + i]
+            negative = eliminate_once(root_matrix, root, shared_width, root_upper, root_inverse, root_order)
+            if negative < 0:
+                return SINGULAR
+            excess += negative
+        excess -= equations
+    if not is_wanted or excess > 0:
+        return excess
+    if root:
+        for i in range(root):
+            shared[i] = root_right[i] if carried else -gradient[of_chains + i]
+    for body in range(bodies):
+        right = carray(ahead(factors, at_right + body * length), (length,))
+        last = carray(ahead(factors, at_last + body * end_width), (end_width,))
+        if carried:
+            for i in range(length):
+                right[i] = 0.0
+            for i in range(end_width):
+                last[i] = 0.0
+        else:
+            condense(
+                shape, carray(ahead(gradient, body * chain), (chain,)),
+                carray(
+                    ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
+                    (inverses, shape.condensed, shape.condensed),
+                ),
+                carray(
+                    ahead(factors, at_couplings + body * steps * shape.condensed * width),
+                    (steps, shape.condensed, width),
+                ),
+                steps, right,
+            )  # fmt: skip
+            first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
+            if root:
+                add_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
+                add_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
+            forward(
+                shape, tables, carray(ahead(factors, body * size * width), (size, width)),
+                carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
+                carray(ahead(orders, body * size), (size,)), steps, right, front, last,
+            )  # fmt: skip
+            for i in range(shape.shared):
+                shared[root_index(own, bodies, body, i)] += right[steps * block + node + i] + last[end + i]
+    if root:
+        for i in range(root, shared_width):
+            shared[i] = 0.0
+        forward_once(root_upper, root_inverse, root_order, root, shared_width, shared)
+        backward_once(root_upper, root_order, root, shared_width, shared)
+        for i in range(root):
+            step[of_chains + i] = shared[i]
+    for body in range(bodies):
+        right = carray(ahead(factors, at_right + body * length), (length,))
+        last = carray(ahead(factors, at_last + body * end_width), (end_width,))
+        for i in range(shape.shared):
+            last[end + i] = right[steps * block + node + i] = shared[root_index(own, bodies, body, i)]
+        if shape.carried:
+            last[end + shape.shared] = -1.0 if carried else 0.0
+        backward(
+            shape, tables, carray(ahead(factors, body * size * width), (size, width)),
+            carray(ahead(orders, body * size), (size,)), steps, carried, last, front, right,
+        )  # fmt: skip
+        if root:
+            first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
+            copy_to_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
+            copy_to_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
+        recover_condensed(
+            shape, carray(ahead(gradient, body * chain), (chain,)),
+            carray(
+                ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
+                (inverses, shape.condensed, shape.condensed),
+            ),
+            carray(
+                ahead(factors, at_couplings + body * steps * shape.condensed * width), (steps, shape.condensed, width)
+            ),
+            steps, right, carray(ahead(step, body * chain), (chain,)),
+        )  # fmt: skip
+    return excess
 
 
-def is_factored(excess):
-    """Whether what `factor_kkt` gave says that the whole matrix was factored, so that there is a solution."""
-    return excess is not None and excess <= 0
+@njit(error_model="numpy", forceinline=True)
+def root_index(own, bodies, body, j):
+    """Return the index, among the linking variables, of variable j of a body, of which `own` are the body's alone."""
+    return body * own + j if j < own else (bodies - 1) * own + j
 
 
-def solve_kkt(grid, system, gradient, step):
-    """Newton step (n,) for another `gradient` (n,): the matrix is the one that `factor_kkt` has factored last."""
-    factors, equations = system
-    solve_system(
-        False, gradient, gradient, grid.sizes, grid.forces, grid.steps, grid.h, grid.nodes, grid.parameters, 1.0,
-        gradient, equations, *factors, step,
-    )  # fmt: skip
+@njit(error_model="numpy")
+def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
+    """Add right-hand sides of unknowns that equal linking variables to those of the latter."""
+    tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
+    for i in range(count_of(tables, of_tied)):
+        shared[root_index(own, bodies, body, tables[to + i])] += right[first + tables[tied + i]]
+
+
+@njit(error_model="numpy")
+def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
+    """Give unknowns that equal linking variables the values of the latter."""
+    tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
+    for i in range(count_of(tables, of_tied)):
+        right[first + tables[tied + i]] = shared[root_index(own, bodies, body, tables[to + i])]
+
+
+def factor_sizes(shape, bodies, steps, inverses):
+    """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers."""
+
+    def fours(size):
+        return -(-size // 4) * 4
+
+    block, end = shape.stride - shape.condensed, shape.node + shape.border
+    remaining = end + shape.shared
+    rows, width = block + remaining, fours(block + fours(remaining))
+    end_width = fours(end + fours(shape.carried + shape.shared))
+    size = steps * block + end
+    of_body = size * (width + 2) + inverses * shape.condensed**2 + steps * shape.condensed * width
+    of_body += steps * block + shape.node + shape.shared + end_width
+    common = shape.root * (2 * fours(shape.root) + 3) + fours(shape.root) + rows * width + width
+    common += remaining * fours(remaining) + (end + shape.shared) * end_width
+    common += shape.shared * fours(shape.shared + shape.carried)
+    return bodies * of_body + common + 8, bodies * size + shape.root + 1

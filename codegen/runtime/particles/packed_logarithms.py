@@ -32,7 +32,7 @@ HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits, t
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def logarithm_parts(x):
-    """The numbers k, f, r and S of 1 + x."""
+    """Return the numbers k, f, r and S of 1 + x."""
     total = np.float64(1.0 + x if x > -1.0 else np.nan)
     bits = np.uint64(total.view(np.int64) + np.int64(ONE - ROOT_HALF)) >> np.uint64(52)  # k + 1023
     k = np.uint64(bits | np.uint64(HUGE_BITS)).view(np.float64) - (HUGE + 1023.0)
@@ -52,21 +52,21 @@ def logarithm_parts(x):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def packed_log1p(x):
-    """log(1 + x)."""
+    """Return log(1 + x)."""
     k, f, r, series = logarithm_parts(x)
     return k * LOG_2_HIGH + (f - (f * r - 2.0 * r * series - k * LOG_2_LOW))
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def packed_x_minus_log1p(x, log):
-    """X - log(1 + x); of `log`, which is log(1 + x), nothing is needed."""
+    """Return x - log(1 + x); `log`, which is log(1 + x), is not needed."""
     k, f, r, series = logarithm_parts(x)
     return ((x - f) - k * LOG_2_HIGH) + (f * r - 2.0 * r * series - k * LOG_2_LOW)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def packed_log1p_minus_ratio(x, log):
-    """log(1 + x) - x/(1 + x); of `log`, which is log(1 + x), nothing is needed."""
+    """Return log(1 + x) - x/(1 + x); `log`, which is log(1 + x), is not needed."""
     k, f, r, series = logarithm_parts(x)
     rest = ((f - x) + r * f * (1.0 + x)) / ((1.0 + f) * (1.0 + x))
     return k * LOG_2_HIGH + (rest + 2.0 * r * series + k * LOG_2_LOW)

@@ -9,7 +9,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def accurate_dot(first, second):
-    """The sum of first[k]*second[k], as if computed with twice the digits."""
+    """Return the sum of first[k]*second[k], as if computed with twice the digits."""
     total, lost = 0.0, 0.0
     for k in range(len(first)):
         a, b = first[k], second[k]
@@ -26,6 +26,6 @@ def accurate_dot(first, second):
 
 @njit(cache=True, error_model="numpy")
 def upper_half(x):
-    """The leading 26 bits of a number."""
+    """Return the leading 26 bits of a number."""
     shifted = 134217729.0 * x
     return shifted - (shifted - x)

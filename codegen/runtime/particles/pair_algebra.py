@@ -76,7 +76,7 @@ def solve_cholesky(factor, vectors):
 
 @njit(cache=True, error_model="numpy")
 def largest(values):
-    """Max-norm of a vector, shape (n,); infinite when an entry is not a number."""
+    """Return max-norm of a vector, shape (n,); infinite when an entry is not a number."""
     size = 0.0
     for k in range(values.size):
         if not abs(values[k]) < np.inf:

@@ -15,7 +15,7 @@ FARTHEST = -1e4  # as many steps of the recurrence are made
 
 @njit(cache=True, error_model="numpy")
 def polygamma(n, x):
-    """The derivative number n >= 0 of the digamma function; infinite at its poles 0, -1, ..., NaN far below."""
+    """Return the derivative number n >= 0 of the digamma function; infinite at its poles 0, -1, ..., NaN far below."""
     if x < FARTHEST:
         return math.nan
     factorial, total = math.gamma(n + 1.0), 0.0

@@ -11,7 +11,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def sinc_derivative(n, x):
-    """The derivative number n >= 0 of sin(x)/x, which is one at x = 0."""
+    """Return the derivative number n >= 0 of sin(x)/x, which is one at x = 0."""
     if abs(x) < 2.0 + 0.5 * n:
         return sinc_series(n, x)
     value = math.sin(x) / x

@@ -1,134 +1,238 @@
-"""Step after step from an initial state, and what is reported about the states that are stored.
+"""The motion from an initial state: arguments checked, steps made, and what is reported about the stored states.
 
-A scheme's `advance(state, t, h, given, work, interval)` fills the end of `interval` with the state after a step, in
-arrays of `allocate_work(h, given)`; it returns the iterations, or a negative number that says why there is no step.
-`given` is the same for all steps: parameters, then what else the scheme takes.
+The functions below `integrate` describe single steps, as root finders and other programs want them.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from codegen.runtime.optimise.counts import checked_count, checked_times
-from codegen.runtime.stand_ins.example_step import PARTS, RANGED, STAGES, STATE
-from codegen.runtime.stepping.body_motion import FAILURES, energies, largest_residual, settings_for
-from codegen.runtime.stepping.composition import advance_parts, allocate_parts
-from codegen.runtime.stepping.step_newton import advance, allocate_work
-from codegen.runtime.tabulated.table_left import range_left
-from codegen.runtime.tabulated.table_steps import LEFT_TABLE, left_tables
+from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
+from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
+from codegen.runtime.tabulated.table_numbers import table_numbers
+
+TOLERANCE, MOST = 1e-13, 50  # of Newton's method, unless others are given
+FAILURES = {
+    -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
+    -2: ("singular", "the equations of the step have no unique solution; use more steps, or check the parameters"),
+    -3: ("newton failed", "Newton's method did not converge; use more steps, or raise max_iterations"),
+    -4: (
+        "outside a table",
+        "{}; keep the motion inside, take a wider table, or give it outside='clamp' or 'extend'",
+    ),
+}
 
 
 class Grid(NamedTuple):
-    """N steps of length h, the values of the parameters, the initial state, and what all steps are `given`."""
+    """N steps of length h, the values of the parameters, the initial state, the accuracy of steps, and the problem."""
 
     steps: int
     h: float
     parameters: np.ndarray
     start: np.ndarray
-    given: tuple[object, ...]
+    tolerance: float
+    max_iterations: int
+    problem: Any
 
 
-def checked_step_grid(steps, duration, parameters, start, *own):
-    """A Grid; ValueError when a number is not finite, a shape does not fit, or steps or duration are not positive."""
+class Solution(NamedTuple):
+    """The motion; arrays run over the M stored states: the first, every `every`-th, and the last.
+
+    Attributes
+    ----------
+    status, message : str
+        "solved", or why a step failed, and a sentence that names the step and a remedy.
+    steps : int
+        Steps that were made.
+    t : array (M,)
+        Times.
+    q, p : array (M, coordinates)
+        Positions and momenta.
+    energy : array (M,)
+        The Hamiltonian.
+    residual : float
+        Max-norm of the scheme's equations, evaluated anew for the step that led to each stored state (with `every` 1
+        these are all steps; a last state that was stored because the next step failed is left out). NaN without a step.
+    iterations : int
+        Linear systems that were solved.
+    """
+
+    status: str
+    message: str
+    steps: int
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    energy: np.ndarray
+    residual: float
+    iterations: int
+
+
+def checked_step_grid(problem, steps, duration, parameters, start, tables=None):
+    """Return a Grid; ValueError when a number is not finite, a shape does not fit, or a number is not positive.
+
+    `tables` maps names of tables to other numbers, on as many breakpoints.
+    """
     steps, duration = checked_times(steps, duration)
-    parameters, start = np.array(parameters, dtype=float), np.array(start, dtype=float)
-    settings = settings_for(start, *own)
+    numbers = table_numbers(problem, tables) if problem.tables else ()
+    parameters, start = np.array([*parameters, *numbers], dtype=float), np.array(start, dtype=float)
+    if start.shape != (problem.state,):
+        raise ValueError(f"start has shape {start.shape}, expected ({problem.state},): first positions, then momenta")
+    require_finite(parameters, start)
+    return Grid(steps, duration / steps, parameters, start, TOLERANCE, MOST, problem)
+
+
+def require_finite(parameters, start):
+    """Raise ValueError when a parameter or a number of the initial state is not finite."""
     for name, values in (("parameters", parameters), ("start", start)):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} must be finite, got {values}")
-    return Grid(steps, duration / steps, parameters, start, (parameters, *settings))
 
 
-@njit(cache=True, error_model="numpy")
-def follow(start, steps, h, given, every, path, before):
-    """Make the steps and store every `every`-th state, and the last, in the rows of `path`, shape (M, start.size).
+def start_values(prescribed, start):
+    """Return the values prescribed at the start, by name, with those of `start` instead; ValueError for other names."""
+    for quantity, value in (start or {}).items():
+        if quantity not in prescribed:
+            raise ValueError(f"{quantity!r} is not prescribed at the start; prescribed: {', '.join(prescribed)}")
+        prescribed[quantity] = float(value)
+    return prescribed.values()
 
-    Row i of `before` takes the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written
-    there. Stops at the first step that fails, and then stores the last good state. Returns the number of steps made,
-    the rows of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
+
+def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
+    """Make all steps and return a Solution; a step that fails ends the motion, and nothing is raised then.
+
+    Parameters
+    ----------
+    grid : Grid
+        Steps, their length, parameters, the initial state and the problem.
+    every : int
+        Every so many states are stored, beside the first and the last.
+    tolerance : float
+        Size of a Newton correction, relative to each unknown, after which a step is taken.
+    max_iterations : int
+        Most corrections of a step.
+
+    Raises
+    ------
+    ValueError
+        When an argument is unusable.
     """
-    if STATE:
-        state, interval = start.copy(), np.empty(STAGES + STATE)
-        now, after, size = state, interval[STAGES:], STATE
-    else:
-        state, interval = start.copy(), np.empty(start.shape)
-        now, after, size = state.reshape(-1), interval.reshape(-1), start.size
-    if PARTS:  # noqa: SIM108  decided when a module is made
-        work = allocate_parts(h, given)
-    else:
-        work = allocate_work(h, given)
-    if RANGED:
-        inputs = np.empty((RANGED, 2))
-    rows, iterations, wait = 1, 0, every
-    for i in range(size):
-        path[0, i] = now[i]
-    for k in range(steps):
-        if PARTS:
-            outcome = advance_parts(state, k * h, given, work, interval)
-        else:
-            outcome = advance(state, k * h, h, given, work, interval)
-            if RANGED and outcome >= 0 and left_tables(state, interval, k * h, h, given[0], inputs) >= 0:
-                outcome = LEFT_TABLE
-        total = 0.0
-        for i in range(size):
-            total += abs(after[i])
-        if outcome >= 0 and not total < np.inf:
-            outcome = -1
-        if outcome < 0:
-            if wait < every:
-                for i in range(size):
-                    path[rows, i] = now[i]
-                rows += 1
-            return k, rows, iterations, outcome
-        iterations += outcome
-        wait -= 1
-        is_stored = wait == 0 or k == steps - 1
-        if is_stored and every > 1:
-            for i in range(size):
-                before[rows - 1, i] = now[i]
-        for i in range(size):
-            now[i] = after[i]
-        if is_stored:
-            for i in range(size):
-                path[rows, i] = now[i]
-            rows += 1
-            wait = every
-    return steps, rows, iterations, 0
-
-
-def integrate(grid, every):
-    """Follow the motion; return (status, message, steps, t, q, p, energy, residual, iterations).
-
-    Shapes are (M,) for M stored states, and (M, n) for q and p, of n numbers each.
-    """
-    every, size = min(checked_count("every", every), grid.steps), grid.start.size
-    path = np.empty((1 - (-grid.steps // every), size))
+    grid = grid._replace(
+        tolerance=checked_tolerance(tolerance, 1e-6), max_iterations=checked_count("max_iterations", max_iterations)
+    )
+    problem, (steps, h, parameters, start) = grid.problem, grid[:4]
+    every, size = min(checked_count("every", every), steps), start.size
+    path = np.empty((1 - (-steps // every), size))
     before = path if every == 1 else np.empty((path.shape[0] - 1, size))
-    steps, rows, iterations, outcome = follow(grid.start, grid.steps, grid.h, grid.given, every, path, before)
-    t, energy = grid.h * np.minimum(every * np.arange(rows), steps), np.empty(rows)
-    energies(path, t, grid.given, energy)
-    measured = rows if outcome == 0 else 1 + steps // every
-    residual = largest_residual(before, path, measured, steps, grid.h, grid.given, every)
-    status, message = describe(grid, steps, iterations, outcome)
-    if RANGED and outcome == LEFT_TABLE:
-        message = message.format(range_left(grid, path[rows - 1], steps * grid.h))
+    accuracy, memory = (grid.tolerance, grid.max_iterations), memory_for(problem.scheme)
+    made, rows, iterations, outcome = problem.follow(start, steps, h, parameters, *accuracy, every, path, before)
+    t, energy = h * np.minimum(every * np.arange(rows), made), np.empty(rows)
+    energies(problem.energy.address, path, t, parameters, energy)
+    measured = rows if outcome == 0 else 1 + made // every
+    residual = largest_residual(problem.scheme, memory, before, path, measured, made, h, parameters, *accuracy, every)
+    status, message = describe(grid, made, iterations, outcome)
+    if outcome == LEFT_TABLE:
+        message = message.format(range_left(grid, path[rows - 1], made * h))
     q, p = path[:rows, : size // 2].copy(), path[:rows, size // 2 :].copy()
-    return status, message, steps, t, q, p, energy, residual if steps else np.nan, iterations
+    return Solution(status, message, made, t, q, p, energy, residual if made else np.nan, iterations)
 
 
-def describe(grid, steps, iterations, outcome):
-    """Status and one sentence on how the trajectory ended, naming the step that failed and its time."""
+def describe(grid, steps, iterations, outcome, failures=FAILURES):
+    """Return status and one sentence on how the motion ended, naming the step that failed and its time."""
     if outcome == 0:
         effort = f" with {iterations / steps:.2f} iterations each" if iterations else ""
         return "solved", f"all {steps} steps were made{effort}"
-    status, remedy = FAILURES[outcome]
+    status, remedy = failures[outcome]
     where = f"step {steps + 1} of {grid.steps}, from t = {steps * grid.h:g} to {(steps + 1) * grid.h:g}"
     return status, f"{status} in {where}: {remedy}"
 
 
 def path_residual(grid, path):
-    """The residual along an array of consecutive states, shape (M, 2 n); see `largest_residual`."""
-    path = np.array(path, dtype=float)
-    count = path.shape[0]
-    return largest_residual(path, path, count, count, grid.h, grid.given, 1)
+    """Return the max-norm of the scheme's equations along consecutive states, shape (M, size)."""
+    path, accuracy = np.array(path, dtype=float), (grid.tolerance, grid.max_iterations)
+    count, scheme = path.shape[0], grid.problem.scheme
+    memory = memory_for(scheme)
+    return largest_residual(scheme, memory, path, path, count, count, grid.h, grid.parameters, *accuracy, 1)
+
+
+def step(grid, state, t=0.0):
+    """Return the state (size,) a step of length grid.h after `state`; NaN when its equations cannot be solved."""
+    outcome, interval, _ = _made(grid, np.array(state, dtype=float), t)
+    return interval[grid.problem.stages :] if outcome >= 0 else np.full(grid.problem.state, np.nan)
+
+
+def range_left(grid, state, t):
+    """Return which input leaves the range of its table in the step from `state` (size,), in words, or nothing."""
+    outcome, _, inputs = _made(grid, np.array(state, dtype=float), t)
+    if outcome != LEFT_TABLE:
+        return ""
+    ends, names = grid.parameters[grid.problem.ranges], grid.problem.range_names
+    excess = np.maximum(ends[:, 0] - inputs[:, 0], inputs[:, 1] - ends[:, 1]) / (ends[:, 1] - ends[:, 0])
+    j = int(np.argmax(excess))
+    value = inputs[j, 0] if inputs[j, 0] < ends[j, 0] else inputs[j, 1]
+    return f"{names[j]} is {value:g}, outside {ends[j, 0]:g} to {ends[j, 1]:g}"
+
+
+def first_outside(grid, path):
+    """Return the number of the first step along consecutive states (M, size) that leaves a table, and the input.
+
+    Zero and nothing where none does. Inner stages are those of the steps that the scheme itself makes.
+    """
+    for k in range(len(path) - 1 if grid.problem.inputs else 0):
+        message = range_left(grid, path[k], k * grid.h)
+        if message:
+            return k + 1, message
+    return 0, ""
+
+
+def _made(grid, state, t):
+    """Make a step; return the iterations, or why there is none, the interval, and the inputs of tables."""
+    problem, interval = grid.problem, np.empty(grid.problem.stages + grid.problem.state)
+    inputs, accuracy = np.empty((len(problem.ranges), 2)), (grid.tolerance, grid.max_iterations)
+    outcome = make_step(
+        problem.scheme,
+        memory_for(problem.scheme),
+        state,
+        float(t),
+        grid.h,
+        grid.parameters,
+        *accuracy,
+        interval,
+        inputs,
+    )
+    return outcome, interval, inputs
+
+
+def predict(grid, state, t=0.0):
+    """Return unknowns (unknowns,) to start from, for a step from `state` (size,)."""
+    unknowns = np.empty(grid.problem.unknowns)
+    grid.problem.predict(np.array(state, dtype=float), t, lengths(grid), grid.parameters, unknowns)
+    return unknowns
+
+
+def residual(grid, unknowns, state, t=0.0):
+    """Return the residual (unknowns,) of the equations that are left after explicit elimination."""
+    values, unknowns = np.empty(grid.problem.unknowns), np.array(unknowns, dtype=float)
+    grid.problem.residual(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values)
+    return values
+
+
+def jacobian(grid, unknowns, state, t=0.0):
+    """Return the Jacobian (unknowns, unknowns) of the residual."""
+    count, unknowns = grid.problem.unknowns, np.array(unknowns, dtype=float)
+    values, matrix = np.empty(count), np.empty((count, count))
+    grid.problem.jacobian(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values, matrix)
+    return matrix
+
+
+def complete(grid, unknowns, state, t=0.0):
+    """Return the state (size,) at the end of the step that belongs to a solution of its equations."""
+    problem, unknowns = grid.problem, np.array(unknowns, dtype=float)
+    interval = np.empty(problem.stages + problem.state)
+    problem.complete(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, interval)
+    return interval[problem.stages :]
+
+
+def lengths(grid):
+    """Return the lengths of the first part of a step."""
+    return grid.h * grid.problem.fractions[0]

@@ -20,7 +20,7 @@ def cell_of(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def cubic(f, df, f1, df1, x, length):
-    """Value and three derivatives, at x from its beginning, of the cubic with these values and slopes at its ends."""
+    """Return value and three derivatives, at x from its beginning, of the cubic with these values and slopes."""
     s, slope, slope1, rise = x / length, df * length, df1 * length, f1 - f
     second, third = 3.0 * rise - 2.0 * slope - slope1, slope + slope1 - 2.0 * rise
     return (
@@ -33,7 +33,7 @@ def cubic(f, df, f1, df1, x, length):
 
 @njit(error_model="numpy", forceinline=True)
 def line(f, f1, x, length):
-    """Value and slope, at x from its beginning, of the straight line with given values at its ends."""
+    """Return value and slope, at x from its beginning, of the straight line with given values at its ends."""
     slope = (f1 - f) / length
     return f + slope * x, slope
 

@@ -29,12 +29,12 @@ def linear_curve(numbers, first, count, x):
 
 @njit(error_model="numpy", forceinline=True)
 def steps_curve(numbers, first, count, x):
-    """The value at the breakpoint before x, at the first one where there is none."""
+    """Return the value at the breakpoint before x, at the first one where there is none."""
     i = cell_of(numbers, first, count, x) if x < numbers[first + count - 1] else count - 1
     return numbers[first + count + i], 0.0, 0.0, 0.0
 
 
 @njit(error_model="numpy", forceinline=True)
 def clamped_curve(inside, f, f_1, f_11, f_111):
-    """The same where `inside` is 1; where it is 0, the value alone; scalars all."""
+    """Return the same where `inside` is 1; where it is 0, the value alone; scalars all."""
     return f, inside * f_1, inside * f_11, inside * f_111

@@ -1,24 +1,24 @@
-"""The numbers of tables: those of the module, or others instead."""
+"""The numbers of tables: those of the problem, or others instead."""
 
 import numpy as np
 
-from codegen.runtime.stand_ins.example_tables import TABLES, metadata
 
+def table_numbers(problem, given):
+    """Return the numbers of all tables, one after the other, of those in `given` as they stand there.
 
-def table_numbers(given):
-    """The numbers of all tables, one after the other, of those in `given` as they stand there.
-
-    ValueError for a table that there is not, for other numbers of breakpoints, and for breakpoints out of order.
+    ValueError for an unknown table, for other numbers of breakpoints, and for breakpoints out of order.
     """
     for name in given or {}:
-        if name not in TABLES:
-            raise ValueError(f"there is no table {name!r}; there are: {', '.join(TABLES)}")
-    return np.concatenate([checked_table(name, (given or {}).get(name, own)) for name, own in TABLES.items()])
+        if name not in problem.tables:
+            raise ValueError(f"there is no table {name!r}; there are: {', '.join(problem.tables)}")
+    return np.concatenate(
+        [checked_table(problem, name, (given or {}).get(name, own)) for name, own in problem.tables.items()]
+    )
 
 
-def checked_table(name, numbers):
-    """The numbers of a table, shape (n,): breakpoints, then what stands at them."""
-    own, sizes = TABLES[name], metadata["tables"][name]["sizes"]
+def checked_table(problem, name, numbers):
+    """Return the numbers of a table, shape (n,): breakpoints, then what stands at them."""
+    own, sizes = problem.tables[name], problem.metadata["tables"][name]["sizes"]
     if numbers is own:
         return own
     numbers = np.array(numbers, dtype=float)

@@ -59,7 +59,7 @@ def linear_surface(numbers, first, rows, columns, x, y):
 
 @njit(error_model="numpy", forceinline=True)
 def clamped_surface(in_x, in_y, f, f_x, f_y, f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy):
-    """The same where `in_x` and `in_y` are 1; where one of them is 0, without derivatives by that input."""
+    """Return the same where `in_x` and `in_y` are 1; where one of them is 0, without derivatives by that input."""
     both = in_x * in_y
     return (
         f, in_x * f_x, in_y * f_y, in_x * f_xx, both * f_xy, in_y * f_yy,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Grid, Vector, time_grid
+from codegen.runtime.search import callbacks
 from codegen.solutions.control import bound_distances
 from codegen.solutions.result import Result
 
@@ -128,7 +129,7 @@ def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]
     grid = time_grid(module, result.steps, result.grid)
     primal, bounded = module.primal_unknowns(grid), np.zeros(result.unknowns.size, bool)
     below, above = bound_distances(module, grid, result.unknowns)
-    slopes = module.stationarity(grid, result.unknowns)
+    slopes = callbacks.stationarity(grid, result.unknowns)
     lower, upper = module.variable_bounds(grid)
     width = (upper - lower)[primal]
     close = np.minimum(below, above)

@@ -20,6 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt
+from codegen.runtime.search.scaling import scaled_grid
+from codegen.runtime.search.solve import corrected_cost
 from codegen.solutions.control import held_at_bounds
 from codegen.solutions.result import DiscretisationError, Result
 from codegen.solutions.segments import segments_of
@@ -98,17 +101,17 @@ def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     new_nodes[:] = nodes[:, rows]
     one, other, double = intervals[:, first], intervals[:, last], first != last
     new_intervals[:] = 0.5 * (one + other)
+    structure = module.problem.structure
     names, meanings = list(module.metadata["node"]), module.metadata["meanings"]
     for column, name in enumerate(module.metadata["interval"]):
         step, stage = _STEP.fullmatch(meanings.get(name, "")), _STAGE.fullmatch(name)
-        if module.IS_MULTIPLIER[nodes.shape[2] + column]:
+        if structure.is_multiplier[structure.node + column]:
             if not (step and step["name"] in names):
                 new_intervals[:, double, column] *= 2.0
         elif stage and stage["name"] in names:
             middle = nodes[:, last, names.index(stage["name"])]
             new_intervals[:, double, column] = (one + other)[:, double, column] - middle[:, double]
-    if module.ROOT:
-        result[-module.ROOT :] = unknowns[-module.ROOT :]
+    result[result.size - structure.root :] = unknowns[unknowns.size - structure.root :]
     return np.asarray(module.with_pinned_values(grid, result))
 
 
@@ -119,8 +122,8 @@ def _held(module: ControlModule, fine: Grid, grid: Grid, rows: Indices, unknowns
     (nodes, intervals), (new_nodes, new_intervals) = module.views(fine, found), module.views(grid, result)
     new_nodes[:] = nodes[:, rows]
     new_intervals[:] = np.minimum(intervals[:, rows[:-1]], intervals[:, rows[1:] - 1])
-    if module.ROOT:
-        result[-module.ROOT :] = found[-module.ROOT :]
+    root = module.problem.structure.root
+    result[result.size - root :] = found[found.size - root :]
     return result > 0.0
 
 
@@ -129,7 +132,7 @@ def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
 
     None where steps do not settle, the reduced Hessian is not positive definite, or other bounds would have to hold.
     """
-    scaled = module.scaled_grid(grid, start)
+    scaled = scaled_grid(grid, start)
     sizes = scaled.sizes if scaled.sizes.size else np.ones(start.size)
     held = bounded = np.zeros(start.size, dtype=bool)
     if module.metadata["inequalities"]:
@@ -137,13 +140,13 @@ def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
         lower, upper = module.variable_bounds(grid)
         bounded = (np.isfinite(lower) | np.isfinite(upper)) & ~held
     diagonal = np.where(held, HELD, np.where(bounded, LOOSE, 0.0))
-    system, current, before = module.allocate_system(scaled), start, np.inf
+    system, current, before = allocate_system(scaled), start, np.inf
     primal = ~np.asarray(grid.is_multiplier)
     units = np.maximum(sizes, np.abs(start))[primal]
     for _ in range(STEPS):
         step = np.zeros(start.size)
         point = module.evaluate(scaled, current / sizes)
-        if module.factor_kkt(scaled, point.unknowns, 1.0, diagonal, system, point.gradient, step) != 0:
+        if factor_kkt(scaled, point.unknowns, 1.0, diagonal, system, point.gradient, step) != 0:
             return None
         following = module.with_pinned_values(grid, current + sizes * step)
         length = float(np.max(np.abs(following - current)[primal] / units))
@@ -173,13 +176,13 @@ def _compared(module: ControlModule, result: Result, grid: Grid, found: Vector, 
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     states, quantity, time = float(changes[node, column]), names[kept[column]], float(times[node])
     free = module.metadata["free_parameters"]
-    last = found.size - module.COUPLINGS
+    last = found.size - module.problem.structure.couplings
     for name, value in zip(free, found[last - len(free) : last], strict=True):
         own = result.summary[name]
         change = abs(float(value) - own) / (abs(own) if abs(own) > NEGLIGIBLE else 1.0)
         if change > states:
             states, quantity, time = change, name, float(result.t[-1])
-    cost = module.corrected_cost(grid, module.evaluate(grid, found))
+    cost = corrected_cost(grid, module.evaluate(grid, found))
     size = abs(result.cost) if abs(result.cost) > NEGLIGIBLE else 1.0
     if segments := segments_of(module.metadata):
         quantity, segment = segments.split(quantity)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
+from codegen.runtime.search.parts import interval_parts
 from codegen.solutions.result import Result
 from codegen.solving.accuracy.arcs import FAR, Gap, around
 
@@ -38,13 +39,11 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
 
 def _cost_so_far(module: ControlModule, result: Result) -> Vector:
     """The discrete cost up to each node, of all bodies together, without ends, and without samples, where it jumps."""
-    generated: Any = module
     grid: Any = time_grid(module, result.steps, result.grid)
-    costs = np.empty((module.metadata["bodies"], grid.steps))
-    parameters = grid.parameters
     if "observations" in module.metadata:
-        parameters = np.ascontiguousarray(parameters[:, : generated.FIRST_SAMPLE])
-    generated.interval_costs(result.unknowns, grid.steps, grid.h, grid.nodes, parameters, costs)
+        first = module.problem.structure.first_sample
+        grid = grid._replace(parameters=np.ascontiguousarray(grid.parameters[:, :first]))
+    costs = interval_parts(grid, result.unknowns)[..., -1]
     return np.concatenate([[0.0], np.cumsum(costs.sum(axis=0))])
 
 

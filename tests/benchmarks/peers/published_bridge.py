@@ -1,6 +1,5 @@
 """The published problems by the generated solver and by IPOPT, on the same program: the module's own callbacks."""
 
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -9,28 +8,16 @@ import numpy as np
 
 from codegen.compiler import build
 from codegen.drivers.ipopt import _Callbacks
-from codegen.drivers.scaled import ScaledProblem, quiet_single_thread
+from codegen.drivers.quiet import quiet_single_thread
 from codegen.loading import load
 from codegen.machine_code.ahead_of_time import prepare
 from codegen.machine_code.processes import compilers
-from codegen.solutions.result import Run
+from codegen.runtime.search import callbacks
 
 from .casadi_gallery import Array
 from .gallery_bridge import PROBLEMS, perturbed
 
 _STATUSES = {0: "solved", 1: "solved", 2: "infeasible", -1: "iteration limit", -4: "time limit"}
-
-
-class UnscaledProblem(ScaledProblem):
-    """The program as it is, for an optimiser that scales by itself."""
-
-    @cached_property
-    def row_scale(self) -> Array:
-        return np.ones(self.dual.size)
-
-    @cached_property
-    def cost_scale(self) -> float:
-        return 1.0
 
 
 class PublishedProblem:
@@ -56,27 +43,27 @@ class PublishedProblem:
 
     def by_ipopt(self, guess: Array) -> dict[str, Any]:
         """The report of IPOPT with its own scaling, relaxed bounds and tolerances."""
-        problem = UnscaledProblem.on_grid(self.module, Run(self.steps, guess=guess))
-        callbacks, zero = _Callbacks(problem), np.zeros(problem.dual.size)
+        program = self.module.nlp(self.steps, guess=guess)
+        calls = _Callbacks(program)
         with quiet_single_thread():
-            sizes = problem.primal.size, problem.dual.size
-            program = cyipopt.Problem(*sizes, callbacks, *problem.bounds, zero, zero)
+            sizes = program.primal.size, program.dual.size
+            solver = cyipopt.Problem(*sizes, calls, *program.bounds, *program.constraint_bounds)
             for name, value in {"print_level": 0, "sb": "yes", "max_cpu_time": self.limit}.items():
-                program.add_option(name, value)
-            x, details = program.solve(problem.start)
+                solver.add_option(name, value)
+            x, details = solver.solve(program.x0)
         status = _STATUSES.get(int(details["status"]), "stalled")
-        return self._report(status, problem.unknowns(x, details["mult_g"]), callbacks.iterations)
+        return self._report(status, program.unknowns(x, details["mult_g"]), calls.iterations)
 
     def _report(self, status: str, unknowns: Array, iterations: int) -> dict[str, Any]:
-        cost = float(self.module.cost(self.grid, unknowns))
+        cost = float(callbacks.cost(self.grid, unknowns))
         residual = self.violation(unknowns)
         return {"status": str(status), "cost": cost, "residual": residual, "iterations": int(iterations)}
 
     def violation(self, unknowns: Array) -> float:
         """The largest violation of an equation or bound, each in units of its largest term where that exceeds one."""
-        rows, columns, values = self.module.jacobian(self.grid, unknowns)
+        rows, columns, values = callbacks.jacobian(self.grid, unknowns)
         primal = unknowns[self.module.primal_unknowns(self.grid)]
-        residuals = np.abs(self.module.constraints(self.grid, unknowns))
+        residuals = np.abs(callbacks.constraints(self.grid, unknowns))
         size = np.ones(residuals.size)
         np.maximum.at(size, rows, np.abs(values * primal[columns]))
         worst = float((residuals / size).max(initial=0.0))

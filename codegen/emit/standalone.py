@@ -1,0 +1,521 @@
+"""One file that runs without this package: a generated module with the numerics of `codegen.runtime` that it uses.
+
+The statements of the runtime's files are copied as they are, without those that nothing calls; imports of the package
+go, and a name that two files define becomes another one in the file that comes later. What is left imports numpy, numba
+and the standard library.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from importlib import resources
+
+from codegen.emit import signed
+from codegen.runtime.kkt.specialised import without_shape
+
+RUNTIME = "codegen.runtime"
+_LINKING = '''"""Functions that only compiled functions call are compiled as all others."""
+
+
+def link_inner_functions(functions):
+    """Do nothing: what the package does here, to compile faster, takes parts of numba that are not public."""
+'''
+_SYSTEM = '''"""The linear system of this problem, the numbers of whose shape are constants."""
+
+from functools import lru_cache
+
+from codegen.runtime.addresses import SYSTEM, entry_of
+from codegen.runtime.kkt.system import solve_system
+from codegen.runtime.packing import packed_operations
+
+
+@lru_cache(maxsize=1)
+def compiled_system():
+    """Return the compiled function, which has the address."""
+
+    def system(
+        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
+    ):  # fmt: skip
+        """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+        return solve_system(
+            is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+            is_wanted,
+        )  # fmt: skip
+
+    with packed_operations():
+        return entry_of(SYSTEM, system)
+
+
+def system_address(shape):
+    """Return the address of the linear system; all grids of this problem have one `shape`."""
+    return compiled_system().address
+'''
+_KEPT_CODE = '''"""Machine code that numba keeps beside this file, and makes anew when the file has changed."""
+
+from collections import Counter
+from typing import Any, NamedTuple
+
+from numba import njit
+
+
+class Statistics(NamedTuple):
+    """Where numba keeps machine code of a function, and how often it was read from there or made, by signature."""
+
+    cache_path: str | None
+    cache_hits: Counter[Any]
+    cache_misses: Counter[Any]
+
+
+def statistics_of(function, compiled):
+    """Return the statistics of a function and of what `cfunc` has made of it, or None if it was not compiled."""
+    read, made = Counter(), Counter()
+    if hasattr(compiled, "cache_hits"):
+        (read if compiled.cache_hits else made)[str(compiled.native_name)] += 1
+    return Statistics(njit(cache=True)(function).stats.cache_path, read, made)
+
+
+def start_of(function):
+    """Return the start of the names of files in which numba keeps machine code of a function: none is of interest."""
+    return ""
+
+
+def fresh_folder(file, identity):
+    """Do nothing: all that becomes part of functions in this file is in this file."""
+
+
+def add_checksums(folder, start):
+    """Do nothing: machine code of this file is kept as numba keeps it."""
+'''
+_ANY_SHAPE = '''"""Loops that the interpreter runs use the same linear system as others."""
+
+from codegen.runtime.kkt.specialised import compiled_system
+
+
+def any_shape_address():
+    """Return the address of the linear system."""
+    return compiled_system().address
+'''
+_HEADER = """#
+# Standalone: the problem comes last, behind the numerics that it uses. The file imports numpy, numba and the standard
+# library, and runs where codegen is not installed. A first call compiles all of it, which takes about a minute, and
+# keeps the machine code in __pycache__; `nlp` needs scipy for sparse matrices.
+"""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a name stands for: a definition in a file, a file (without a name), or something of another package."""
+
+    file: str
+    name: str = ""
+    external: str = ""
+    """The statement that imports it, for something of another package."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A name in a text, by line and columns (in bytes), and what it stands for."""
+
+    line: int
+    start: int
+    end: int
+    target: Target
+
+
+@dataclass
+class Block:
+    """A statement at the top of a file, with comments above and a description below: its lines, names, references."""
+
+    first: int
+    last: int
+    names: tuple[str, ...]
+    references: list[Reference] = field(default_factory=list)
+    dropped: list[int] = field(default_factory=list)
+    """Lines of imports inside functions."""
+
+
+class File:
+    """The statements of one file, and what the names in it stand for."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self.name, self.lines = name, text.splitlines()
+        self.tree = ast.parse(text)
+        nodes = list(ast.walk(self.tree))
+        self.identifiers = {n.id for n in nodes if isinstance(n, ast.Name)}
+        self.identifiers |= {n.arg for n in nodes if isinstance(n, ast.arg)}
+        self.summary = " ".join((ast.get_docstring(self.tree) or "").partition("\n\n")[0].split())
+        self.blocks: list[Block] = []
+        self.bound: dict[str, Target] = {}
+        for node in self.tree.body:
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                self.bound |= _bindings(node)
+            elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                if self.blocks:  # the description of what is assigned above
+                    self.blocks[-1].last = node.end_lineno or 0
+            else:
+                self.blocks.append(self._block(node))
+        defined = {name for block in self.blocks for name in block.names}
+        self.bound |= {name: Target(self.name, name) for name in defined}
+        for block in self.blocks:
+            _Names(self, block).visit_top(block)
+
+    def _block(self, node: ast.stmt) -> Block:
+        decorators = getattr(node, "decorator_list", [])
+        first = min([node.lineno, *(decorator.lineno for decorator in decorators)])
+        while first > 1 and self.lines[first - 2].startswith("#"):
+            first -= 1
+        return Block(first, node.end_lineno or 0, tuple(_defined(node)))
+
+    def statement(self, block: Block) -> ast.stmt:
+        """The syntax tree of a block."""
+        return next(node for node in self.tree.body if block.first <= node.lineno <= block.last)
+
+
+def _defined(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement defines at the top of a file."""
+    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+        yield node.name
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    for target in targets:
+        yield from (part.id for part in ast.walk(target) if isinstance(part, ast.Name))
+
+
+def _bindings(node: ast.Import | ast.ImportFrom) -> dict[str, Target]:
+    """Names that an import binds, with what they stand for."""
+    found = {}
+    for alias in node.names:
+        name = alias.asname or alias.name.partition(".")[0]
+        if isinstance(node, ast.Import):
+            found[name] = Target("", name, f"import {alias.name}" + (f" as {alias.asname}" if alias.asname else ""))
+        elif (node.module or "").startswith(RUNTIME):
+            is_file = f"{node.module}.{alias.name}" in _runtime_files()
+            found[name] = Target(f"{node.module}.{alias.name}") if is_file else Target(str(node.module), alias.name)
+        elif node.module != "__future__":
+            imported = alias.name + (f" as {alias.asname}" if alias.asname else "")
+            found[name] = Target(str(node.module), name, imported)
+    return found
+
+
+@cache
+def _runtime_files() -> dict[str, str]:
+    """The texts of all files of the runtime, by their names as modules."""
+    found = {}
+
+    def collect(folder: resources.abc.Traversable, name: str) -> None:
+        for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+            if entry.is_dir() and not entry.name.startswith("_"):
+                collect(entry, f"{name}.{entry.name}")
+            elif entry.name.endswith(".py") and entry.name != "__init__.py":
+                found[f"{name}.{entry.name[:-3]}"] = entry.read_text(encoding="utf-8")
+
+    collect(resources.files(RUNTIME), RUNTIME)
+    return found
+
+
+class _Names(ast.NodeVisitor):
+    """Collects the references of a block: names that are neither arguments nor locals of the functions around them."""
+
+    def __init__(self, file: File, block: Block) -> None:
+        self.file, self.block, self.scopes = file, block, list[set[str]]()
+        self.imported: list[dict[str, Target]] = []
+
+    def visit_top(self, block: Block) -> None:
+        node = self.file.statement(block)
+        self.visit(node)
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            self._add(node, *_place_of_name(node, self.file.lines), node.name)
+
+    def _add(self, node: ast.AST, line: int, start: int, end: int, name: str) -> None:
+        target = self._target(name)
+        if target is not None:
+            self.block.references.append(Reference(line, start, end, target))
+
+    def _target(self, name: str) -> Target | None:
+        """What a name stands for, or None for a local one and one of Python's own."""
+        if any(name in scope for scope in self.scopes):
+            return None
+        return next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
+
+    def visit_Name(self, node: ast.Name) -> None:
+        self._add(node, node.lineno, node.col_offset, node.end_col_offset or 0, node.id)
+
+    def visit_Attribute(self, node: ast.Attribute) -> None:
+        target = self._target(node.value.id) if isinstance(node.value, ast.Name) else None
+        if target is None or target.name:
+            self.generic_visit(node)
+        else:  # a name in another file
+            place = node.lineno, node.col_offset, node.end_col_offset or 0
+            self.block.references.append(Reference(*place, Target(target.file, node.attr)))
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
+        arguments = node.args
+        annotations = [a.annotation for a in ast.walk(arguments) if isinstance(a, ast.arg) and a.annotation]
+        for part in (*node.decorator_list, *arguments.defaults, *filter(None, arguments.kw_defaults), *annotations):
+            self.visit(part)
+        if node.returns:
+            self.visit(node.returns)
+        self._inside({a.arg for a in ast.walk(arguments) if isinstance(a, ast.arg)} | _locals(node.body), node.body)
+
+    def visit_Lambda(self, node: ast.Lambda) -> None:
+        for default in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
+            self.visit(default)
+        self._inside({a.arg for a in ast.walk(node.args) if isinstance(a, ast.arg)}, [node.body])
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> None:
+        for part in (*node.decorator_list, *node.bases):
+            self.visit(part)
+        own = _locals(node.body)
+        for statement in node.body:
+            # Functions do not see the names of their class, but the rest of its body does.
+            if isinstance(statement, ast.FunctionDef):
+                self.visit(statement)
+            else:
+                self._inside(own, [statement])
+
+    def _visit_comprehension(self, node: ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp) -> None:
+        targets = {n.id for g in node.generators for n in ast.walk(g.target) if isinstance(n, ast.Name)}
+        self.visit(node.generators[0].iter)
+        rest = [*(g.iter for g in node.generators[1:]), *(test for g in node.generators for test in g.ifs)]
+        values = [node.key, node.value] if isinstance(node, ast.DictComp) else [node.elt]
+        self._inside(targets, [*rest, *values])
+
+    visit_ListComp = visit_SetComp = visit_DictComp = visit_GeneratorExp = _visit_comprehension
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
+        if (node.module or "").startswith(RUNTIME):
+            self.imported.append(_bindings(node))
+            self.block.dropped += range(node.lineno, (node.end_lineno or 0) + 1)
+
+    def _inside(self, names: set[str], nodes: Sequence[ast.AST]) -> None:
+        self.scopes.append(names)
+        for node in nodes:
+            self.visit(node)
+        self.scopes.pop()
+
+
+def _locals(body: list[ast.stmt]) -> set[str]:
+    """Names that the statements of a function assign, without those of functions and comprehensions inside."""
+    found, waiting = set[str](), list[ast.AST](body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        elif isinstance(node, ast.ExceptHandler) and node.name:
+            found.add(node.name)
+        elif isinstance(node, (ast.Import, ast.ImportFrom)) and not getattr(node, "module", "").startswith(RUNTIME):
+            found |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
+        if not isinstance(
+            node, (ast.FunctionDef, ast.ClassDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+        ):
+            waiting += ast.iter_child_nodes(node)
+    return found
+
+
+def _place_of_name(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> tuple[int, int, int]:
+    """Line and columns of the name in a definition."""
+    start = len(re.match(r"\s*(async def|def|class)\s+", lines[node.lineno - 1])[0].encode())  # type: ignore[index]
+    return node.lineno, start, start + len(node.name.encode())
+
+
+def bundle(text: str) -> str:
+    """The text of a standalone module, made from that of an ordinary one."""
+    module = File("", text)
+    files: dict[str, File] = {}
+
+    def file_of(name: str) -> File:
+        if name not in files:
+            files[name] = File(name, _replaced(name, text))
+        return files[name]
+
+    wanted = _reached(module, file_of)
+    order = _in_order(wanted, files)
+    names = _new_names(module, order, wanted, files)
+    parts = []
+    for name in order:
+        file = files[name]
+        kept = [block for block in file.blocks if any((name, n) in wanted for n in block.names)]
+        parts.append(_title(name, file))
+        for before, block in zip([None, *kept], kept, strict=False):
+            is_close = before is not None and _are_assignments(file, before, block)
+            parts.append(("" if is_close else "\n" if before is None else "\n\n") + _rewritten(file, block, names))
+        parts.append("\n")
+    used = [module, *(files[name] for name in order)]
+    return signed(_assembled(module, "\n".join(parts).rstrip(), names, _imports(used, wanted)))
+
+
+def _title(name: str, file: File) -> str:
+    """Comments with the name of a file and the first paragraph of its description."""
+    lines = textwrap.wrap(file.summary, 118, initial_indent="# ", subsequent_indent="# ")
+    return "\n".join([f"# ---- {name.removeprefix(RUNTIME + '.').replace('.', '/')}.py ----", "#", *lines])
+
+
+def _are_assignments(file: File, *blocks: Block) -> bool:
+    """Whether all blocks are assignments, which need no empty lines between them."""
+    return all(isinstance(file.statement(block), (ast.Assign, ast.AnnAssign)) for block in blocks)
+
+
+def _replaced(name: str, text: str) -> str:
+    """The text of a file of the runtime, or of what takes its place in the module of that text."""
+    folder, _, stem = name.rpartition(".")
+    if name == f"{RUNTIME}.linking":
+        return _LINKING
+    if name == f"{RUNTIME}.kept_code":
+        return _KEPT_CODE
+    if folder == f"{RUNTIME}.kkt":
+        if stem in ("specialised", "any_shape"):
+            return _SYSTEM if stem == "specialised" else _ANY_SHAPE
+        return _with_constants(stem, _runtime_files()[name], _shape_of(text))
+    return _runtime_files()[name]
+
+
+def _with_constants(stem: str, text: str, shape: tuple[int, ...]) -> str:
+    """A file of the linear system whose functions read a constant `shape`, and have no such argument."""
+    lines = text.splitlines()
+    for node in reversed(ast.parse(text).body):
+        if isinstance(node, ast.FunctionDef) and node.name != "factor_sizes":
+            part = slice(node.lineno - 1, node.end_lineno)
+            lines[part] = without_shape("\n".join(lines[part])).splitlines()
+        elif isinstance(node, ast.ClassDef):
+            lines.insert(node.end_lineno or 0, f"\n\nshape = Shape({', '.join(map(str, shape))})")
+    if stem != "shape":
+        lines.insert(ast.parse(text).body[0].end_lineno or 0, f"from {RUNTIME}.kkt.shape import shape")
+    return "\n".join(lines) + "\n"
+
+
+@lru_cache(maxsize=1)
+def _shape_of(text: str) -> tuple[int, ...]:
+    """The shape of the linear system of a module, which is run for that; nothing is compiled."""
+    values: dict[str, object] = {"__name__": "standalone"}
+    exec(compile(text, "<module>", "exec"), values)
+    shape: tuple[int, ...] = values["problem"].structure.shape  # type: ignore[attr-defined]
+    return shape
+
+
+def _reached(module: File, file_of: Callable[[str], File]) -> set[tuple[str, str]]:
+    """Files and names of all definitions that a module uses, directly or not."""
+    wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
+    waiting += [target for target in module.bound.values() if not target.external and target.file]
+    while waiting:
+        target = waiting.pop()
+        if target.external or not target.file or (target.file, target.name) in wanted:
+            continue
+        file = file_of(target.file)
+        assert file.bound.get(target.name) == target, f"{target.file} does not define {target.name}"
+        for block in file.blocks:
+            if target.name in block.names:
+                wanted |= {(target.file, name) for name in block.names}
+                waiting += [reference.target for reference in block.references]
+    return wanted
+
+
+def _in_order(wanted: set[tuple[str, str]], files: Mapping[str, File]) -> list[str]:
+    """The files with wanted definitions, each behind those that it uses."""
+    order: list[str] = []
+
+    def add(name: str, above: tuple[str, ...]) -> None:
+        if name in order or name in above:
+            return
+        kept = [block for block in files[name].blocks if any((name, n) in wanted for n in block.names)]
+        used = {r.target.file for block in kept for r in block.references if not r.target.external and r.target.file}
+        for other in sorted(used - {name}):
+            add(other, (*above, name))
+        order.append(name)
+
+    for name in sorted({file for file, _ in wanted}):
+        add(name, ())
+    return order
+
+
+def _new_names(
+    module: File, order: list[str], wanted: set[tuple[str, str]], files: Mapping[str, File]
+) -> dict[tuple[str, str], str]:
+    """The name of each definition in the standalone text: its own, unless another one has it already."""
+    names = {(t.file, t.name): name for name, t in module.bound.items() if t.file and not t.external and t.name}
+    taken, identifiers = set(module.bound), set[str]()
+    for file in (module, *(files[name] for name in order)):
+        taken |= {name for name, target in file.bound.items() if target.external}
+        identifiers |= file.identifiers
+    for name in order:
+        for own in (n for block in files[name].blocks for n in block.names if (name, n) in wanted):
+            if (name, own) in names:
+                continue
+            new, stem = own, name.rpartition(".")[2]
+            if new in taken:
+                new = f"_{stem}{own}" if own.startswith("_") else f"{stem}_{own}"
+                assert new not in taken | identifiers, (
+                    f"{new} means something else already, in place of {own} of {name}"
+                )
+            names[name, own] = new
+            taken.add(new)
+    return names
+
+
+def _rewritten(file: File, block: Block, names: Mapping[tuple[str, str], str]) -> str:
+    """The lines of a block with new names, without imports of the package inside functions."""
+    lines = {number: file.lines[number - 1].encode() for number in range(block.first, block.last + 1)}
+    for reference in sorted(set(block.references), key=lambda r: (r.line, r.start), reverse=True):
+        new = names.get((reference.target.file, reference.target.name))
+        if reference.target.external or new is None:
+            continue
+        line = lines[reference.line]
+        old = line[reference.start : reference.end].decode()
+        if old == new:
+            continue
+        assert old.rpartition(".")[2] == reference.target.name, f"{file.name}:{reference.line}: {old} is misplaced"
+        lines[reference.line] = line[: reference.start] + new.encode() + line[reference.end :]
+    return "\n".join(text.decode() for number, text in lines.items() if number not in block.dropped)
+
+
+def _assembled(
+    module: File,
+    numerics: str,
+    names: Mapping[tuple[str, str], str],
+    imports: str,
+) -> str:
+    """The header, all imports, the numerics, and the rest of the module."""
+    first = next(node for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
+    header = "\n".join(module.lines[: first.lineno - 1]).rstrip()
+    comments, quotes, docstring = header.partition('\n"""')
+    comments = re.sub(r"(by: codegen build .*)", r"\1 --standalone", comments, count=1)
+    last = max(node.end_lineno or 0 for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
+    rest = Block(last + 1, len(module.lines), (), [r for block in module.blocks for r in block.references])
+    own = _rewritten(module, rest, names).strip("\n")
+    header = f"{comments}\n{_HEADER.rstrip()}{quotes}{docstring}\n\n{imports}\n\n"
+    body = f"{header}{numerics}\n\n\n# ---- The problem ----\n\n{own}\n"
+    body = re.sub(r"`codegen\.runtime\.[\w.]*?(\w+)`", r"`\1`", body)
+    return re.sub(r"\n{4,}", "\n\n\n", body)
+
+
+def _imports(files: list[File], wanted: set[tuple[str, str]]) -> str:
+    """The statements that import what the text uses of other packages."""
+    plain, of_packages = set[str](), dict[str, set[str]]()
+    bound: dict[str, Target] = {}
+    for file in files:
+        for block in file.blocks:
+            if file.name and not any((file.name, name) in wanted for name in block.names):
+                continue
+            for reference in block.references:
+                target = reference.target
+                if not target.external:
+                    continue
+                other = bound.setdefault(target.name, target)
+                assert other == target, f"{target.name} is imported from two packages"
+                if target.file:
+                    of_packages.setdefault(target.file, set()).add(target.external)
+                else:
+                    plain.add(target.external)
+    lines = {f"from {package} import {', '.join(sorted(names))}": package for package, names in of_packages.items()}
+    lines |= {line: line.split()[1] for line in plain}
+    order = sorted(lines, key=lambda line: (line.startswith("from"), line))
+    is_standard = {line: lines[line].partition(".")[0] in sys.stdlib_module_names for line in order}
+    standard = [line for line in order if is_standard[line]]
+    return "\n".join([*standard, "", *(line for line in order if not is_standard[line])])

@@ -1,0 +1,177 @@
+"""Machine code that numba keeps on disk: where it is, and how none is left that was made with another runtime.
+
+numba notices that the file of a function has changed, and looks at no other file. Functions of the runtime become part
+of functions in other files: of the runtime, of generated modules, of linear systems. A stamp in every folder of machine
+code therefore says with which files of the runtime, and by which numba, the code was made.
+"""
+
+import hashlib
+import io
+import os
+import pickletools
+import sys
+from collections import Counter
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+from numba import config, njit
+
+from codegen.runtime.identity import identity_of
+
+STAMP = "codegen-runtime"
+RUNTIME = Path(__file__).parent
+PICKLES = {".nbi": 2, ".nbc": 1}
+"""How many pickles stand in an index of numba, and in a file of machine code."""
+SEAL = b"\nsha256 of all before: "
+SEALED = len(SEAL) + hashlib.sha256().digest_size
+
+
+class Statistics(NamedTuple):
+    """Where numba keeps machine code of a function, and how often it was read from there or made, by signature."""
+
+    cache_path: str | None
+    cache_hits: Counter[Any]
+    cache_misses: Counter[Any]
+
+
+def statistics_of(function, compiled):
+    """Return the statistics of a function and of what `cfunc` has made of it, or None if it was not compiled."""
+    read, made = Counter(), Counter()
+    if hasattr(compiled, "cache_hits"):
+        (read if compiled.cache_hits else made)[str(compiled.native_name)] += 1
+    return Statistics(code_folder(function.__code__.co_filename), read, made)
+
+
+@lru_cache
+def fresh_folder(file, identity=""):
+    """Return the folder in which numba keeps machine code of a file, None if numba is switched off.
+
+    Machine code that was made with another runtime, or is damaged, is removed; so is machine code of the file that does
+    not contain an `identity`, which names the text of the file.
+    """
+    folder = code_folder(file)
+    if folder is not None:
+        require_stamp(folder)
+        remove_invalid(folder, f"{Path(file).stem}.", identity)
+    return folder
+
+
+def require_stamp(folder):
+    """Remove all machine code in a folder that does not bear the stamp of this runtime, and stamp the folder."""
+    stamp = Path(folder, STAMP)
+    try:
+        is_fresh = stamp.read_text(encoding="ascii") == fingerprint()
+    except (OSError, UnicodeDecodeError):
+        is_fresh = False
+    if not is_fresh:
+        for file in [*Path(folder).glob("*.nbi"), *Path(folder).glob("*.nbc")]:
+            file.unlink(missing_ok=True)  # another process may be quicker
+        with suppress(OSError):  # on a full disk machine code is not kept either
+            stamp.write_text(fingerprint(), encoding="ascii")
+
+
+def remove_invalid(folder, start, identity=""):
+    """Remove files of machine code, whose names have a start, that are damaged, and say so, or that lack an identity.
+
+    numba writes an index before the code: of a process that was killed in between, the index may name the machine code
+    of an older text.
+    """
+    damaged = []
+    for file in sorted(Path(folder).glob("*.nb[ic]")):
+        if not file.name.startswith(start):
+            continue
+        try:
+            data = file.read_bytes()
+        except FileNotFoundError:  # another process was quicker
+            continue
+        if not is_whole(data, PICKLES[file.suffix]):
+            damaged.append(file)
+        elif file.suffix == ".nbi" or identity.encode() in data:
+            continue
+        file.unlink(missing_ok=True)
+    if damaged:
+        count = f"{len(damaged)} files, first {damaged[0]}" if len(damaged) > 1 else damaged[0]
+        print(f"codegen: note: damaged machine code is made anew ({count})", file=sys.stderr)
+
+
+def is_whole(data, pickles):
+    """Return True if the bytes of a file fit their checksum, or, if they have none, can be read to their end."""
+    body, mark, digest = data[:-SEALED], data[-SEALED : len(SEAL) - SEALED], data[len(SEAL) - SEALED :]
+    if mark == SEAL:
+        return hashlib.sha256(body).digest() == digest
+    stream = io.BytesIO(data)
+    try:
+        for _ in range(pickles):
+            for _ in pickletools.genops(stream):
+                pass
+    except (ValueError, UnicodeDecodeError):
+        return False
+    return True
+
+
+def add_checksums(folder, start=""):
+    """Write a checksum behind the end of files of machine code, whose names have a start, if it is not there.
+
+    numba does not read as far. On a full disk there is none.
+    """
+    for file in Path(folder).glob("*.nb[ic]"):
+        if file.name.startswith(start):
+            with suppress(OSError), open(file, "r+b") as stream:
+                stream.seek(-min(SEALED, os.path.getsize(file)), os.SEEK_END)
+                if not stream.read().startswith(SEAL):
+                    stream.seek(0)
+                    data = stream.read()
+                    stream.seek(len(data))  # where another process writes the same
+                    stream.write(SEAL + hashlib.sha256(data).digest())
+
+
+@lru_cache
+def code_folder(file):
+    """Return the folder in which numba keeps machine code of functions of a file; None if numba is switched off."""
+    if config.DISABLE_JIT or not os.path.isfile(file):
+        return None
+    space = {}
+    exec(compile("def function():\n    pass\n", file, "exec"), space)  # numba tells only of functions
+    return njit(cache=True)(space["function"]).stats.cache_path
+
+
+@lru_cache
+def fingerprint():
+    """Return a digest of names, sizes and times of change of the runtime's files, and of numba's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for folder, _, names in sorted(os.walk(RUNTIME)):
+        for name in sorted(names):
+            if name.endswith(".py"):
+                status = os.stat(os.path.join(folder, name))
+                part = f"{os.path.relpath(folder, RUNTIME)}/{name} {status.st_size} {status.st_mtime_ns}\n"
+                digest.update(part.encode())
+    return digest.hexdigest()
+
+
+def is_kept(function):
+    """Return True if numba keeps machine code of a function of Python in a file."""
+    folder = fresh_folder(function.__code__.co_filename, identity_of(function))
+    if folder is None:
+        return False
+    start = start_of(function)
+    return any(name.startswith(start) and name.endswith(".nbi") for name in os.listdir(folder))
+
+
+def start_of(function):
+    """Return the start of the names of files in which numba keeps machine code of a function of Python."""
+    code = function.__code__
+    return f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}."
+
+
+def runtime_folders():
+    """Return the folders in which numba keeps machine code of the runtime."""
+    files = (next((Path(folder, n) for n in names if n.endswith(".py")), None) for folder, _, names in os.walk(RUNTIME))
+    return [folder for file in files if file is not None and (folder := code_folder(str(file))) is not None]
+
+
+for folder in runtime_folders():
+    require_stamp(folder)
+    remove_invalid(folder, "")

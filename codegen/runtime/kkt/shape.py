@@ -1,0 +1,95 @@
+"""Shapes of linear systems: what the factorisation of the KKT matrix has to know as constants."""
+
+from typing import NamedTuple
+
+from numba import njit
+
+
+class Shape(NamedTuple):
+    """Numbers of unknowns of an interval and of what borders it.
+
+    Attributes
+    ----------
+    node, stride, condensed : int
+        Unknowns of a node, of a node and the interval after it, and those of an interval that are eliminated first.
+    inner : int
+        Unknowns of a block that are eliminated with it.
+    border : int
+        Unknowns of block 0 that stay to the end of the elimination; meaningful if `bordered`.
+    shared, root : int
+        Linking variables of one body, and of all, with the multipliers of conditions between them.
+    backward, bordered, carried, constant : int
+        1 if elimination goes from the last interval to the first; if block 0 stays to the end; if the right-hand side
+        takes part in the elimination; if the block of what is condensed is the same on all intervals of one length.
+    """
+
+    node: int
+    stride: int
+    condensed: int
+    inner: int
+    border: int
+    shared: int
+    root: int
+    backward: int
+    bordered: int
+    carried: int
+    constant: int
+
+
+@njit(error_model="numpy", forceinline=True)
+def padded(size):
+    """Return the next multiple of four: four entries of a row are computed at once."""
+    return (size + 3) // 4 * 4
+
+
+@njit(error_model="numpy", forceinline=True)
+def block_size(shape):
+    """Return the number of unknowns of a block: a node and its interval without what is condensed."""
+    return shape.stride - shape.condensed
+
+
+@njit(error_model="numpy", forceinline=True)
+def tail_of(shape):
+    """Return the first row of an element matrix that belongs to linking variables."""
+    return block_size(shape) + shape.node + shape.border
+
+
+@njit(error_model="numpy", forceinline=True)
+def row_count(shape):
+    """Return the number of rows of an element matrix."""
+    return tail_of(shape) + shape.shared
+
+
+@njit(error_model="numpy", forceinline=True)
+def row_width(shape):
+    """Return the number of columns of an element matrix, in fours from 0 and from the border of the block on."""
+    block = block_size(shape)
+    return padded(block + padded(row_count(shape) - block))
+
+
+@njit(error_model="numpy", forceinline=True)
+def last_size(shape):
+    """Return the number of unknowns that are eliminated as the last node is."""
+    return shape.node + shape.border
+
+
+@njit(error_model="numpy", forceinline=True)
+def last_width(shape):
+    """Return the number of columns of the matrix of the last node."""
+    return padded(last_size(shape) + padded(shape.carried + shape.shared))
+
+
+@njit(error_model="numpy", forceinline=True)
+def unknown_of(shape, block, i, steps):
+    """Return the index, among a body's unknowns, of unknown i of a block; block N is the node that comes last."""
+    if shape.backward:
+        return (steps - block - (i >= shape.node)) * shape.stride + i
+    return block * shape.stride + i
+
+
+@njit(error_model="numpy", forceinline=True)
+def interval_of(shape, block, steps):
+    """Return the interval of a block: the one after its node, or before it if elimination goes backward."""
+    if shape.backward:
+        return steps - 1 - block
+    return block

@@ -1,0 +1,137 @@
+"""Linear systems with the numbers of their shape as constants, compiled once for each shape.
+
+The text of a system is that of the files of this folder, in which the shape is a constant in place of an argument.
+Problems of one shape share it. It is kept in the cache folder, and numba keeps its machine code beside it. Constants
+halve the time of a factorisation.
+"""
+
+import ast
+import hashlib
+import importlib.util
+import os
+import re
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+from codegen.runtime.addresses import SYSTEM, entry_of
+from codegen.runtime.kept_code import fingerprint, fresh_folder
+from codegen.runtime.kkt.shape import Shape
+from codegen.runtime.packing import packed_operations
+
+FILES = "shape", "tables", "symmetric", "condensation", "frontal", "substitution", "system"
+PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
+"""Functions whose intermediate code is kept, so that several processes can compile a system."""
+HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
+
+Numbers of unknowns: {fields}.
+"""
+
+import numpy as np
+from numba import carray, njit
+
+from codegen.runtime.addresses import ahead
+from codegen.runtime.kkt.shape import Shape
+from codegen.runtime.linking import link_inner_functions
+
+shape = Shape({values})
+'''
+TAIL = '''
+link_inner_functions(value for value in list(globals().values()) if hasattr(value, "py_func"))
+for part in ({parts}):
+    part.enable_caching()
+
+
+def system(
+    is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step, is_wanted
+):
+    """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+    return solve_system(
+        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
+    )
+'''
+
+
+def cache_folder():
+    """Return the folder of the build cache: $CODEGEN_CACHE_DIR, or one in the user's cache directory."""
+    given = os.environ.get("CODEGEN_CACHE_DIR")
+    if given:
+        return Path(given)
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(home) / "variational-codegen"
+
+
+def text_of(shape):
+    """Return the text of the module with the linear system of a shape."""
+    fields = ", ".join(f"{name} {value}" for name, value in zip(Shape._fields, shape, strict=True))
+    head = HEAD.format(fields=fields, values=", ".join(map(str, shape)))
+    tail = TAIL.replace("{parts}", ", ".join(PARTS))
+    return "\n\n".join([head, *(body_of(name) for name in FILES), tail])
+
+
+@lru_cache
+def body_of(name):
+    """Return the statements of a file of this folder but imports, docstring and Shape, without arguments `shape`."""
+    text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+    lines, kept = text.splitlines(), []
+    for node in ast.parse(text).body:
+        is_docstring = isinstance(node, ast.Expr) and node.col_offset == 0 and not kept
+        is_class = isinstance(node, ast.ClassDef)
+        if isinstance(node, (ast.Import, ast.ImportFrom)) or is_docstring or is_class:
+            continue
+        if isinstance(node, ast.FunctionDef) and node.name in ("packed", "factor_sizes"):
+            continue
+        first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
+        between = "\n\n" if isinstance(node, ast.FunctionDef) else ""
+        kept.append(between + "\n".join(lines[first - 1 : node.end_lineno]))
+    return without_shape("\n".join(kept))
+
+
+def without_shape(text):
+    """Return the text of functions without their arguments `shape`."""
+    return re.sub(r"\(shape\)", "()", re.sub(r"\bshape,\s+", "", text))
+
+
+@lru_cache(maxsize=256)
+def system_module(shape):
+    """Return the module with the linear system of a shape, which is written if it is new to this machine."""
+    name = f"kkt_{hashlib.sha256(f'{shape} {fingerprint()}'.encode()).hexdigest()[:16]}"
+    path = cache_folder() / "kkt" / f"{name}.py"
+    if not is_whole(path):
+        text = text_of(shape)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{name}.{os.getpid()}")
+        temporary.write_text(f"# {digest_of(text)}\n{text}", encoding="utf-8")
+        temporary.replace(path)
+    fresh_folder(str(path))
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def is_whole(path):
+    """Return True if a file holds the text that was written, which begins with a digest of the rest."""
+    try:
+        first, _, text = path.read_text(encoding="utf-8").partition("\n")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return first == f"# {digest_of(text)}"
+
+
+def digest_of(text):
+    """Return the digest of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@lru_cache(maxsize=256)
+def compiled_system(shape):
+    """Return the compiled linear system of a shape, which has the address."""
+    with packed_operations():
+        return entry_of(SYSTEM, system_module(shape).system)
+
+
+def system_address(shape):
+    """Return the address of the linear system of a shape, which is compiled if it is new to this machine."""
+    return compiled_system(shape).address

@@ -1,1 +1,0 @@
-"""Newton's method and the interior point method: barrier, filter, restoration, scaling, verdict."""

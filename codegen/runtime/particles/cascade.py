@@ -1,0 +1,321 @@
+"""The globalisation cascade of the boundary-value problem: attempts to connect given points, in their order.
+
+Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
+path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
+once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
+below the tolerance, or below what rounding makes of it, counts as a solution. All attempts fill `path`, shape
+(N + 1, 2, n, d), and `points`, shape (N POINTS, 2, n, d), from what is in them, and `log`, see `shoot`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.packing import packed_operations
+from codegen.runtime.particles.least_action import momenta_of_least_action, path_intervals
+from codegen.runtime.particles.pair_algebra import cholesky, solve_cholesky
+from codegen.runtime.particles.shooting import all_states, preconditioner, shoot
+from codegen.runtime.particles.trajectory import cost_and_energies
+
+OUTCOMES = {
+    1: "solved",
+    2: "solved as far as rounding errors allow",
+    0: "the iterations ran out",
+    -1: "a state became infinite or not a number",
+    -2: "the linear equations have no unique solution",
+    -3: "the equations of an implicit step were not solved",
+    -4: "a particle leaves its domain",
+    -5: "no step along Newton's direction reduces the residual",
+    -6: "no guessed path has a finite action, or there are too many particles to look for one",
+}
+MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
+LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
+
+
+def momenta_of(case, positions, velocity):
+    """Return the momenta (n, d) that move particles at given positions at given velocities: H_pp^-1 velocity."""
+    state = np.stack([positions, np.zeros_like(positions)])
+    size = positions.shape[0] if case.problem.blocks == 1 else positions.size
+    matrix = np.empty((size, size))
+    case.problem.momentum_matrix(state, case.own, case.parameters, matrix)
+    right = velocity.reshape(size, -1).copy()
+    if cholesky(matrix):
+        solve_cholesky(matrix, right)
+    return right.reshape(positions.shape)
+
+
+def straight_momenta(case, factor, target):
+    """Return `momenta_of` the velocity of the straight way to a target, (n, d), by the factor of `preconditioner`."""
+    moved = target - case.start
+    if factor is None:
+        return moved / case.duration
+    solve_cholesky(factor, moved.reshape(factor.shape[0], -1))
+    return moved
+
+
+def guessed_path(case, steps=None):
+    """Return states (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h.
+
+    N is the number of steps of the case, or another one.
+    """
+    steps = case.steps if steps is None else steps
+    path = np.zeros((steps + 1, 2, *case.start.shape))
+    for k in range(steps + 1):
+        case.problem.guide(case.start, case.target, k / steps, path[k, 0])
+    for k in range(steps):
+        path[k, 1] = momenta_of(case, path[k, 0], (path[k + 1, 0] - path[k, 0]) * steps / case.duration)
+    path[steps, 1] = path[steps - 1, 1]
+    return path
+
+
+def run_cascade(case, method, guess):
+    """Make attempts until one succeeds; return (outcome, path, points, iterations, tangents, residual, attempts)."""
+    (path, points), factor = allocate_path(case), preconditioner(case)
+    log = np.zeros((case.max_iterations + 1, 3))
+    attempts, iterations, tangents = [], 0, 0
+    cascade = attempts_of(case, method) if guess is None else (("shooting from the given momenta", from_guess),)
+    for name, attempt in cascade:
+        path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
+        log[:] = 0.0
+        outcome, made, residual, *note = attempt(case, factor, path, points, log)
+        iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
+        attempts.append(f"{name}: {OUTCOMES[outcome]}, {made} iterations, residual {residual:.1e}{''.join(note)}")
+        if outcome > 0:
+            break
+    if case.problem.quadratic:
+        doubtful = outcome > 0 and guess is None and attempt is not from_least_action
+        if doubtful and misses_by_far(case, path[-1, 0]):
+            made, found, note = by_less_action(case, factor, path, points, log)
+            iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
+            residual = residual if found is None else found
+            attempts.insert(len(attempts) - (found is None), f"shooting from a path of least action: {note}")
+    return outcome, path, points, iterations, tangents, residual, tuple(attempts)
+
+
+def by_less_action(case, factor, path, points, log):
+    """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
+
+    With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
+    positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
+    """
+    other, other_points = allocate_path(case)
+    log[:] = 0.0
+    outcome, made, residual = from_least_action(case, factor, other, other_points, log)
+    if outcome <= 0:
+        return made, None, f"{OUTCOMES[outcome]}, {made} iterations"
+    energy, h = np.empty(case.steps + 1), case.duration / case.steps
+    given = case.problem.pairs, h, case.own, case.parameters
+    costs = [
+        penalised(case, cost_and_energies(*given, *found, case.problem.costs, energy), found[0][-1, 0])
+        for found in ((path, points), (other, other_points))
+    ]
+    if not costs[1] < costs[0]:
+        return made, None, f"solved, {made} iterations, but nothing that costs less"
+    path[:], points[:] = other, other_points
+    return made, residual, f"solved, {made} iterations, residual {residual:.1e}, and it costs less"
+
+
+def penalised(case, cost, end):
+    """Return half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
+    free = case.sigma > 0.0
+    missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
+    return 0.5 * (cost + missed.sum())
+
+
+def misses_by_far(case, end):
+    """Return True if some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
+    return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
+
+
+def shoot_at(case, target, factor, path, points, log):
+    """Follow Newton's method on the initial momenta of `path` for some target."""
+    return shoot(case._replace(target=target), factor, path, points, log)
+
+
+def from_guess(case, factor, path, points, log):
+    """Shoot from the momenta that are in `path`."""
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+def from_velocity(case, factor, path, points, log):
+    """Shoot from the momenta of the straight way to the target."""
+    path[0, 1] = straight_momenta(case, factor, case.target)
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+def from_rest(case, factor, path, points, log):
+    """Shoot from vanishing momenta, whose first step is shortened where the momenta of the straight way fail."""
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+def from_least_action(case, factor, path, points, log):
+    """Shoot from the momenta at the start of a path of least action."""
+    path[0, 1] = momenta_of_least_action(case)
+    if not np.isfinite(path[0, 1]).all():
+        return -6, 0, np.inf
+    return shoot_at(case, case.target, factor, path, points, log)
+
+
+def by_continuation(case, factor, path, points, log):
+    """Move the target from the start to where it belongs, by parts that grow with success."""
+    done, part, total = 0.0, 0.25, 0
+    known = [(0.0, path[0, 1].copy())]
+    outcome, residual = 0, np.inf
+    while done < 1.0 and part >= LEAST_PART:
+        wanted = min(1.0, done + part)
+        target = np.empty_like(case.target)
+        case.problem.guide(case.start, case.target, wanted, target)
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
+        else:
+            path[0, 1] = straight_momenta(case, factor, target)
+        log[:, 0] = log[:, 2] = 0.0
+        before = log[:, 1].sum()
+        outcome, made, residual = shoot_at(case, target, factor, path, points, log)
+        log[-1, 1] = max(before, log[:, 1].sum())
+        total += made
+        if outcome > 0:
+            done, part = wanted, 1.6 * part
+            known.append((wanted, path[0, 1].copy()))
+        else:
+            part *= 0.4
+    return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
+
+
+def allocate_path(case, start_momenta=None):
+    """Return a `path` and `points` for the steps of a case, with points at the start and momenta (n, d)."""
+    path = np.zeros((case.steps + 1, 2, *case.start.shape))
+    path[:, 0], path[0, 1] = case.start, 0.0 if start_momenta is None else start_momenta
+    return path, np.zeros((case.steps * case.problem.points, *path.shape[1:]))
+
+
+def by_steps(case, factor, path, points, log):
+    """Solve with two or four times as many steps, then with ever fewer of them.
+
+    Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
+    note says with how many steps there still is one.
+    """
+    total, outcome = 0, 0
+    for multiple in MORE_STEPS:
+        finer = case._replace(steps=multiple * case.steps)
+        fine_path, fine_points = allocate_path(finer)
+        is_sought = case.problem.quadratic and path_intervals(finer)
+        attempt = from_least_action if is_sought else by_continuation
+        outcome, made, residual = attempt(finer, factor, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            break
+    if outcome <= 0:
+        return outcome, total, residual, f", with {finer.steps} steps"
+    known, ratio = [(1.0 / finer.steps, fine_path[0, 1].copy())], 0.7
+    while finer.steps > case.steps:
+        fewer = case._replace(steps=max(case.steps, min(finer.steps - 1, int(ratio * finer.steps))))
+        momenta = known[-1][1]
+        if len(known) > 1:
+            (s0, p0), (s1, p1) = known[-2:]
+            momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
+        fine_path, fine_points = allocate_path(fewer, momenta)
+        outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
+        total += made
+        if outcome > 0:
+            finer, ratio = fewer, max(0.5, 0.9 * ratio)
+            known.append((1.0 / finer.steps, fine_path[0, 1].copy()))
+        elif fewer.steps == finer.steps - 1:
+            return outcome, total, residual, f", with {fewer.steps} steps, but solved with {finer.steps}"
+        else:
+            ratio = ratio**0.4
+    path[:], points[:] = fine_path, fine_points
+    return outcome, total, residual, ""
+
+
+def on_all_states(case, factor, path, points, log):
+    """Follow Newton's method on all states from the guessed path."""
+    path[:] = guessed_path(case)
+    return all_states(case, factor, path, points, log)
+
+
+LEAST_ACTION = ("shooting from the momenta of a path of least action", from_least_action)
+SHOOTING = (
+    ("shooting from the momenta of the straight way", from_velocity),
+    LEAST_ACTION,
+    ("shooting from rest", from_rest),
+    ("continuation in the target", by_continuation),
+)
+ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
+LAST = (("continuation in the number of steps", by_steps),)
+
+
+def attempts_of(case, method):
+    """Return the attempts of a method, in their order; a path of least action needs kinetic energy alone."""
+    shooting = tuple(attempt for attempt in SHOOTING if attempt is not LEAST_ACTION or case.problem.quadratic)
+    first = (*shooting, *ALL_STATES) if method == "stepping" else (*ALL_STATES, *shooting)
+    return (*first, *LAST)
+
+
+class Solution(NamedTuple):
+    """A motion that connects points.
+
+    Attributes
+    ----------
+    status, message : str
+        "solved" or "not connected", and a sentence that says what was tried, with a remedy.
+    cost : float
+        The sum of 2 h H at the scheme's points.
+    residual : float
+        The largest error of an equation.
+    iterations, tangents : int
+        Secant and Newton steps, and linearised trajectories, of all attempts.
+    attempts : tuple of str
+        A line for each attempt.
+    t : array (N + 1,)
+        Times of the nodes.
+    q, p : array (N + 1, n, d)
+        Positions and momenta.
+    energy : array (N + 1,)
+        H.
+    margin : float
+        The least value along the path of what the domain demands to be positive.
+    """
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    iterations: int
+    tangents: int
+    attempts: tuple[str, ...]
+    t: np.ndarray
+    q: np.ndarray
+    p: np.ndarray
+    energy: np.ndarray
+    margin: float
+
+
+@packed_operations()
+def solve_case(case, guess=None, method=None):
+    """Connect the points of a case, from the momenta `guess` (n, d), if they are given; return a Solution.
+
+    `method` says in which order attempts are made, by default that of the module.
+
+    Never raises when the numerics fail.
+    """
+    found = run_cascade(case, method or case.problem.metadata["method"], guess)
+    outcome, path, points, iterations, tangents, residual, attempts = found
+    status = "solved" if outcome > 0 else "not connected"
+    message = (
+        attempts[-1]
+        if outcome > 0
+        else f"no attempt connects the points ({'; '.join(attempts)}); take more steps, allow for a sigma, or leave "
+        "out points that are close together and move apart"
+    )
+    h = case.duration / case.steps
+    finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
+    cost, energy = np.nan, np.full(case.steps + 1, np.nan)
+    if finite:
+        given = case.problem.pairs, h, case.own, case.parameters, path, points
+        cost = cost_and_energies(*given, case.problem.costs, energy)
+    margin = min(case.problem.domain_margin(z) for z in path) if finite else np.nan
+    t = h * np.arange(case.steps + 1)
+    q, p = path[:, 0].copy(), path[:, 1].copy()
+    return Solution(status, message, cost, residual, iterations, tangents, attempts, t, q, p, energy, margin)

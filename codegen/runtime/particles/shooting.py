@@ -1,0 +1,311 @@
+"""Newton's method on the initial momenta, by exact tangents of the trajectory.
+
+The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target; with sigma = 0 points are met exactly. For sigma > 0 this
+is stationarity of the cost's half plus sum |q_N - target|^2/(2 sigma^2), since p_N is its gradient by q_N. The same
+method solves for all states at once (multiple shooting with one step for each interval): then each step may have a
+defect, and states move along the linearised trajectory, which is what elimination of the block-banded Jacobian gives.
+
+Few unknowns are solved for by tangents in all directions at once. Many are first improved by Broyden's method, then
+solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms
+are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
+steps until the residual decreases.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.lu import factor_matrix, solve_factored
+from codegen.runtime.particles.broyden import broyden_steps
+from codegen.runtime.particles.pair_algebra import cholesky, largest, solve_cholesky
+from codegen.runtime.particles.steps import advance_directions, curvature_at
+from codegen.runtime.particles.trajectory import defects, follow
+
+SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
+DENSE = 24  # unknowns up to which tangents in all directions are taken
+BASIS = 80  # directions that GMRES keeps
+HALVINGS = 14
+UNIT = 2.0**-52  # a unit in the last place
+SAMPLES = 8  # how often numbers are moved by it to see what rounding does
+VISIBLE = 1e-8  # residuals above this are not put down to rounding
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
+    """Propagate directions, shape (2nd, m), over all steps in place; return whether every step was solved."""
+    after = np.empty(directions.shape)
+    for k in range(steps):
+        if not advance_directions(pairs, hessians, points, k * pairs.points, h, own, parameters, directions, after):
+            return False
+        for row in range(after.shape[0]):
+            for c in range(after.shape[1]):
+                directions[row, c] = after[row, c]
+    return True
+
+
+def end_residual_change(directions, sigma):
+    """Return the change of q_N + sigma^2 p_N along directions, shape (nd, m)."""
+    half = directions.shape[0] // 2
+    variances = np.repeat(sigma**2, half // sigma.size)
+    return directions[:half] + variances[:, None] * directions[half:]
+
+
+def end_residual(state, target, sigma):
+    """Return q_N + sigma^2 p_N - target, (nd,)."""
+    return (state[0] + sigma[:, None] ** 2 * state[1] - target).ravel()
+
+
+@njit(cache=True, error_model="numpy")
+def extend_basis(k, basis, rotated, rotations, remainder):
+    """Make one step of GMRES: make row k + 1 of `basis`, (m + 1, nd), orthonormal; rotate its coefficients.
+
+    Row k of `rotated`, shape (m, m + 1), takes them as a column of a triangular matrix, `rotations`, shape (m, 2),
+    cosine and sine; the size of remainder[k + 1], shape (m + 1,), is the residual.
+    Source: Saad (2003), Iterative methods for sparse linear systems, algorithm 6.9 and section 6.5.3.
+    """
+    new, before = basis[k + 1], 0.0
+    for row in range(k + 1):
+        product = 0.0
+        for i in range(new.size):
+            product += new[i] * basis[row, i]
+        rotated[k, row] = product
+        for i in range(new.size):
+            new[i] -= product * basis[row, i]
+    for i in range(new.size):
+        before += new[i] * new[i]
+    length = np.sqrt(before)
+    for row in range(k):
+        upper = rotations[row, 0] * rotated[k, row] + rotations[row, 1] * rotated[k, row + 1]
+        rotated[k, row + 1] = rotations[row, 0] * rotated[k, row + 1] - rotations[row, 1] * rotated[k, row]
+        rotated[k, row] = upper
+    radius = np.hypot(rotated[k, k], length)
+    rotations[k, 0], rotations[k, 1] = rotated[k, k] / radius, length / radius
+    rotated[k, k], rotated[k, k + 1] = radius, 0.0
+    remainder[k + 1] = -rotations[k, 1] * remainder[k]
+    remainder[k] *= rotations[k, 0]
+    for i in range(new.size):
+        new[i] /= max(length, 1e-300)
+
+
+class Linearised:
+    """The derivative of the residual by the initial momenta, about one trajectory or one sequence of states."""
+
+    def __init__(self, case, points, factor):
+        """Take second derivatives at all points, shape (N POINTS, 2, n, d); `factor` is that of `preconditioner`."""
+        self.case, self.points, self.factor, self.count = case, points, factor, 0
+        self.hessians = curvature_at(case.problem, points, case.own, case.parameters)
+        self.pairs = case.problem.pairs if self.hessians.size else case.problem.pairs_with_products
+
+    def advance(self, k, directions, after):
+        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if it cannot be had."""
+        case, first = self.case, k * self.pairs.points
+        given = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
+        return advance_directions(*given, directions, after)
+
+    def tangents(self, directions):
+        """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
+        case = self.case
+        self.count += directions.shape[1]
+        h = case.duration / case.steps
+        given = self.pairs, self.hessians, self.points, case.steps, h, case.own, case.parameters
+        if not tangents(*given, directions):
+            directions[:] = np.nan
+        return directions
+
+    def product(self, change):
+        """Return the change of the residual for a change of the initial momenta, shape (nd,)."""
+        directions = np.zeros((2 * change.size, 1))
+        directions[change.size :, 0] = change
+        return end_residual_change(self.tangents(directions), self.case.sigma)[:, 0]
+
+    def matrix(self):
+        """Return the derivative as a matrix, shape (nd, nd)."""
+        size = self.case.start.size
+        return end_residual_change(self.tangents(np.vstack([np.zeros((size, size)), np.eye(size)])), self.case.sigma)
+
+    def solved(self, right, forcing):
+        """Return the change of initial momenta that changes the residual by `right`, (nd,); NaN if there is none."""
+        if right.size > DENSE:
+            return self.gmres(right, forcing)
+        matrix, pivots, solution = self.matrix(), np.empty(right.size, dtype=np.int64), right.copy()
+        if factor_matrix(matrix, pivots) >= 0:
+            return np.full(right.size, np.nan)
+        solve_factored(matrix, pivots, solution)
+        return solution
+
+    def preconditioned(self, vector):
+        """Return the preconditioner's inverse times a vector, shape (nd,)."""
+        if self.factor is None:
+            return vector
+        result = vector.copy().reshape(self.factor.shape[0], -1)
+        solve_cholesky(self.factor, result)
+        return result.ravel()
+
+    def gmres(self, right, forcing):
+        """Return the same to a relative residual of `forcing`, as far as BASIS directions go."""
+        most, norm = min(BASIS, right.size), np.linalg.norm(right)
+        basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
+        rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
+        basis[0], remainder[0], count = right / norm, norm, 0
+        for k in range(most):
+            basis[k + 1] = self.product(self.preconditioned(basis[k]))
+            extend_basis(k, basis, rotated, rotations, remainder)
+            if not np.isfinite(remainder[k + 1]):
+                return np.full(right.size, np.nan)
+            count = k + 1
+            if abs(remainder[k + 1]) <= forcing * norm:
+                break
+        weights = np.linalg.solve(rotated[:count, :count].T, remainder[:count])
+        return self.preconditioned(weights @ basis[:count])
+
+
+def preconditioner(case):
+    """Return the Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
+
+    It is what `end_residual` changes by where momenta are small. None if it is not definite.
+    """
+    size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
+    matrix = np.empty((size, size))
+    case.problem.momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
+    matrix *= case.duration
+    matrix[np.diag_indices(size)] += np.repeat(case.sigma**2, size // case.start.shape[0])
+    return matrix if cholesky(matrix) else None
+
+
+def jittered(values):
+    """Return copies of an array whose entries are moved by a unit in the last place, in SAMPLES patterns of signs."""
+    generator = np.random.default_rng(0)
+    return [values * (1.0 + UNIT * generator.choice((-1.0, 1.0), values.shape)) for _ in range(SAMPLES)]
+
+
+def rounding(case, path):
+    """Return how far the residual moves when the initial momenta move by a unit in the last place.
+
+    They cannot be had more exactly, and the trajectory's own rounding errors show as well: no iteration can be expected
+    to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
+    """
+    h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
+    trial, points = path.copy(), np.empty((case.steps * case.problem.points, *path.shape[1:]))
+    for momenta in jittered(path[0, 1]):
+        trial[0, 1] = momenta
+        if follow(case.problem.pairs, h, case.own, case.parameters, trial, points, 0.0) >= 0:
+            noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
+    return noise
+
+
+def rounding_of_states(case, path, errors):
+    """Return the same for the defects (N, 2, n, d) of all steps, when all states move by a unit in the last place."""
+    h, noise = case.duration / case.steps, 0.0
+    found, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
+    for trial in jittered(path):
+        if defects(case.problem.pairs, h, case.own, case.parameters, trial, points, found) >= 0:
+            noise = max(noise, largest((found - errors).ravel()))
+    return noise
+
+
+def without_progress(error, noise):
+    """Return how an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
+    return ROUNDED if error <= min(noise, VISIBLE) else STALLED
+
+
+def first_steps(case, h, factor, path, points):
+    """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
+    if factor is None or case.start.size <= DENSE:
+        return 0
+    given = case.problem.pairs, h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance
+    return broyden_steps(*given, path, points)
+
+
+def shoot(case, factor, path, points, log):
+    """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
+
+    `factor` is that of `preconditioner`. A row of `log`, one for each iteration, is (residual, tangents, step length).
+    Return how it ended, the iterations and the last residual.
+    """
+    h = case.duration / case.steps
+    trial_path, trial_points = np.empty_like(path), np.empty_like(points)
+    outcome = follow(case.problem.pairs, h, case.own, case.parameters, path, points, 0.0)
+    if outcome < 0:
+        return outcome, 0, np.inf
+    made = first_steps(case, h, factor, path, points)
+    residual, previous = end_residual(path[-1], case.target, case.sigma), np.inf
+    for iteration in range(case.max_iterations + 1):
+        error, norm = largest(residual), np.linalg.norm(residual)
+        log[iteration, 0] = error
+        if error <= case.tolerance or iteration == case.max_iterations:
+            return SOLVED if error <= case.tolerance else LIMIT, made + iteration, error
+        forcing = max(min(0.1, 0.9 * (norm / previous) ** 2), min(0.1, 0.1 * case.tolerance / error), 1e-10)
+        previous, linear = norm, Linearised(case, points, factor)
+        change = linear.solved(-residual, forcing).reshape(case.start.shape)
+        log[iteration, 1] = linear.count
+        if not np.isfinite(change).all():
+            return SINGULAR, made + iteration, error
+        length, accepted = 1.0, False
+        for _ in range(HALVINGS):
+            trial_path[0, 0], trial_path[0, 1] = path[0, 0], path[0, 1] + length * change
+            trial_points[:] = points
+            if follow(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, 1e-15) >= 0:
+                trial = end_residual(trial_path[-1], case.target, case.sigma)
+                if np.linalg.norm(trial) <= (1.0 - 1e-4 * length) * norm:
+                    accepted = True
+                    break
+            length *= 0.5
+        if not accepted:
+            return without_progress(error, rounding(case, path)), made + iteration, error
+        log[iteration, 2] = length
+        path[:], points[:], residual = trial_path, trial_points, trial
+    raise AssertionError("unreachable")
+
+
+def all_states(case, factor, path, points, log):
+    """Improve all states of `path` but the positions at the start; otherwise as `shoot`.
+
+    The residual is the largest of all defects of steps and of the end conditions.
+    """
+    h = case.duration / case.steps
+    errors, trial_errors = np.empty_like(path[1:]), np.empty_like(path[1:])
+    trial_path, trial_points = np.empty_like(path), np.empty_like(points)
+    outcome = defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
+    if outcome < 0:
+        return outcome, 0, np.inf
+    residual = end_residual(path[-1], case.target, case.sigma)
+    for iteration in range(case.max_iterations + 1):
+        error = max(largest(errors.ravel()), largest(residual))
+        log[iteration, 0] = error
+        if error <= case.tolerance or iteration == case.max_iterations:
+            return SOLVED if error <= case.tolerance else LIMIT, iteration, error
+        norm = np.hypot(np.linalg.norm(errors), np.linalg.norm(residual))
+        linear = Linearised(case, points, factor)
+        shifts = np.zeros((case.steps + 1, 2 * residual.size, 1))
+        shift_states(linear, errors, shifts)
+        right = -residual - end_residual_change(shifts[-1], case.sigma)[:, 0]
+        shifts[0, residual.size :, 0] = linear.solved(right, min(1e-3, 0.1 * error)) if right.any() else 0.0
+        shift_states(linear, errors, shifts)
+        log[iteration, 1] = linear.count + 2
+        if not np.isfinite(shifts).all():
+            return SINGULAR, iteration, error
+        length, accepted = 1.0, False
+        for _ in range(HALVINGS):
+            trial_path[:] = path + length * shifts.reshape(path.shape)
+            inside = all(case.problem.domain_margin(z) > 0.0 for z in trial_path)
+            if (
+                inside
+                and defects(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, trial_errors)
+                >= 0
+            ):
+                trial = end_residual(trial_path[-1], case.target, case.sigma)
+                if np.hypot(np.linalg.norm(trial_errors), np.linalg.norm(trial)) <= (1.0 - 1e-4 * length) * norm:
+                    accepted = True
+                    break
+            length *= 0.5
+        if not accepted:
+            return without_progress(error, rounding_of_states(case, path, errors)), iteration, error
+        log[iteration, 2] = length
+        path[:], points[:], residual, errors[:] = trial_path, trial_points, trial, trial_errors
+    raise AssertionError("unreachable")
+
+
+def shift_states(linear, errors, shifts):
+    """Fill shifts[1:], (N, 2nd, 1), with the linearised trajectory from shifts[0] that removes defects (N, 2, n, d)."""
+    for k, error in enumerate(errors):
+        solved = linear.advance(k, shifts[k], shifts[k + 1])
+        shifts[k + 1, :, 0] += error.ravel() if solved else np.nan

@@ -1,0 +1,396 @@
+"""One step of particles that interact in pairs, and its derivative.
+
+A composition method takes the field F = (H_p, -H_q) of each substep at one point between its ends: z1 = z0 + f h F(q,
+p) with q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1. Implicit substeps are iterated as they stand, which contracts by
+about h |H''|; where that is slow, Newton's method takes over with the generated second derivatives, whose matrix is
+factored anew only when the factors at hand no longer serve. Where H is separable and a and b are zero or one,
+positions and momenta take turns. An explicit Runge-Kutta method is k_i = F(z0 + h sum_j a_ij k_j), z1 = z0 + h sum_i
+b_i k_i.
+
+States have shape (2, n, d), own parameters (n, k).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray, njit
+
+from codegen.runtime.addresses import call, data_of, reals_at
+from codegen.runtime.lu import factor_matrix, solve_factored
+from codegen.runtime.particles.pair_algebra import copy_state, symmetric_product
+
+NON_FINITE, NOT_CONVERGED = -1, -3  # why a step fails
+PLAIN, NEWTON = 40, 25  # iterations of a substep as it stands, and by Newton's method
+ROUNDING = 1e-15  # relative change below which nothing is left but rounding
+STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they are stored (240 MB)
+
+
+class Pairs(NamedTuple):
+    """What compiled code knows of a `PairProblem`: integers, so that passing them counts no references.
+
+    Addresses of kernels, 0 where there is none; `points` of a step at which H is evaluated; 1 for Runge-Kutta methods;
+    and the address of the coefficients of the scheme.
+    """
+
+    hamiltonian: int
+    gradient: int
+    hessian: int
+    products: int
+    slope: int
+    velocity: int
+    domain_margin: int
+    points: int
+    is_runge_kutta: int
+    coefficients: int
+
+
+@njit(error_model="numpy", forceinline=True)
+def fill(kernel, z, own, parameters, filled):
+    """Call a kernel of a state at its address."""
+    call(kernel, (data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(filled)))
+
+
+@njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+def advance(pairs, z, h, own, parameters, points, near, after):
+    """Fill the state `after` a step from z; return the iterations, or why the step failed.
+
+    `points` (points, 2, n, d) take the states at which H is evaluated. Where they are those of a step from a nearby
+    state, `near` is the relative accuracy that suffices for implicit substeps, which then begin there; else it is zero.
+    """
+    if pairs.slope:
+        return take_turns(pairs, z, h, own, parameters, points, after)
+    if pairs.is_runge_kutta:
+        return runge_kutta_step(pairs, z, h, own, parameters, points, after)
+    return composed_step(pairs, z, h, own, parameters, points, near, after)
+
+
+@njit(error_model="numpy")
+def composed_step(pairs, z, h, own, parameters, points, near, after):
+    """Make a step by a composition method; otherwise as `advance`."""
+    before, gradient, iterations = np.empty(z.shape), np.empty(z.shape), 0
+    table = carray(reals_at(pairs.coefficients), (pairs.points, 3))
+    copy_state(z, before)
+    for s in range(pairs.points):
+        step, a, b = h * table[s, 0], table[s, 1], table[s, 2]
+        if a > 0.0 or b > 0.0:
+            outcome = implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient, points[s], after)
+            if outcome < 0:
+                return outcome
+            iterations += outcome
+        else:
+            copy_state(before, points[s])
+            fill(pairs.gradient, before, own, parameters, gradient)
+            moved(before, step, gradient, after)
+        if not copy_state(after, before):
+            return NON_FINITE
+    return iterations
+
+
+@njit(error_model="numpy")
+def runge_kutta_step(pairs, z, h, own, parameters, points, after):
+    """Make a step by an explicit Runge-Kutta method; otherwise as `advance`."""
+    count = pairs.points
+    table, gradients = carray(reals_at(pairs.coefficients), (count + 1, count)), np.empty((count, *z.shape))
+    for s in range(count):
+        combined(z, h, gradients, table[s], s, points[s])
+        fill(pairs.gradient, points[s], own, parameters, gradients[s])
+    combined(z, h, gradients, table[count], count, after)
+    return 0 if copy_state(after, gradients[0]) else NON_FINITE
+
+
+@njit(error_model="numpy")
+def combined(z, h, gradients, weights, count, result):
+    """Fill `result` (2, n, d) with z + h sum_r weights[r] (H_p, -H_q)_r over the first `count` stages."""
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            position, momentum = z[0, i, k], z[1, i, k]
+            for r in range(count):
+                position += h * weights[r] * gradients[r, 1, i, k]
+                momentum -= h * weights[r] * gradients[r, 0, i, k]
+            result[0, i, k], result[1, i, k] = position, momentum
+
+
+@njit(error_model="numpy")
+def take_turns(pairs, z, h, own, parameters, points, after):
+    """Make a step of a separable Hamiltonian, in which nothing is solved; otherwise as `advance`.
+
+    Neighbouring substeps share what has not changed between them: H_q as long as positions rest, H_p as long as momenta
+    do. `points[0]` keeps H_q and the positions to which it belongs, for the step that follows.
+    """
+    rates, slopes, positions = np.empty(z[0].shape), points[0, 0], points[0, 1]
+    table = carray(reals_at(pairs.coefficients), (pairs.points, 3))
+    has_rates, has_slopes = False, True
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            after[0, i, k], after[1, i, k] = z[0, i, k], z[1, i, k]
+            has_slopes = has_slopes and positions[i, k] == z[0, i, k]
+    for s in range(pairs.points):
+        step, a, b = h * table[s, 0], table[s, 1], table[s, 2]
+        if not (a > 0.0 or has_slopes):
+            fill(pairs.slope, after, own, parameters, slopes)
+            has_slopes = True
+        if b > 0.0:
+            shifted(after, 1, -step, slopes)
+            has_rates = False
+        if not has_rates:
+            fill(pairs.velocity, after, own, parameters, rates)
+            has_rates = True
+        if not (a > 0.0 or b > 0.0):
+            shifted(after, 1, -step, slopes)
+            has_rates = False
+        shifted(after, 0, step, rates)
+        has_slopes = False
+        if a > 0.0:
+            fill(pairs.slope, after, own, parameters, slopes)
+            shifted(after, 1, -step, slopes)
+            has_rates, has_slopes = False, True
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            positions[i, k] = after[0, i, k] if has_slopes else np.nan
+    return 0
+
+
+@njit(error_model="numpy")
+def shifted(z, part, step, rates):
+    """Add step times rates (n, d) to the positions (part 0) or momenta (part 1) of a state."""
+    for i in range(z.shape[1]):
+        for k in range(z.shape[2]):
+            z[part, i, k] += step * rates[i, k]
+
+
+@njit(error_model="numpy")
+def moved(before, step, gradient, after):
+    """Fill `after` (2, n, d) with before + step (H_p, -H_q); return the largest change and entry."""
+    change, size = 0.0, 0.0
+    for i in range(before.shape[1]):
+        for k in range(before.shape[2]):
+            position = before[0, i, k] + step * gradient[1, i, k]
+            momentum = before[1, i, k] - step * gradient[0, i, k]
+            change = max(change, abs(position - after[0, i, k]), abs(momentum - after[1, i, k]))
+            size = max(size, abs(position), abs(momentum))
+            after[0, i, k], after[1, i, k] = position, momentum
+    return change, size
+
+
+@njit(error_model="numpy")
+def between(before, after, a, b, point):
+    """Fill `point` (2, n, d) with the state at which a substep evaluates the field."""
+    for i in range(before.shape[1]):
+        for k in range(before.shape[2]):
+            point[0, i, k] = before[0, i, k] + a * (after[0, i, k] - before[0, i, k])
+            point[1, i, k] = before[1, i, k] + b * (after[1, i, k] - before[1, i, k])
+
+
+@njit(error_model="numpy")
+def is_settled(change, previous, size, accuracy):
+    """Return True if an iteration has come to a relative accuracy, or to where only rounding errors change it."""
+    return change <= accuracy * size or (change <= 1e-12 * size and change >= 0.5 * previous)
+
+
+@njit(error_model="numpy")
+def implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient, point, after):
+    """Fill `after` (2, n, d) with the end of a substep; return the iterations, or why there is no solution.
+
+    Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
+    iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
+    """
+    if not near > 0.0:
+        copy_state(before, point)
+    fill(pairs.gradient, point, own, parameters, gradient)
+    moved(before, step, gradient, after)
+    previous, earlier = np.inf, np.inf
+    for iteration in range(PLAIN):
+        between(before, after, a, b, point)
+        fill(pairs.gradient, point, own, parameters, gradient)
+        change, size = moved(before, step, gradient, after)
+        if is_settled(change, previous, size, max(near, ROUNDING)):
+            return iteration + 1
+        # Positions and momenta take turns, so that two iterations are compared.
+        if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
+            break
+        previous, earlier = change, previous
+    return newton_substep(pairs, before, step, a, b, own, parameters, gradient, point, after)
+
+
+@njit(error_model="numpy")
+def newton_substep(pairs, before, step, a, b, own, parameters, gradient, point, after):
+    """Make a substep by Newton's method from an explicit Euler step; otherwise as `implicit_substep`."""
+    size = before.size
+    hessian, matrix, pivots = np.empty((size, size)), np.empty((size, size)), np.empty(size, np.int64)
+    wanted, right = np.empty(before.shape), np.empty(size)
+    ends, goals = after.reshape(size), wanted.reshape(size)
+    fill(pairs.gradient, before, own, parameters, gradient)
+    moved(before, step, gradient, after)
+    previous, is_factored = np.inf, False
+    for iteration in range(NEWTON):
+        between(before, after, a, b, point)
+        fill(pairs.gradient, point, own, parameters, gradient)
+        copy_state(after, wanted)
+        moved(before, step, gradient, wanted)
+        if not is_factored:
+            fill(pairs.hessian, point, own, parameters, hessian)
+            substep_matrix(hessian, step, a, b, matrix)
+            if factor_matrix(matrix, pivots) >= 0:
+                return NOT_CONVERGED
+        for k in range(size):
+            right[k] = goals[k] - ends[k]
+        solve_factored(matrix, pivots, right)
+        change, scale = 0.0, 0.0
+        for k in range(size):
+            ends[k] += right[k]
+            change, scale = max(change, abs(right[k])), max(scale, abs(ends[k]))
+            if not abs(right[k]) < np.inf:
+                return NOT_CONVERGED
+        if is_settled(change, previous, scale, ROUNDING):
+            between(before, after, a, b, point)
+            return PLAIN + iteration + 1
+        is_factored = change < 0.1 * previous and iteration > 0
+        previous = change
+    return NOT_CONVERGED
+
+
+@njit(error_model="numpy")
+def substep_matrix(hessian, step, a, b, matrix):
+    """Fill `matrix` (2nd, 2nd) with 1 - step J H'' diag(a, b): the derivative of the equations by the end."""
+    size, half = hessian.shape[0], hessian.shape[0] // 2
+    for row in range(half):
+        for column in range(size):
+            weight = step * (a if column < half else b)
+            matrix[row, column] = -weight * hessian[half + row, column]
+            matrix[half + row, column] = weight * hessian[row, column]
+    for row in range(size):
+        matrix[row, row] += 1.0
+
+
+def curvature_at(problem, points, own, parameters):
+    """Return the second derivatives (P, 2nd, 2nd) at points (P, 2, n, d); an empty array where they are too many."""
+    are_too_many = float(points.shape[0]) * points[0].size ** 2 > STORED
+    hessians = np.empty((0 if are_too_many else points.shape[0], points[0].size, points[0].size))
+    if hessians.size:
+        fill_curvature(problem.hessian.address, points, own, parameters, hessians)
+    return hessians
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_curvature(hessian, points, own, parameters, hessians):
+    """Fill `hessians` (P, 2nd, 2nd) with the second derivatives at all points, by a kernel at an address."""
+    for k in range(points.shape[0]):
+        fill(hessian, points[k], own, parameters, hessians[k])
+
+
+@njit(error_model="numpy")
+def linearised_field(pairs, hessians, points, k, own, parameters, directions, products):
+    """Fill `products` (2nd, m) with J H'' at the k-th point times directions.
+
+    H'' is stored in `hessians`, or where that is empty, a kernel makes products with it.
+    """
+    if hessians.shape[0] > 0:
+        symmetric_product(hessians[k], directions, products)
+    else:
+        z, columns = points[k], directions.shape[1]
+        arguments = data_of(own), data_of(parameters), data_of(directions), columns, data_of(products)
+        call(pairs.products, (data_of(z), z.shape[1], *arguments))
+    half = directions.shape[0] // 2
+    for row in range(half):
+        for c in range(directions.shape[1]):
+            by_position = products[row, c]
+            products[row, c] = products[half + row, c]
+            products[half + row, c] = -by_position
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def advance_directions(pairs, hessians, points, first, h, own, parameters, directions, after):
+    """Fill `after` (2nd, m) with the derivative of a step times directions.
+
+    The step's points are those from number `first`. Return True if the linear equations of every substep were solved.
+    """
+    products = np.empty(directions.shape)
+    if pairs.is_runge_kutta:
+        count = pairs.points
+        table, rates = carray(reals_at(pairs.coefficients), (count + 1, count)), np.empty((count, *directions.shape))
+        for s in range(count):
+            combined_directions(directions, h, rates, table[s], s, products)
+            linearised_field(pairs, hessians, points, first + s, own, parameters, products, rates[s])
+        combined_directions(directions, h, rates, table[count], count, after)
+        return True
+    before, table = directions.copy(), carray(reals_at(pairs.coefficients), (pairs.points, 3))
+    for s in range(pairs.points):
+        step, a, b = h * table[s, 0], table[s, 1], table[s, 2]
+        if a > 0.0 or b > 0.0:
+            if not implicit_directions(
+                pairs, hessians, points, first + s, step, a, b, own, parameters, before, products, after
+            ):
+                return False
+        else:
+            linearised_field(pairs, hessians, points, first + s, own, parameters, before, products)
+            for row in range(before.shape[0]):
+                for c in range(before.shape[1]):
+                    after[row, c] = before[row, c] + step * products[row, c]
+        for row in range(before.shape[0]):
+            for c in range(before.shape[1]):
+                before[row, c] = after[row, c]
+    return True
+
+
+@njit(error_model="numpy")
+def combined_directions(directions, h, rates, weights, count, result):
+    """Fill `result` (2nd, m) with directions + h sum_r weights[r] rates[r] over the first `count` stages."""
+    for row in range(directions.shape[0]):
+        for c in range(directions.shape[1]):
+            value = directions[row, c]
+            for r in range(count):
+                value += h * weights[r] * rates[r, row, c]
+            result[row, c] = value
+
+
+@njit(error_model="numpy")
+def implicit_directions(pairs, hessians, points, k, step, a, b, own, parameters, before, products, after):
+    """Fill `after` with the derivative of a substep times the directions `before`, both (2nd, m), or return False."""
+    middle, half = np.empty(before.shape), before.shape[0] // 2
+    for row in range(before.shape[0]):
+        for c in range(before.shape[1]):
+            after[row, c] = before[row, c]
+    previous = np.inf
+    for _ in range(2 * PLAIN):
+        change, size = 0.0, 0.0
+        for row in range(before.shape[0]):
+            weight = a if row < half else b
+            for c in range(before.shape[1]):
+                middle[row, c] = before[row, c] + weight * (after[row, c] - before[row, c])
+        linearised_field(pairs, hessians, points, k, own, parameters, middle, products)
+        for row in range(before.shape[0]):
+            for c in range(before.shape[1]):
+                value = before[row, c] + step * products[row, c]
+                change, size = max(change, abs(value - after[row, c])), max(size, abs(value))
+                after[row, c] = value
+        if is_settled(change, previous, size, ROUNDING):
+            return True
+        if not change < np.inf:
+            break
+        previous = change
+    if hessians.shape[0] > 0:
+        return direct_directions(hessians[k], step, a, b, before, after)
+    return False
+
+
+@njit(error_model="numpy")
+def direct_directions(hessian, step, a, b, before, after):
+    """Solve the linear equations of a substep by elimination; otherwise as `implicit_directions`."""
+    size, half = hessian.shape[0], hessian.shape[0] // 2
+    matrix, pivots, middle, right = np.empty((size, size)), np.empty(size, np.int64), np.empty(size), np.empty(size)
+    substep_matrix(hessian, step, a, b, matrix)
+    if factor_matrix(matrix, pivots) >= 0:
+        return False
+    for c in range(before.shape[1]):
+        for row in range(size):
+            middle[row] = (1.0 - (a if row < half else b)) * before[row, c]
+        for row in range(half):
+            position, momentum = before[row, c], before[half + row, c]
+            for column in range(size):
+                position += step * hessian[half + row, column] * middle[column]
+                momentum -= step * hessian[row, column] * middle[column]
+            right[row], right[half + row] = position, momentum
+        solve_factored(matrix, pivots, right)
+        for row in range(size):
+            after[row, c] = right[row]
+    return True

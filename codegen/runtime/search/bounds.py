@@ -1,0 +1,87 @@
+"""Bounds of unknowns: active ones, and those that prescribed values violate."""
+
+import numpy as np
+
+from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.point import evaluate
+
+LEAST_SLACK = 1e-7  # slacks below -LEAST_SLACK are not rounding errors
+UNSURE = 10.0  # error of a value that end conditions determine, in multiples of their residual
+END_NAMES = "start", "end"
+
+
+def bounds_of(grid):
+    """Return the least and the greatest values of all unknowns, in multiples of scaling factors if there are any."""
+    if grid.bounds:
+        return grid.bounds
+    if grid.problem.variable_bounds is not None:
+        return grid.problem.variable_bounds(grid)
+    return np.full(grid.is_multiplier.size, -np.inf), np.full(grid.is_multiplier.size, np.inf)
+
+
+def units_of(grid):
+    """Return the scaling factors of all unknowns, ones if the grid has none."""
+    return grid.sizes if grid.sizes.size else np.ones(grid.is_multiplier.size)
+
+
+def at_bounds(grid, unknowns):
+    """Return a mask of the unknowns within a millionth of a bound, which an interior-point method never reaches."""
+    lower, upper = bounds_of(grid)
+    scale = 1e-6 * np.maximum(1.0, np.abs(unknowns))
+    return (unknowns - lower <= scale) | (upper - unknowns <= scale)
+
+
+def contradictory_bounds(grid):
+    """Return the index of an unknown whose least value is above its greatest, or -1."""
+    lower, upper = bounds_of(grid)
+    (indices,) = (lower > upper).nonzero()
+    return int(indices[0]) if indices.size else -1
+
+
+def prescribed_beyond(grid, unknowns):
+    """Return a text on a prescribed value or path condition at an end that violates bounds farther inside, or "".
+
+    Unknowns are in the problem's own units; margins are relative to scaling factors if the grid has them. Prescribed
+    values have no bounds of their own, so a motion that begins outside a bound would leap inside in the first interval.
+    """
+    if grid.steps == 1 or grid.problem.variable_bounds is None:
+        return ""
+    s, metadata = grid.problem.structure, grid.problem.metadata
+    units, (lower, upper) = units_of(grid), bounds_of(grid)
+    index, inner = first_beyond(s, unknowns, units, lower, upper, grid.steps, 0.0)
+    if index >= 0 and free_unknowns(grid)[index]:
+        # Conditions at the end determine it, no better than they hold.
+        unsure = UNSURE * evaluate(grid, unknowns / units).residual
+        index, inner = first_beyond(s, unknowns, units, lower, upper, grid.steps, unsure)
+    if index < 0:
+        return ""
+    local = index % (grid.steps * s.stride + s.node)
+    end, i = END_NAMES[local >= s.stride], local % s.stride
+    if i < s.node:
+        limits = f"{units[index] * lower[inner]:g} to {units[index] * upper[inner]:g}"
+        return f"{metadata['node'][i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
+    name = metadata["interval"][i - s.node]
+    condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+    return f"what is prescribed at the {end} violates {condition}"
+
+
+def first_beyond(s, unknowns, units, lower, upper, steps, unsure):
+    """Return the index of the first unknown at an end that is beyond the bounds farther inside, and its neighbour's.
+
+    `unknowns`, `units`, `lower` and `upper` are (n,). Values that are given have no bounds themselves, and are known
+    but for what is `unsure`; slacks of what is prescribed have no least value. Both are -1 where there is no such
+    unknown.
+    """
+    for body in range(s.bodies):
+        for i in range(s.stride):
+            start = body * (steps * s.stride + s.node) + i
+            end = start + (steps if i < s.node else steps - 1) * s.stride
+            for index, inner in ((start, start + s.stride), (end, end - s.stride)):
+                value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
+                margin = max(unsure, 1e-9 * max(1.0, abs(value))) if i < s.node else LEAST_SLACK
+                is_below = lower[index] < least and value < least - margin
+                is_above = upper[index] > greatest and value > greatest + margin
+                is_given = lower[index] == -np.inf and upper[index] == np.inf
+                if (i < s.node and is_given and (is_below or is_above)) or (i >= s.node and is_below):
+                    return index, inner
+    return -1, -1

@@ -1,0 +1,281 @@
+"""The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed."""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.search.convergence import is_at_rounding_level, is_solved, sizes_of_terms
+from codegen.runtime.search.descent import relaxation
+from codegen.runtime.search.exact_bounds import within_bounds
+from codegen.runtime.search.grid import free_unknowns, views
+from codegen.runtime.search.iterates import (
+    CASCADE,
+    CASCADE_WITH_BOUNDS,
+    FROM_AFAR,
+    FROM_GUESS,
+    FROM_NEIGHBOUR,
+    LARGEST_DUAL,
+    NEARBY,
+    Iterate,
+    barrier_curvature,
+    begin,
+    central_duals,
+    has_multipliers,
+    keep_storage,
+    measured_point,
+    newton_system,
+    on_grid,
+    predicted_cost,
+    pushed_inside,
+    search_on,
+)
+from codegen.runtime.search.linear_system import factor_kkt
+from codegen.runtime.search.newton import UNLUCKY, descend, restored
+from codegen.runtime.search.point import evaluate
+from codegen.runtime.search.restoration import NONE_HELD, least_violation
+from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is_below
+from codegen.runtime.search.termination import VIOLATED
+
+BULGE = 0.1  # part of its size by which a guess is bent
+WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # after these the violation itself is minimised
+
+GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
+NEARBY_ITERATIONS = 100  # largest number for a search from a point near such a guess
+FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts everything
+WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
+CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
+NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
+
+
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
+    """Find a local minimum; return (status, point, iterations).
+
+    Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
+    succeeds, the end of the first one is reported. With `warm`, unknowns are the solution of a neighbour: the first
+    search keeps its multipliers, without bounds only where it is near, and the next, without them, begins with a
+    small weight of the barrier and leaves unknowns close to their bounds. A row (cost, residual, stationarity,
+    Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
+    one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
+    point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
+    bounds, if there was one: its storage serves again. `is_factored`: `factor_nearby` has factored its linear system
+    for unknowns beside these, and the first step takes its factors.
+    """
+    first, total, is_passing = None, 0, search is None
+    if search is not None:
+        search = on_grid(search, grid)
+    else:
+        search = search_on(grid)
+        lower, upper = search.box
+        if (lower > upper).any():
+            return "infeasible", evaluate(grid, unknowns), 0
+    cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *(CASCADE_WITH_BOUNDS if search.is_bounded else CASCADE)
+    guess = begin_nearby(search, unknowns, tolerance) if warm else None
+    if guess is not None:
+        cascade = FROM_NEIGHBOUR, *cascade
+        is_factored = is_factored and guess.mu < FROM_AFAR.weight
+    else:
+        guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
+        is_factored = False
+    if not search.is_bounded and guess.point.error < np.inf and is_gross(search, guess.point):
+        status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
+        if status in ("solved", "time limit"):
+            if is_passing:
+                keep_storage(search)
+            return status, iterate.point, total
+        is_factored = False
+    for attempt in cascade:
+        iterate, status = guess, "restored"
+        if first:
+            primal = without_multipliers(grid, unknowns, known)
+            iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
+        elif is_factored:
+            attempt = attempt._replace(is_factored=True)
+        if attempt.nearby < 1.0 and iterate.point.error < np.inf:
+            status, iterate = restored(search, iterate, attempt.nearby, FROM_ANYWHERE, log)
+        if status == "restored":
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
+            total += iterations
+            first = first or (status, iterate)
+        if first and first[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
+            first = status, iterate  # equations that contradict each other are dependent as well
+        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+            break
+    if status != "solved":
+        status, iterate = first
+    if status in WITHOUT_WAY and iterate.point.residual > VIOLATED and total < max_iterations:
+        left = max_iterations - total
+        status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
+        total += iterations
+    point = within_bounds(search, iterate, tolerance) if search.is_bounded else iterate.point
+    if is_passing:
+        keep_storage(search)
+    return status, point, total
+
+
+def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
+    """Minimise the violation near an iterate and the guess; return (status, iterate, iterations).
+
+    If the least violation is zero, a last search begins there: earlier ones may have lowered the cost, as a duration,
+    below that of all feasible motions. Otherwise the equations hold nowhere near the iterate, and the status is
+    "infeasible".
+    """
+    ended, total = None, 0
+    for start, held in violating_starts(search, iterate, guess):
+        found, least = least_violation(search, start, tolerance, log.is_late, held)
+        if found == "restored":
+            if search.is_bounded:
+                weight = CASCADE[0].weight  # that of the restoration is tiny in the end
+                least = least._replace(mu=weight, duals=central_duals(weight, least.distance))
+                least = least._replace(point=measured_point(search, least))
+            left = max_iterations - total
+            tried, last, iterations = leave_saddles(search, least, CASCADE[0], tolerance, left, log)
+            total += iterations
+            if tried == "solved":
+                return tried, last, total
+            ended = "stalled" if status == "infeasible" else status, iterate  # something does obey them
+        elif found == "infeasible" and ended is None and status != "rank-deficient":
+            ended = found, least
+    return *(ended or (status, iterate)), total
+
+
+def violating_starts(search, iterate, guess):
+    """Yield iterates near which the equations may hold, with the unknowns that are to stay as they are.
+
+    Shared ones, as a duration, may fall to where no motion obeys while the motion itself has hardly begun to. A guess
+    that is symmetric may be stationary and no minimum, so that the last one is bent.
+    """
+    grid = search.grid
+    yield iterate, NONE_HELD
+    yield guess, NONE_HELD
+    if grid.problem.structure.root:
+        yield guess, slice(grid.is_multiplier.size - grid.problem.structure.root, None)
+    bent = bulged_guess(grid, np.where(grid.is_multiplier, 0.0, guess.point.unknowns), BULGE)
+    yield begin(search, bent, CASCADE[0]), NONE_HELD
+
+
+def without_multipliers(grid, unknowns, known):
+    """Return unknowns (n,) with zeros for multipliers; of a point without multipliers if it is `known`."""
+    return np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
+
+
+def first_iterate(search, unknowns, attempt, known):
+    """Return the iterate without multipliers at a guess, whose point may be `known`."""
+    if not search.is_bounded and known is not None:
+        return Iterate(known, 0.0, search.bounds.side, search.bounds.side)
+    return begin(search, unknowns, attempt)
+
+
+def is_gross(search, point):
+    """Return True if the residual is more than a small part of the equations' largest terms."""
+    terms, _ = sizes_of_terms(search.grid, point.unknowns, search.system)
+    return point.residual > GROSS * terms
+
+
+def from_nearby(search, guess, tolerance, max_iterations, log):
+    """Return (status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
+
+    A full Newton step, which knows of no distance, would leave for another optimum.
+    """
+    status, iterate = restored(search, guess, NEARBY.nearby, FROM_ANYWHERE, log)
+    if status != "restored":
+        return status, iterate, 0
+    limit = min(max_iterations // 2, NEARBY_ITERATIONS)
+    return leave_saddles(search, iterate, NEARBY, tolerance, limit, log)
+
+
+def bulged_guess(grid, unknowns, part):
+    """Return unknowns that bulge between the ends by a part of the size of each quantity, or of the largest one.
+
+    Where all are zero, there is nothing to tell sizes from, and one will do.
+    """
+    if part == 0.0:
+        return unknowns
+    bulge, largest = np.zeros_like(unknowns), np.abs(unknowns).max(initial=0.0) or 1.0
+    for own, values in zip(views(grid, bulge), views(grid, np.abs(unknowns)), strict=True):
+        sizes = np.maximum(values.max(axis=1, initial=0.0), 0.1 * largest)
+        own[:] = part * sizes[:, None] * np.sin(np.pi * np.linspace(0.0, 1.0, own.shape[1]))[:, None]
+    return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
+
+
+def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
+    """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
+
+    Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
+    """
+    status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
+    failed, escapes = False, 0
+    while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
+        attempt = attempt._replace(is_factored=False)
+        known = predicted_cost(search, saddle)
+        for beside in escaping_iterates(search, saddle, attempt, escapes):
+            ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
+            total += iterations
+            if ended in LEFT and is_below(predicted_cost(search, other), known):
+                status, saddle = ended, other
+                break
+            failed = failed or ended not in LEFT
+        escapes += 1
+    if status == "saddle point" and escapes == ESCAPES and not failed:
+        grid, point = search.grid, saddle.point
+        is_over = is_solved(grid, point, tolerance) or is_at_rounding_level(grid, point)
+        status = "solved" if is_over else "stalled"
+    return status, saddle, total
+
+
+def escaping_iterates(search, saddle, attempt, escapes):
+    """Yield iterates to both sides of a saddle point, along the direction of most negative curvature."""
+    grid, unknowns = search.grid, saddle.point.unknowns
+    curvature = barrier_curvature(search, saddle)
+    for step in escape_steps(grid, unknowns, curvature, escapes):
+        yield begin(search, np.where(grid.is_multiplier, 0.0, unknowns + step), attempt)
+
+
+def begin_nearby(search, unknowns, tolerance):
+    """Return the warm start at a neighbour's unknowns, multipliers among them; None without any.
+
+    Nor is there one far from the equations, unless there are bounds. Duals of bounds follow from the multipliers: where
+    the Lagrangian falls towards a bound, by more than the distance to it, the bound is active, and its dual is that
+    slope; the others are on the central path. The barrier's weight begins where it ends, and unknowns stay close to
+    their bounds. Far from the equations, as after a push, other bounds become active: then the start is farther inside.
+    Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming, SIAM J.
+    Optim. 12: the larger the change of the data, the larger the weight of the barrier from which to begin.
+    """
+    grid, bounds = search.grid, search.bounds
+    if not has_multipliers(unknowns, grid.is_multiplier):
+        return None
+    if not search.is_bounded:
+        iterate = Iterate(evaluate(grid, unknowns), 0.0, bounds.side, bounds.side)
+        return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
+    mu, unknowns = WARM_WEIGHT * tolerance, pushed_inside(search, unknowns, CLOSE)
+    point = evaluate(grid, unknowns)
+    if point.residual > NEAR:
+        iterate = begin(search, unknowns, FROM_AFAR)
+    else:
+        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
+        fill_active(unknowns, point.gradient, *bounds, mu, search.least, distance, duals)
+        iterate = Iterate(point, mu, distance, duals)
+    return iterate if iterate.point.error < np.inf else None
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_active(unknowns, gradient, indices, value, side, magnitude, mu, least, distance, duals):
+    """Fill the distances (m,) to bounds, and duals (m,), where bounds that the Lagrangian falls towards are active."""
+    relaxed = relaxation(mu, least)
+    for j in range(indices.size):
+        distance[j] = side[j] * (unknowns[indices[j]] - value[j]) + relaxed * magnitude[j]
+        slope = side[j] * gradient[indices[j]]
+        duals[j] = slope if slope > distance[j] else min(mu / distance[j], LARGEST_DUAL)
+
+
+def factor_nearby(grid, unknowns, tolerance, search):
+    """Factor the linear system of the first step from a neighbour's unknowns, or from others beside them, beforehand.
+
+    `search` is what `search_on` gave for a grid with the same bounds; it has the factors. Return True if such a step
+    can take them: the reduced Hessian is positive definite as it is.
+    """
+    search = on_grid(search, grid)
+    iterate = begin_nearby(search, unknowns, tolerance)
+    if iterate is None or iterate.mu == FROM_AFAR.weight:
+        return False
+    _, diagonal = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
+    return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, search.system) == 0

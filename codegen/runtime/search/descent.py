@@ -1,0 +1,983 @@
+"""Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior-point method.
+
+One compiled function for all problems. It knows vectors, addresses of what is special about a problem, and work space;
+it allocates nothing, raises nothing, holds no lock of the interpreter, and returns after a given number of iterations
+or where something else has to be done. Its state stays in the work space, so that the next call goes on.
+
+Bounds are replaced by a logarithmic barrier whose weight mu tends to zero. For each weight Newton's method solves the
+optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
+decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
+line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+
+Every finite bound is an entry of flat arrays: `indices` of its unknown x, its `side` s, 1 for a lower and -1 for an
+upper bound, its `magnitude`. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
+gradient - s z = 0 and z d = mu. Distances are moved along with the unknowns instead of being computed anew, because
+close to a bound rounding would leave nothing of a difference. Bounds are relaxed a little, so that equations may force
+unknowns onto them; the relaxation goes to rounding level with mu.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.kkt.system import SINGULAR
+from codegen.runtime.search.linear_system import call_hessians, factor_at, global_index, multiply_entries, solve_at
+from codegen.runtime.search.point import measured_gradient
+
+# Why the function returns.
+CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM = range(10)
+WORDS = (
+    "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
+)  # fmt: skip
+"""Termination status by these numbers."""
+
+# Rows of the vectors (VECTORS, n) and of the arrays (BARRIERS, m) of the work space.
+(
+    X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, LOOSE_X,
+) = range(13)  # fmt: skip
+VECTORS = 13
+DISTANCE, DUALS, MOVED, PUSHED, DUAL_STEP, DUAL_STEP2, WATCH_DISTANCE, WATCH_DUALS, LOOSE_DISTANCE, LOOSE_DUALS = range(
+    10
+)
+BARRIERS = 10
+
+# Numbers of the state.
+(
+    MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
+    WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
+    STATIONARITY, ERROR, LOOSE_MU, LAST_COST,
+) = range(22)  # fmt: skip
+REALS = 22
+(
+    PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
+    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN,
+) = range(21)  # fmt: skip
+INTEGERS = 21
+
+# Sizes of residuals and terms.
+UNIT_ROUNDOFF = 2.2e-16
+VANISHED = 1e-20  # a residual below it counts as zero, since a cost of squares may vanish with all its terms
+WORTH_MEASURING = 1e-7  # the sizes of terms are not computed for larger errors
+ROUNDED = 1e-12  # residuals below it are rounding errors, which no step reduces
+NEARLY = 1e-6  # largest error of an iterate that may be a saddle point
+NEARLY_FEASIBLE = 1e-6  # largest residual, or tenth of that part of the terms, of an unbounded problem's iterate
+
+# The end of a search.
+PROGRESS = 0.5  # a warm search ends at rounding level if a step leaves more than this part of the error
+UNCHANGED, REST = 1e-3, 5  # largest relative change of the error of a search at rest; iterates in turn that end it
+FLAT = 1e-8  # curvatures above -FLAT count as positive
+UNBOUNDED_BELOW = 1e10  # a cost below minus this number times max(1, |first cost|) counts as minus infinity
+LARGEST = 1e20  # a problem with bounds counts as unbounded if an unknown exceeds it
+PATIENCE = 8  # iterations with the last weight after which multipliers are scaled in the convergence test
+VAIN = 20  # full steps in turn without effect on the violation after which equations count as contradictory
+
+# The barrier.
+LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1 the cost of a crane is off by 2e-9
+RELAXED, LEAST_RELAXED = 1e-8, 1e-12  # largest and least relaxation of a bound, relative to max(1, |bound|)
+PER_WEIGHT = 1e-2  # relaxation between these limits, relative to the barrier's weight
+MOST_RELAXING = RELAXED / PER_WEIGHT  # larger weights have the largest relaxation
+ROUNDING = 1e-15  # residuals up to it are zero in steps: at a distance of 1e-12 they would turn the signs of duals
+
+# Inertia correction.
+SINGULAR_STEP = 1e12  # a step that exceeds the right-hand side by this factor is a rounding error
+LARGE_SHIFT = 1e8  # above this delta_w, a delta_c is tried: an eigenvalue of zero has the sign of its rounding error
+SMALL_DELTA_W = 1e-2  # if a lower shift is below it, none is tried first
+FAR = 10.0  # a step beyond this multiple of the largest unknown needs a larger first shift
+DUAL_SHIFT = 1e-8  # delta_c, for equations that may be dependent
+LEAST_DAMPING = 1e-5  # of the Hessian, after steps that the filter shortened much
+
+# Refinement.
+ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, of a step that is not refined
+NEARLY_ACCURATE = 1e-6  # largest residual that may be rounding of a large solution, if two corrections do not halve it
+LARGE_STEP = 1e6  # largest solution that a residual is compared with, relative to the right-hand side
+SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
+UNSOLVED = 0.1  # part of the residual that a full step may leave before its linear system is looked at
+
+# Line search.
+CORRECTIONS = 4  # second-order corrections at one iterate
+SHORT = 0.25  # largest part of a step that counts as much shortened
+SHORT_IN_TURN = 6  # much shortened steps in turn after which the Hessian is damped
+SHORTENED_IN_TURN = 10  # shortened steps in turn after which the watchdog begins
+FULL_STEPS = 4  # untested full steps of the watchdog
+TINY, CLOSER = 1e-13, 0.9  # a step of TINY max(1, |x|) changes nothing; part of the error that a closer trial leaves
+MISLED = 5  # steps in turn that the filter alone has shortened, after which the filter is emptied
+EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
+
+
+@njit(error_model="numpy")
+def sum_of_logarithms(distance):
+    """Return the sum of the logarithms of positive numbers, from products of several, since a logarithm takes long."""
+    total, product = 0.0, 1.0
+    for j in range(distance.size):
+        product *= distance[j]
+        if not 1e-150 < product < 1e150:
+            total += np.log(product)
+            product = 1.0
+    return total + np.log(product)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def relaxation(mu, least):
+    """Return the relaxation of bounds for the weight mu, relative to their magnitudes."""
+    return min(RELAXED, max(least, PER_WEIGHT * mu))
+
+
+@njit(error_model="numpy")
+def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
+    """Fill `closer` with the distances to bounds that are `by` nearer, relative to their magnitudes.
+
+    `unknowns` that are then closer than `least` move inside. Return the sum of logarithms, and whether any moved.
+    """
+    moves = False
+    for j in range(indices.size):
+        closer[j] = distance[j] - by * magnitude[j]
+        missing = least * magnitude[j] - closer[j]
+        if missing > 0.0:
+            unknowns[indices[j]] += side[j] * missing
+            closer[j], moves = least * magnitude[j], True
+    return sum_of_logarithms(closer), moves
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, spare):
+    """Return measures of the optimality conditions with the duals of bounds.
+
+    The max-norm of the stationarity, the sum of complementarities z d, the least and the largest z d, the means of all
+    |multipliers| and duals together and of the duals alone, and the largest |unknown|.
+    """
+    total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
+    for i in range(gradient.size):
+        spare[i] = gradient[i]
+    for j in range(indices.size):
+        spare[indices[j]] -= side[j] * duals[j]
+        product = duals[j] * distance[j]
+        lowest, highest = min(lowest, product), max(highest, product)
+        total += product
+        size += duals[j]
+    stationarity, multipliers, count, largest = 0.0, 0.0, 0, 0.0
+    for i in range(gradient.size):
+        if is_multiplier[i]:
+            multipliers += abs(unknowns[i])
+            count += 1
+        else:
+            stationarity = max(stationarity, abs(spare[i]))
+            largest = max(largest, abs(unknowns[i]))
+    mean = (multipliers + size) / max(count + indices.size, 1)
+    return stationarity, total, lowest, highest, mean, size / max(indices.size, 1), largest
+
+
+@njit(error_model="numpy")
+def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors):
+    """Fill the gradient; return (cost, residual, violation, stationarity, error) and what `optimality` measures.
+
+    Duals of bounds take part in stationarity and error.
+    """
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
+    cost, residual, violation, stationarity, error = measured_gradient(
+        problem[0], unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, vectors[SCALED][: sizes.size],
+        gradient,
+    )  # fmt: skip
+    indices, side, _ = bounds
+    measured = optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, vectors[SPARE])
+    if error < np.inf:
+        stationarity = measured[0]
+        error = max(residual, stationarity)
+    return (cost, residual, violation, stationarity, error), measured
+
+
+@njit(error_model="numpy")
+def measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors):
+    """Return what `evaluated` does for an iterate that has been evaluated: its gradient and measures are there."""
+    cost, residual, violation, stationarity, error = reals[COST], reals[RESIDUAL], reals[VIOLATION], np.inf, np.inf
+    measured = optimality(g, x, is_multiplier, bounds[0], bounds[1], distance, duals, vectors[SPARE])
+    if reals[ERROR] < np.inf:
+        stationarity = measured[0]
+        error = max(residual, stationarity)
+    return (cost, residual, violation, stationarity, error), measured
+
+
+@njit(error_model="numpy")
+def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
+    """Factor with the diagonal and the right-hand side of the work space, solve for the step if that `is_wanted`."""
+    steps, h, nodes, parameters, _, sizes, _, _, _, _, _ = grid
+    tables, factors, orders, entries, scaled, costless, inverses, counts, equations, _, _ = system
+    chosen = scaled if weight_of_cost == 1.0 else costless
+    return factor_at(
+        problem[1], problem[2], x, sizes, vectors[SCALED], chosen, steps, h, nodes, parameters, tables, entries,
+        vectors[RIGHT], vectors[DIAGONAL], equations, factors, orders, inverses, counts, vectors[STEP], is_wanted,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def terms(problem, grid, system, x, is_costless, vectors):
+    """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition.
+
+    Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
+    Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    """
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
+    _, _, _, entries, _, _, _, counts, _, rows, columns = system
+    unknowns, sums = x, vectors[SPARE]
+    if sizes.size:
+        unknowns = vectors[SCALED]
+        for i in range(x.size):
+            unknowns[i] = x[i] * sizes[i]
+    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
+    for i in range(sums.size):
+        sums[i] = 0.0
+    multiply_entries(entries, rows, columns, steps, counts, unknowns, sums, True)
+    for j in range(fillings.shape[0]):
+        # What intervals have added for an unknown of the start alone is no term, and its entry takes it back.
+        value, row = entries[fillings[j, 0]], fillings[j, 1]
+        sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(unknowns[row])
+    equations, stationarity = 0.0, 0.0
+    for i in range(sums.size):
+        size = sums[i] * weight * sizes[i] if sizes.size else sums[i]
+        if is_multiplier[i]:
+            equations = max(equations, size)
+        else:
+            stationarity = max(stationarity, size)
+    return equations, max(1.0, stationarity) if is_costless else stationarity
+
+
+@njit(error_model="numpy")
+def is_small(value, size, tolerance):
+    """Return True if a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size, VANISHED)
+
+
+@njit(error_model="numpy")
+def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_costless, vectors):
+    """Return True if residual and stationarity are within the tolerance, or no more than rounding of their terms.
+
+    The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller.
+    """
+    if max(residual, stationarity) > max(tolerance, WORTH_MEASURING):
+        return False
+    if max(residual, stationarity) <= tolerance and have_large_terms(problem, grid, system, x, vectors):
+        return True
+    of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
+    return is_small(residual, of_equations, tolerance) and is_small(stationarity, of_stationarity, tolerance)
+
+
+@njit(error_model="numpy")
+def have_large_terms(problem, grid, system, x, vectors):
+    """Return True if there are terms of an equation and of a stationarity condition that are one or more.
+
+    As in `terms`, of which these are a part: most often an end and a few intervals tell that the tolerance is absolute.
+    """
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
+    _, _, _, entries, _, _, _, counts, _, rows, columns = system
+    unknowns = x
+    if sizes.size:
+        unknowns = vectors[SCALED]
+        for i in range(x.size):
+            unknowns[i] = x[i] * sizes[i]
+    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
+    bodies, own, element, stride, linking = counts[0], counts[4], counts[6], counts[7], x.size - counts[5]
+    chain, has_equation, has_slope = steps * stride + element - stride, False, False
+    for kind in (2, 1, 0):  # ends, starts, intervals
+        count, place, first_local = counts[1 + kind], 0, 0
+        for before in range(kind):
+            place += bodies * counts[1 + before] * (steps if before == 0 else 1)
+            first_local += counts[1 + before]
+        for body in range(bodies):
+            for k in range(steps if kind == 0 else 1):
+                first = body * chain + (steps - 1 if kind == 2 else k) * stride
+                for j in range(count):
+                    if fillings.shape[0] and kind < 2 and k == 0:
+                        break  # entries of a start may take back what the first interval has
+                    row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
+                    column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
+                    for i, other in ((row, column), (column, row)):
+                        term = abs(entries[place + j] * unknowns[other])
+                        if sizes.size:
+                            term *= weight * sizes[i]
+                        if term >= 1.0:
+                            has_equation = has_equation or is_multiplier[i]
+                            has_slope = has_slope or not is_multiplier[i]
+                if has_equation and has_slope:
+                    return True
+                place += count
+    return False
+
+
+@njit(error_model="numpy")
+def is_at_rounding_level(problem, grid, system, x, residual, stationarity, is_costless, vectors):
+    """Return True if residual and stationarity are no larger than a thousand rounding errors."""
+    of_equations, of_stationarity = terms(problem, grid, system, x, is_costless, vectors)
+    return residual <= 1e3 * UNIT_ROUNDOFF * of_equations and stationarity <= 1e3 * UNIT_ROUNDOFF * of_stationarity
+
+
+@njit(error_model="numpy")
+def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_costless, vectors):
+    """Return True if an iterate is optimal to the tolerance, with scaled multipliers (5)."""
+    stationarity, _, _, highest, mean, mean_dual, _ = measured
+    if highest / (max(100.0, mean_dual) / 100.0) > tolerance:
+        return False
+    scaled = stationarity / (max(100.0, mean) / 100.0)
+    return is_solved(problem, grid, system, x, measures[1], scaled, tolerance, is_costless, vectors)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, diagonal):
+    """Fill right-hand side and diagonal of Newton's equations (13), given the gradient of the Lagrangian."""
+    is_multiplier, (indices, side, _) = grid[4], bounds
+    for i in range(g.size):
+        is_rounding = indices.size > 0 and is_multiplier[i] and abs(g[i]) <= ROUNDING
+        right[i] = 0.0 if is_rounding else g[i]
+        diagonal[i] = -delta_c if is_multiplier[i] else delta_w
+    for j in range(indices.size):
+        inverse = 1.0 / distance[j]
+        right[indices[j]] -= mu * side[j] * inverse
+        diagonal[indices[j]] += duals[j] * inverse
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
+    """Fill `dual_step`; return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
+
+    The slope is that of the cost along the primal part. With A the Jacobian of the equations and d the primal part,
+    A d = -residual, so the multipliers' share of the Lagrangian has slope -multipliers . residual, which is taken away
+    again. A step that is far longer than its right-hand side is one of rounding. Lengths keep 1 - tau of every distance
+    and of every dual (15).
+    """
+    is_multiplier, (indices, side, _) = grid[4], bounds
+    slope = size = largest = 0.0
+    for i in range(x.size):
+        slope += right[i] * (x[i] if is_multiplier[i] else step[i])
+        size, largest = max(size, abs(step[i])), max(largest, abs(right[i]))
+    if indices.size == 0:
+        return slope, size > SINGULAR_STEP * largest, 1.0, 1.0
+    tau = max(0.99, 1.0 - mu)
+    primal, dual = tau, tau  # the largest parts of a distance, and of a dual, that the step takes away, or tau
+    for j in range(indices.size):
+        change, inverse = side[j] * step[indices[j]], 1.0 / distance[j]
+        dual_step[j] = (mu - duals[j] * change) * inverse - duals[j]
+        primal, dual = max(primal, -change * inverse), max(dual, -dual_step[j] / duals[j])
+    return slope, size > SINGULAR_STEP * largest, tau / primal, tau / dual
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed):
+    """Fill the trial after parts of a step, its distances and duals; return the sum of logarithms of distances.
+
+    Rounding must not make a distance vanish; duals are kept within a factor of 1e10 of mu / d (16).
+    """
+    indices, side, _ = bounds
+    for i in range(x.size):
+        trial[i] = x[i] + length * step[i]
+    if indices.size == 0:
+        return 0.0
+    for j in range(indices.size):
+        d = distance[j] + side[j] * (length * step[indices[j]])
+        moved[j] = max(d, 1e-16 * distance[j])
+        centre = mu / moved[j]
+        pushed[j] = max(min(duals[j] + dual_length * dual_step[j], 1e10 * centre), 1e-10 * centre)
+    return sum_of_logarithms(moved)
+
+
+@njit(error_model="numpy")
+def lets_pass(pairs, count, violation, objective):
+    """Return True if no pair of the filter is better both in violation and in objective (18)."""
+    passes = True
+    for j in range(count):
+        passes = passes and (violation < pairs[j, 0] or objective < pairs[j, 1])
+    return passes
+
+
+@njit(error_model="numpy")
+def add_pair(pairs, count, violation, objective):
+    """Add the envelope of a point to the filter, whose first pair stays; return the new number of pairs.
+
+    Pairs that the new one makes superfluous go.
+    """
+    violation, objective = (1.0 - 1e-5) * violation, objective - 1e-8 * violation
+    kept = 1
+    for j in range(1, count):
+        if not (violation <= pairs[j, 0] and objective <= pairs[j, 1]):
+            pairs[kept, 0], pairs[kept, 1] = pairs[j, 0], pairs[j, 1]
+            kept += 1
+    if kept < pairs.shape[0]:
+        pairs[kept, 0], pairs[kept, 1] = violation, objective
+        kept += 1
+    return kept
+
+
+@njit(error_model="numpy")
+def accepts(pairs, integers, violation, objective, trial_violation, trial_objective, slope, length, small):
+    """Return True if a trial may be taken (19, 20); the filter grows unless the objective fell as the slope promised.
+
+    Points of long ago, nearly feasible and cheap, may bar the way for many iterations. Where the last trial that an
+    iterate refused was refused by the filter alone, five times in turn, all pairs but the first are forgotten, as IPOPT
+    does (its option filter_reset_trigger).
+    """
+    rounding = 2e-15 * abs(objective)
+    promising = slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1
+    fell = promising and trial_objective <= objective + 1e-8 * length * slope + rounding
+    if promising and violation <= small:
+        better = fell
+    else:
+        is_closer = trial_violation <= (1.0 - 1e-5) * violation
+        better = is_closer or trial_objective <= objective - 1e-8 * violation + rounding
+    if not better or not lets_pass(pairs, integers[PAIRS], trial_violation, trial_objective):
+        integers[REFUSED] = better
+        return False
+    integers[IN_TURN] = integers[IN_TURN] + 1 if integers[REFUSED] else 0
+    integers[REFUSED] = 0
+    if integers[IN_TURN] == MISLED and integers[EMPTIED] < EMPTIED_AT_MOST:
+        integers[PAIRS], integers[IN_TURN] = 1, 0
+        integers[EMPTIED] += 1
+    if not fell:
+        integers[PAIRS] = add_pair(pairs, integers[PAIRS], violation, objective)
+    return True
+
+
+@njit(error_model="numpy")
+def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, left):
+    """Fill `left` with KKT matrix . step + weight_of_right . right; return its `inaccuracy`."""
+    steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _ = grid
+    _, _, _, entries, _, _, _, counts, _, rows, columns = system
+    unknowns, vector = x, step
+    if sizes.size:
+        unknowns, vector = vectors[SCALED], vectors[SPARE]
+        for i in range(x.size):
+            unknowns[i] = x[i] * sizes[i]
+            vector[i] = np.sqrt(sizes[i] * forces[i]) * step[i]
+    call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
+    for i in range(left.size):
+        left[i] = 0.0
+    multiply_entries(entries, rows, columns, steps, counts, vector, left, False)
+    for i in range(left.size):
+        if sizes.size:
+            left[i] *= np.sqrt(sizes[i] * forces[i])
+        left[i] += diagonal[i] * step[i] + weight_of_right * right[i]
+    for j in range(ties.shape[0]):
+        left[ties[j, 1]] += left[ties[j, 0]]
+    for i in range(left.size):
+        if not is_free[i]:
+            left[i] = 0.0
+    return inaccuracy(right, step, left, is_multiplier)
+
+
+@njit(error_model="numpy")
+def inaccuracy(gradient, step, left, is_multiplier):
+    """Return how large `left` (n,) is in the equations, and in all rows, relative to right-hand side and solution.
+
+    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
+    """
+    unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(left.size):
+        if not abs(left[i]) < np.inf:
+            return np.nan
+        if is_multiplier[i]:
+            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            multiplier = max(multiplier, abs(step[i]))
+        else:
+            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            primal = max(primal, abs(step[i]))
+    most = LARGE_STEP * max(right, slope)
+    of_equations = unsolved / max(right + min(primal, most), 1e-300)
+    scale = max(right, slope) + min(max(primal, multiplier), most)
+    return max(of_equations, max(unsolved, remaining) / max(scale, 1e-300))
+
+
+@njit(error_model="numpy")
+def refined(problem, grid, system, x, vectors, room):
+    """Refine the step of the work space until it is accurate, or only rounding remains; return if that lowered it.
+
+    `room` (2 SOLVED_AGAIN + 2, n) takes corrections, what the matrix makes of them, and residuals. The products are
+    made orthogonal, so that each correction adds what lowers the residual most: generalised conjugate residuals, with
+    the factors as preconditioner. Corrections one after the other need not converge where factors are inaccurate.
+    Sources: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz
+    (1983), Variational iterative methods for nonsymmetric systems of linear equations; the measure of the residual is
+    that of Waechter and Biegler (2006), section 3.10.
+    """
+    steps, n = grid[0], x.size
+    tables, factors, orders, _, _, _, inverses, counts, equations, _, _ = system
+    right, step, left, scaled = vectors[RIGHT], vectors[STEP], room[2 * SOLVED_AGAIN], room[2 * SOLVED_AGAIN + 1]
+    first = error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, left)
+    for again in range(SOLVED_AGAIN):
+        if not ACCURATE < error < np.inf:
+            return again > 0
+        if again == 2 and 0.5 * first < error <= NEARLY_ACCURATE:
+            return False
+        correction, product, norm = room[2 * again], room[2 * again + 1], 0.0
+        for i in range(n):
+            norm += left[i] * left[i]
+        norm = np.sqrt(norm)
+        for i in range(n):
+            scaled[i] = left[i] / norm
+        solve_at(problem[2], steps, tables, scaled, equations, factors, orders, inverses, counts, correction)
+        fill_linear_residual(
+            problem, grid, system, x, vectors[DIAGONAL], right, correction, 0.0, vectors, product
+        )  # fmt: skip
+        for earlier in range(again):
+            share = 0.0
+            for i in range(n):
+                share += room[2 * earlier + 1, i] * product[i]
+            for i in range(n):
+                product[i] -= share * room[2 * earlier + 1, i]
+                correction[i] -= share * room[2 * earlier, i]
+        size, share = 0.0, 0.0
+        for i in range(n):
+            size += product[i] * product[i]
+        size = np.sqrt(size)
+        if not 0.0 < size < np.inf:
+            return True
+        for i in range(n):
+            product[i] /= size
+            correction[i] /= size
+            share -= product[i] * left[i]
+        for i in range(n):
+            step[i] += share * correction[i]
+        error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, left)
+    return True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping, careful, reals, integers, vectors,
+               barriers, room):  # fmt: skip
+    """Find a Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step.
+
+    This is algorithm IC. Equations that are dependent, as those of a vehicle at rest often are, may have an eigenvalue
+    of zero to which rounding gave a sign, so that the count of negative ones means nothing: a step, or a shift, without
+    end tells of it. Without bounds two changes save factorisations: where the iterate before needed a shift for its
+    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
+    lower shift was enough, the lower the next one is. With `careful`, the residual of the linear system is measured,
+    and solved for again where it is large. Return (found, slope, longest, dual length, delta_w, refined).
+    """
+    is_bounded, n = bounds[0].size > 0, x.size
+    last, before, is_multiplier = reals[LAST_DELTA_W], reals[DELTA_W], grid[4]
+    if is_bounded:
+        least, at_once = max(1e-20, last / 3.0) if last > 0.0 else 1e-4, 0.0
+    else:
+        least = max(1e-20, last / 3.0 ** min(1 + integers[LOWERED], 40)) if last > 0.0 else 1e-4
+        at_once = least if before > 0.0 and least > SMALL_DELTA_W and not integers[WAS_SINGULAR] else 0.0
+    delta_c, shift_c = 0.0, DUAL_SHIFT * max(mu, 1e-100) ** 0.25 if is_bounded else DUAL_SHIFT
+    delta_w = max(damping, at_once)
+    right, step = vectors[RIGHT], vectors[STEP]
+    while delta_w < 1e20:
+        fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, vectors[DIAGONAL])
+        excess = factored(problem, grid, system, x, 1.0, vectors, True)
+        integers[FACTORISATIONS] += 1
+        if excess == 0:
+            slope, of_rounding, longest, dual_length = measure_step(
+                grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
+            )
+            if delta_c == 0.0 and of_rounding:
+                delta_c = shift_c
+                continue
+            if not is_bounded and delta_c > 0.0 and last == 0.0 < delta_w < 1.0:
+                size, largest = 0.0, 1.0
+                for i in range(n):
+                    if not is_multiplier[i]:
+                        size, largest = max(size, abs(step[i])), max(largest, abs(x[i]))
+                if size > FAR * largest:  # without dependent equations, the first shift alone sets the length
+                    delta_w *= 100.0
+                    continue
+            is_refined = False
+            if careful:  # corrections that are not worth their name change the step as well
+                is_refined = refined(problem, grid, system, x, vectors, room)
+                slope, of_rounding, longest, dual_length = measure_step(
+                    grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
+                )
+            if abs(slope) < np.inf:
+                if not (delta_w == before == 0.0 and delta_c == 0.0):
+                    integers[WAS_SINGULAR] = integers[WAS_SINGULAR] or delta_c > 0.0
+                    enough = delta_w == least and not integers[WAS_SINGULAR]
+                    integers[LOWERED] = integers[LOWERED] + 1 if enough else 0
+                reals[DELTA_W] = delta_w
+                reals[LAST_DELTA_W] = delta_w if delta_w > 0.0 else last
+                return True, slope, longest, dual_length, delta_w, is_refined
+        elif delta_c == 0.0 and (excess == SINGULAR or excess < 0 or delta_w > LARGE_SHIFT):
+            delta_c = shift_c
+            if delta_w > LARGE_SHIFT:
+                delta_w = max(damping, at_once)
+            continue
+        if delta_w == 0.0:
+            delta_w = least
+        else:
+            delta_w *= 100.0 if last == 0.0 else 8.0
+    return False, 0.0, 0.0, 0.0, delta_w, False
+
+
+@njit(error_model="numpy")
+def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors):
+    """Return True if a stationary point is a minimum to second order, with the barrier to stand for bounds.
+
+    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    """
+    shift = max(FLAT, 100.0 * tolerance)
+    fill_newton_system(grid, bounds, g, distance, duals, 0.0, shift, FLAT, vectors[RIGHT], vectors[DIAGONAL])
+    return factored(problem, grid, system, x, 1.0, vectors, False) == 0
+
+
+@njit(error_model="numpy")
+def log_row(grid, g, cost, residual, stationarity, row):
+    """Fill cost, residual and stationarity of a row in the problem's own units.
+
+    Stationarity is the change of the cost with unknowns in multiples of their scaling factors.
+    """
+    is_multiplier, forces, weight = grid[4], grid[6], grid[7]
+    row[0], row[1], row[2] = cost / weight, residual, stationarity / weight
+    if forces.size:
+        row[1] = 0.0
+        for i in range(g.size):
+            if is_multiplier[i]:
+                row[1] = max(row[1], abs(g[i] / forces[i]))
+
+
+@njit(error_model="numpy")
+def copy(source, target):
+    """Copy a vector."""
+    for i in range(source.size):
+        target[i] = source[i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def descend(
+    problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
+):
+    """Follow Newton's steps from the iterate in the work space; return why that ends, a number.
+
+    Parameters
+    ----------
+    problem : tuple of int
+        Addresses: of the loops for gradient and second derivatives, and of the linear system.
+    grid : tuple
+        steps, h, nodes, parameters, is_multiplier, sizes, forces, weight, ties, is_free, fillings.
+    system : tuple
+        Storage of the linear system: tables, factors, orders, entries, scaled, costless, inverses, counts, equations,
+        rows, columns; see `linear_system.System`.
+    bounds : tuple
+        indices, side, magnitude (m,).
+    tolerance : float
+        Of residual and stationarity, as `is_solved` has it.
+    limit, most : int
+        Iterations in all, and in this call.
+    reals, integers : (REALS,), (INTEGERS,)
+        The state; the measures of the iterate are at COST.
+    vectors, barriers : (VECTORS, n), (BARRIERS, m)
+        Work space; the iterate is in their rows X, G, DISTANCE and DUALS.
+    pairs : (.., 2)
+        The filter.
+    room : (2 SOLVED_AGAIN + 2, n) or (0, n)
+        For refinement. If it is empty and needed, the function returns ROOM.
+    log : (most + 1, 6)
+        Rows of all iterates: cost, residual, stationarity, shift of the Hessian, step length, mu.
+    """
+    indices, side, magnitude = bounds
+    n, m, is_multiplier = vectors.shape[1], indices.size, grid[4]
+    x, g, trial, tg = vectors[X], vectors[G], vectors[TRIAL], vectors[TRIAL_G]
+    distance, duals, moved, pushed = barriers[DISTANCE], barriers[DUALS], barriers[MOVED], barriers[PUSHED]
+    right, step, right2, step2 = vectors[RIGHT], vectors[STEP], vectors[RIGHT2], vectors[STEP2]
+    dual_step, dual_step2 = barriers[DUAL_STEP], barriers[DUAL_STEP2]
+    is_costless, least_mu, done, status = integers[IS_COSTLESS], LEAST_PART * tolerance, 0, CONTINUE
+    measures, measured = measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors)
+    logarithms = sum_of_logarithms(distance)
+    t_measures, t_measured, t_logarithms = measures, measured, logarithms
+    while True:
+        cost, residual, violation, stationarity, error = measures
+        _, gap, lowest, highest, mean, mean_dual, largest = measured
+        mu, iteration = reals[MU], integers[ITERATIONS]
+        log_row(grid, g, cost, residual, stationarity, log[done])
+        log[done, 3], log[done, 4], log[done, 5] = reals[DELTA_W], reals[LENGTH], mu
+        # Has it come to an end?
+        converged = False
+        if error < np.inf and (m == 0 or highest <= tolerance):
+            converged = is_solved(
+                problem, grid, system, x, residual, stationarity, tolerance, is_costless, vectors
+            )  # fmt: skip
+        if not converged and m > 0 and integers[LATE] > PATIENCE:
+            converged = is_acceptable(
+                problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
+            )  # fmt: skip
+        if integers[SEEN] <= iteration:  # an iterate from which another call goes on has been looked at
+            integers[SEEN] = iteration + 1
+            is_closed = m == 0 or highest <= tolerance
+            if not converged and integers[IS_WARM] and PROGRESS * reals[LAST_ERROR] < error < np.inf:
+                # A search that begins near a solution may be there at once, but for rounding.
+                converged = is_closed and is_at_rounding_level(
+                    problem, grid, system, x, residual, stationarity, is_costless, vectors
+                )
+            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not show in the second ones. Their
+            # rounding is larger than `terms` tells, and steps change neither cost nor error any more.
+            is_unchanged = cost == reals[LAST_COST] and abs(error - reals[LAST_ERROR]) <= UNCHANGED * error
+            integers[AT_REST] = integers[AT_REST] + 1 if is_unchanged and is_closed and error <= tolerance else 0
+            converged = converged or integers[AT_REST] >= REST
+            reals[LAST_ERROR], reals[LAST_COST] = error, cost
+        if not error < np.inf:
+            status = NON_FINITE
+        elif converged:
+            status = SOLVED
+            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            if (iteration == 0 or reals[DELTA_W] > 0.0) and not is_minimum(
+                problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors
+            ):
+                status = SADDLE
+        elif m > 0 and largest > LARGEST:
+            status = UNBOUNDED
+        elif cost < -UNBOUNDED_BELOW * max(1.0, reals[FIRST_COST]):
+            # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
+            of_equations, _ = terms(problem, grid, system, x, is_costless, vectors)
+            if residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * of_equations):
+                status = UNBOUNDED
+        if status == CONTINUE and integers[HAS_KNOWN] and max(residual, stationarity) <= NEARLY:
+            # Beside a saddle point, that leads no lower.
+            predicted = cost - gap
+            for i in range(n):
+                if is_multiplier[i]:
+                    predicted += x[i] * g[i]
+            if not predicted < reals[KNOWN] - 1e-9 * max(1.0, abs(reals[KNOWN])):
+                status = SADDLE
+        if status == CONTINUE and integers[IN_VAIN] >= VAIN and residual > reals[SMALL_VIOLATION]:
+            status = INFEASIBLE
+        if status != CONTINUE or iteration >= limit or done >= most:
+            break
+        # The barrier's weight, and bounds relaxed less with it.
+        if m > 0:
+            new = mu
+            if residual <= 10.0 * mu:
+                scaled = max(stationarity / max(1.0, mean / 100.0), residual)
+                dual_scale = max(1.0, mean_dual / 100.0)
+                while new > least_mu and scaled <= 10.0 * new:
+                    if max(highest - new, new - lowest) / dual_scale > 10.0 * new:
+                        break
+                    new = max(least_mu, min(0.2 * new, new**1.5))
+            if new < mu:
+                integers[PAIRS], integers[REFUSED], integers[IN_TURN] = 1, 0, 0
+                integers[SHORTENED], integers[WATCHING] = 0, 0
+                by = 0.0
+                if new < MOST_RELAXING:
+                    by = relaxation(mu, reals[LEAST_RELAXATION]) - relaxation(new, reals[LEAST_RELAXATION])
+                if by > 0.0:
+                    if not integers[HAS_LOOSE]:
+                        copy(x, vectors[LOOSE_X])
+                        copy(distance, barriers[LOOSE_DISTANCE])
+                        copy(duals, barriers[LOOSE_DUALS])
+                        reals[LOOSE_MU], integers[HAS_LOOSE] = mu, 1
+                    least = 0.1 * relaxation(new, reals[LEAST_RELAXATION])
+                    copy(x, trial)
+                    logarithms, moves = approach(x, indices, side, magnitude, by, least, distance, moved)
+                    copy(moved, distance)
+                    if moves:
+                        for j in range(grid[8].shape[0]):  # what equals a linking variable moves along
+                            x[grid[8][j, 0]] += x[grid[8][j, 1]] - trial[grid[8][j, 1]]
+                        measures, measured = evaluated(problem, grid, bounds, x, g, distance, duals, vectors)
+                        cost, residual, violation, stationarity, error = measures
+                        _, gap, lowest, highest, mean, mean_dual, largest = measured
+                reals[MU] = mu = new
+            if mu <= least_mu:
+                integers[LATE] += 1
+        objective, small = cost - mu * logarithms, reals[SMALL_VIOLATION]
+        # Newton's step, at first perhaps with factors of a matrix beside the iterate.
+        accepted, has_step, delta_w, longest, slope, dual_length, is_watched = False, False, 0.0, 0.0, 0.0, 0.0, False
+        with_factors = integers[IS_FACTORED] == 1
+        integers[IS_FACTORED] = 0
+        careful = integers[DOUBTFUL] >= integers[ENOUGH] and not with_factors
+        if careful and room.shape[0] == 0:
+            status = ROOM
+            break
+        damping_before, delta_before, last_before = reals[DAMPING], reals[DELTA_W], reals[LAST_DELTA_W]
+        lowered_before, singular_before = integers[LOWERED], integers[WAS_SINGULAR]
+        attempt = 0 if with_factors else 1
+        while attempt < 3 and not accepted:
+            if attempt == 0:
+                fill_newton_system(grid, bounds, g, distance, duals, mu, 0.0, 0.0, right, vectors[DIAGONAL])
+                solve_at(
+                    problem[2], grid[0], system[0], right, system[8], system[1], system[2], system[6], system[7], step
+                )
+                slope, _, longest, dual_length = measure_step(
+                    grid, bounds, x, right, step, distance, duals, mu, dual_step
+                )  # fmt: skip
+                has_step, delta_w = True, 0.0
+            else:
+                has_step, slope, longest, dual_length, delta_w, is_refined = regularise(
+                    problem, grid, system, bounds, x, g, distance, duals, mu, damping_before, careful, reals, integers,
+                    vectors, barriers, room,
+                )  # fmt: skip
+                if not has_step:
+                    break
+                if careful:
+                    integers[DOUBTFUL] = 1 if is_refined else 0
+                    integers[ENOUGH] = 1 if is_refined else 4 * integers[ENOUGH]
+                if attempt == 1 and integers[SHORTENED] == SHORTENED_IN_TURN:
+                    # Where the equations' curvature makes the filter shorten step after step, full ones may be better
+                    # after all. If none is, all goes on from here: the watchdog technique, section 3.2.
+                    integers[WATCHING] = FULL_STEPS
+                    copy(x, vectors[WATCH_X])
+                    copy(distance, barriers[WATCH_DISTANCE])
+                    copy(duals, barriers[WATCH_DUALS])
+                    reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE] = violation, objective
+                    reals[WATCH_SLOPE], reals[WATCH_LONGEST] = slope, longest
+                if integers[WATCHING]:
+                    is_watched = True
+                    break
+            # Filter line search.
+            length = longest
+            while length > reals[SHORTEST] and not accepted:
+                reals[LENGTH] = length
+                t_logarithms = move(
+                    bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed
+                )
+                t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
+                if t_measures[4] < np.inf:
+                    accepted = accepts(
+                        pairs, integers, violation, objective, t_measures[2], t_measures[0] - mu * t_logarithms, slope,
+                        length, small,
+                    )  # fmt: skip
+                if not accepted and length == longest:
+                    is_closer = t_measures[4] < CLOSER * error
+                    if m > 0:
+                        of_barrier = max(error, highest - mu, mu - lowest)
+                        of_trial = max(t_measures[4], t_measured[3] - mu, mu - t_measured[2])
+                        is_closer = is_closer or of_trial < CLOSER * of_barrier
+                    if is_closer:
+                        # Cost and violation tell nothing of steps that move, or leave, rounding alone. IPOPT takes tiny
+                        # steps unseen: section 3.9.
+                        rests = True
+                        for i in range(n):
+                            rests = rests and (is_multiplier[i] or abs(step[i]) <= TINY * max(1.0, abs(x[i])))
+                        accepted = rests or is_at_rounding_level(
+                            problem, grid, system, trial, t_measures[1], t_measures[3], is_costless, vectors
+                        )
+                    if not accepted and t_measures[2] >= violation:
+                        # Second-order corrections (27) of a full step that the equations' curvature spoils. Duals
+                        # follow the corrected step: those of the refused one belong to other distances.
+                        copy(right, right2)
+                        soc_length, refused = longest, t_measures[2]
+                        for correction in range(CORRECTIONS):
+                            for i in range(n):
+                                if is_multiplier[i]:
+                                    before = g[i] if correction == 0 else right2[i]
+                                    right2[i] = soc_length * before + tg[i]
+                            solve_at(
+                                problem[2],
+                                grid[0],
+                                system[0],
+                                right2,
+                                system[8],
+                                system[1],
+                                system[2],
+                                system[6],
+                                system[7],
+                                step2,
+                            )
+                            _, _, soc_length, soc_dual = measure_step(
+                                grid, bounds, x, right2, step2, distance, duals, mu, dual_step2
+                            )
+                            t_logarithms = move(
+                                bounds, x, step2, soc_length, distance, duals, dual_step2, soc_dual, mu, trial, moved,
+                                pushed,
+                            )  # fmt: skip
+                            t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
+                            if t_measures[4] < np.inf:
+                                accepted = accepts(
+                                    pairs, integers, violation, objective, t_measures[2],
+                                    t_measures[0] - mu * t_logarithms, slope, longest, small,
+                                )  # fmt: skip
+                            if accepted or not t_measures[2] < 0.99 * refused:
+                                break
+                            refused = t_measures[2]
+                if not accepted:
+                    length *= 0.5
+            if not accepted:
+                reals[LENGTH] = length
+            if attempt == 0:
+                attempt = 1
+                continue
+            # Were the equations linear, 1 - length of each would be left: more is curvature, or an inaccurate step.
+            expected = max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual)
+            is_tested = accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
+            if is_tested and t_measures[1] > expected:
+                integers[DOUBTFUL] += 1
+                if integers[DOUBTFUL] >= integers[ENOUGH]:
+                    fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
+                    left = fill_linear_residual(
+                        problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
+                    )
+                    if left > ACCURATE:
+                        if room.shape[0] == 0:
+                            status = ROOM
+                            break
+                        accepted, careful = False, True
+                        reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
+                        integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
+                        attempt = 2
+                        continue
+                    integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
+            break
+        if status == ROOM:
+            integers[DOUBTFUL] = integers[ENOUGH]  # so that the step is made again, and refined
+            reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
+            integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
+            break
+        if is_watched:
+            integers[SHORTENED] = 0
+            reals[LENGTH] = longest
+            t_logarithms = move(
+                bounds, x, step, longest, distance, duals, dual_step, dual_length, mu, trial, moved, pushed
+            )
+            t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
+            better = t_measures[4] < np.inf and accepts(
+                pairs, integers, reals[WATCH_VIOLATION], reals[WATCH_OBJECTIVE], t_measures[2],
+                t_measures[0] - mu * t_logarithms, reals[WATCH_SLOPE], reals[WATCH_LONGEST], small,
+            )  # fmt: skip
+            accepted = True
+            if better:
+                integers[WATCHING] = 0
+            elif integers[WATCHING] == 1 or not t_measures[4] < np.inf:
+                reals[LENGTH], integers[WATCHING] = 0.0, 0
+                copy(vectors[WATCH_X], trial)
+                copy(barriers[WATCH_DISTANCE], moved)
+                copy(barriers[WATCH_DUALS], pushed)
+                t_measures, t_measured = evaluated(problem, grid, bounds, trial, tg, moved, pushed, vectors)
+                t_logarithms = sum_of_logarithms(moved)
+            else:
+                integers[WATCHING] -= 1
+        elif has_step:
+            shorter = not accepted or reals[LENGTH] < longest
+            integers[SHORTENED] = integers[SHORTENED] + 1 if shorter else 0
+            as_before = not shorter and t_measures[2] >= 0.999 * violation
+            integers[IN_VAIN] = integers[IN_VAIN] + 1 if as_before else 0
+            if integers[SHORTENED] or reals[DAMPING] > 0.0:
+                # A Hessian that is barely positive definite sends steps far beyond where it means something.
+                damping = reals[DAMPING]
+                if not accepted:
+                    reals[DAMPING] = 0.0
+                elif reals[LENGTH] <= SHORT * longest and integers[SHORTENED] >= SHORT_IN_TURN:
+                    reals[DAMPING] = 4.0 * max(delta_w, damping, LEAST_DAMPING)
+                elif not reals[LENGTH] < longest:
+                    reals[DAMPING] = damping / 2.0 if damping > LEAST_DAMPING else 0.0
+        if not accepted:
+            convex = not has_step or delta_w == 0.0 or is_minimum(
+                problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors
+            )  # fmt: skip
+            if m > 0 and integers[LATE] > 0 and convex and is_acceptable(
+                problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
+            ):  # fmt: skip
+                status = SOLVED
+            elif not has_step:
+                status = RANK_DEFICIENT
+            elif not convex and max(residual, stationarity) <= NEARLY:
+                status = SADDLE
+            elif not is_at_rounding_level(
+                problem, grid, system, x, residual, stationarity, is_costless, vectors
+            ):  # fmt: skip
+                status = RESTORE
+                integers[PAIRS] = add_pair(pairs, integers[PAIRS], violation, objective)
+            elif m > 0 and not gap <= tolerance * m:
+                status = STALLED
+            else:
+                status = SOLVED if convex else SADDLE  # rounding has the last word
+            break
+        copy(trial, x)
+        copy(tg, g)
+        copy(moved, distance)
+        copy(pushed, duals)
+        measures, measured, logarithms = t_measures, t_measured, t_logarithms
+        integers[ITERATIONS] += 1
+        done += 1
+    for i in range(5):
+        reals[COST + i] = measures[i]
+    return status

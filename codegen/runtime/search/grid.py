@@ -1,0 +1,288 @@
+"""The time grid of a solve with all its data, and views of the unknowns."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.search.problem import ControlProblem
+
+NONE = np.zeros(0)  # scaling factors of a grid in the problem's own units
+SHORTEST = 1e-10  # part of the duration, or of a phase, that an interval has at least
+EQUAL = 1e-12  # parts of their length by which equal intervals may differ
+AT_NODE = 1e-9  # parts of the duration by which a node may miss an inner time
+
+
+class Grid(NamedTuple):
+    """N intervals of a problem, its parameters, and which unknowns are multipliers.
+
+    Attributes
+    ----------
+    steps, h : int, float
+        Number N of intervals and their mean length.
+    nodes : (N + 1,)
+        Indices of all nodes in time, in mean lengths.
+    is_uniform : bool
+        True if all intervals have the mean length.
+    parameters : (bodies, P + shared)
+        Parameters of each body; the last columns are filled with its linking variables by each evaluation.
+    is_multiplier : (n,)
+    sizes, forces, weight : (n,), (n,), float
+        Scaling factors: unknowns are in multiples of `sizes`, the cost is multiplied by `weight`, and the gradient by
+        `forces`, which is weight times sizes. Empty and 1 in the problem's own units.
+    bounds : tuple
+        Least and greatest values (n,), scaled, if they are known already.
+    inner : tuple of int
+        Nodes at inner times.
+    problem : ControlProblem
+    """
+
+    steps: int
+    h: float
+    nodes: np.ndarray
+    is_uniform: bool
+    parameters: np.ndarray
+    is_multiplier: np.ndarray
+    sizes: np.ndarray
+    forces: np.ndarray
+    weight: float
+    bounds: tuple[np.ndarray, ...]
+    inner: tuple[int, ...]
+    problem: ControlProblem
+
+    @property
+    def structure(self):
+        """The structure of the problem."""
+        return self.problem.structure
+
+
+def checked_count(name, number):
+    """Return a positive integer, which may be written as a float; ValueError names anything else."""
+    try:
+        is_count = number == int(number) and number >= 1 and not isinstance(number, bool)
+    except (TypeError, ValueError, OverflowError):
+        is_count = False
+    if not is_count:
+        raise ValueError(f"{name} is {number!r}, expected a positive integer")
+    return int(number)
+
+
+def checked_tolerance(tolerance, most):
+    """Return a number above zero and up to `most`; ValueError names anything else."""
+    try:
+        is_tolerance = 0.0 < tolerance <= most
+    except TypeError:
+        is_tolerance = False
+    if not is_tolerance:
+        raise ValueError(f"tolerance is {tolerance!r}, expected a number between 0 and {most:g}")
+    return float(tolerance)
+
+
+def checked_times(steps, duration):
+    """Return the number of steps and the duration; ValueError unless they are positive and finite."""
+    steps = checked_count("steps", steps)
+    if not 0.0 < duration < np.inf:
+        raise ValueError(f"duration is {duration!r}, expected a positive number")
+    return steps, float(duration)
+
+
+def checked_grid(problem, steps, duration, parameters, fractions):
+    """Return a Grid; `parameters` are numbers, or arrays (bodies,).
+
+    ValueError names what is not finite, or not positive.
+    """
+    s = problem.structure
+    steps, duration = checked_times(steps, duration)
+    steps, nodes, is_uniform = checked_nodes(s.phases or 1, steps, fractions)
+    table = np.zeros((s.bodies, len(parameters) + s.shared))  # linking variables stand behind the parameters
+    numbers = [value if isinstance(value, (int, float)) else 0.0 for value in parameters]
+    table[:, : len(parameters)] = numbers
+    finite = all(map(math.isfinite, numbers))
+    for i, value in enumerate(parameters):
+        if value is not numbers[i]:  # differs from body to body
+            table[:, i] = value
+            finite = finite and all(map(math.isfinite, table[:, i].tolist()))
+    if not finite:
+        raise ValueError(f"parameters and boundary values must be finite, got {table}")
+    if s.phases:
+        steps, duration = s.phases * steps, s.phases  # the time of a chain runs from each phase's number to the next
+    is_multiplier = s.layouts(steps).is_multiplier.copy()  # writable, so that numba compiles for one type
+    return Grid(steps, duration / steps, nodes, is_uniform, table, is_multiplier, NONE, NONE, 1.0, (), (), problem)
+
+
+def checked_nodes(chains, steps, fractions):
+    """Return the number of intervals, the indices of all nodes in mean lengths, and True if intervals are equal.
+
+    `fractions`, if given, are parts of the duration, (N,), or of each of the phases, `chains` of them, also
+    (chains, N). ValueError for others.
+    """
+    if fractions is None:
+        return steps, np.arange(chains * steps + 1.0), True
+    lengths = np.array(fractions, dtype=float)
+    if lengths.ndim == 1:
+        lengths = np.tile(lengths, (chains, 1))
+    if lengths.ndim != 2 or lengths.shape[0] != chains or not lengths.size:
+        shape = "(N,)" if chains == 1 else f"(N,) or ({chains}, N)"
+        raise ValueError(f"grid has shape {np.shape(fractions)}, expected {shape}")
+    if not (lengths > SHORTEST).all() or not np.allclose(lengths.sum(axis=1), 1.0, rtol=0.0, atol=1e-6):
+        raise ValueError(f"grid must hold fractions above {SHORTEST:g} whose sum is one, got {fractions!r}")
+    steps = lengths.shape[1]
+    if np.ptp(lengths) <= EQUAL / steps:
+        return steps, np.arange(chains * steps + 1.0), True
+    ends = np.cumsum(lengths, axis=1)
+    indices = steps * (ends / ends[:, -1:] + np.arange(chains)[:, None])
+    return steps, np.concatenate([[0.0], indices.ravel()]), False
+
+
+def plain_grid(grid):
+    """Return the same grid without scaling factors, in the problem's own units."""
+    return grid._replace(sizes=NONE, forces=NONE, weight=1.0, bounds=())
+
+
+def replace_values(boundary, where, values):
+    """Overwrite prescribed boundary values by name; ValueError tells which names there are."""
+    for quantity, value in (values or {}).items():
+        key = f"{where} {quantity}"
+        if key not in boundary:
+            known = ", ".join(name.split()[1] for name in boundary if name.startswith(where)) or "nothing"
+            raise ValueError(f"{quantity!r} is not prescribed at the {where}; prescribed: {known}")
+        boundary[key] = np.asarray(value, dtype=float)
+
+
+def views(grid, unknowns):
+    """Return views of `unknowns` (n,): nodes (bodies, N + 1, node), and intervals (bodies, N, stride - node)."""
+    s = grid.problem.structure
+    item, chain = unknowns.itemsize, grid.steps * s.stride + s.node
+    strides = chain * item, s.stride * item, item
+    nodes = np.ndarray((s.bodies, grid.steps + 1, s.node), float, unknowns, 0, strides)
+    intervals = np.ndarray((s.bodies, grid.steps, s.stride - s.node), float, unknowns, s.node * item, strides)
+    return nodes, intervals
+
+
+def shared_views(grid, unknowns):
+    """Return views of the linking variables: of each body (bodies, own), and of the whole problem, 1-D."""
+    s = grid.problem.structure
+    first = unknowns.size - s.root
+    own = unknowns[first : first + s.bodies * s.own].reshape(s.bodies, s.own)
+    return own, unknowns[first + s.bodies * s.own : unknowns.size - s.couplings]
+
+
+def side_by_side(values):
+    """Return values (bodies, times, m) as (times, bodies m): the columns of several bodies side by side."""
+    if len(values) > 1:
+        return values.transpose(1, 0, 2).copy().reshape(values.shape[1], -1)
+    return values[0].copy()
+
+
+def layout_of(grid):
+    """Return which unknowns are multipliers and which are free: those that no boundary condition fixes."""
+    s = grid.problem.structure
+    return s.inner_layouts(grid.steps, grid.inner) if s.inner_times else s.layouts(grid.steps)
+
+
+def free_unknowns(grid):
+    """Return the mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
+    return layout_of(grid).is_free
+
+
+def primal_unknowns(grid):
+    """Return the indices of the free primal unknowns."""
+    return layout_of(grid).primal
+
+
+def multiplier_unknowns(grid):
+    """Return the indices of the multipliers whose equations are imposed."""
+    return layout_of(grid).multipliers
+
+
+def with_pinned_values(grid, unknowns):
+    """Return a copy of `unknowns` (n,) in which those that a boundary condition fixes have their values."""
+    unknowns = np.array(unknowns, dtype=float)
+    if unknowns.shape != grid.is_multiplier.shape:
+        raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
+    grid.problem.pin_values(grid, unknowns, views(grid, unknowns)[0])
+    return unknowns
+
+
+def node_times(grid, unknowns):
+    """Return the times (N + 1,) of all nodes of several phases, which follow each other."""
+    phases = grid.problem.structure.phases
+    switches = np.concatenate([[0.0], np.cumsum(grid.problem.phase_durations(grid, unknowns))])
+    return np.interp(grid.nodes / (grid.steps // phases), np.arange(phases + 1), switches)
+
+
+def interval_times(grid, unknowns):
+    """Return the times (N,) of the middles of all intervals of several phases."""
+    t = node_times(grid, unknowns)
+    return 0.5 * (t[:-1] + t[1:])
+
+
+def least_duration(grid, unknowns):
+    """Return the length of the time interval, or of the shortest phase."""
+    if grid.problem.phase_durations is not None:
+        return grid.problem.phase_durations(grid, unknowns).min()
+    return grid.problem.duration_of(grid, unknowns)
+
+
+def inner_fractions(steps, duration, times, fractions):
+    """Return the lengths (N,) of intervals in parts of the duration, with all inner `times` among the nodes.
+
+    `fractions`, if given, are those of the caller. ValueError where they miss a time, for too few steps, and for times
+    that are not in order between start and end.
+    """
+    steps, duration = checked_times(steps, duration)
+    ends = np.array([*times, duration], dtype=float) / duration
+    lengths = np.diff(ends, prepend=0.0)
+    if not (lengths > AT_NODE).all():
+        raise ValueError(f"inner times must ascend from 0 to the duration, got {list(times)} in {duration:g}")
+    if fractions is not None:
+        nodes = np.cumsum(np.ravel(np.asarray(fractions, dtype=float)))
+        missed = [time for time, end in zip(times, ends, strict=False) if not (np.abs(nodes - end) < AT_NODE).any()]
+        if missed:
+            raise ValueError(f"grid must have a node at the inner time {missed[0]:g}")
+        return fractions
+    if steps < lengths.size:
+        raise ValueError(f"steps must be at least {lengths.size}, as {len(times)} inner times are nodes, got {steps}")
+    counts = shared_out(steps, lengths)
+    return np.repeat(lengths / counts, counts)
+
+
+def shared_out(steps, lengths):
+    """Return how many of all intervals each segment gets, one at least: the longest ones are divided in turn."""
+    counts = np.maximum(1, np.floor(steps * lengths * (1.0 + AT_NODE)).astype(np.int64))
+    while counts.sum() > steps:
+        counts[np.argmin(np.where(counts > 1, lengths / counts, np.inf))] -= 1
+    while counts.sum() < steps:
+        counts[np.argmax(lengths / counts)] += 1
+    return counts
+
+
+def with_inner_times(grid):
+    """Return the grid with the numbers of the nodes at inner times; the times become those of the nodes exactly."""
+    s = grid.problem.structure
+    place = slice(s.inner_first, s.inner_first + s.inner_times)
+    numbers = np.abs(grid.nodes[:, None] * grid.h - grid.parameters[0, place]).argmin(axis=0)
+    grid.parameters[:, place] = grid.nodes[numbers] * grid.h
+    return grid._replace(inner=tuple(numbers.tolist()))
+
+
+def through_inner_times(grid, values, numbers, wanted, at_start, at_end):
+    """Return values (bodies, N + 1) at nodes, moved along straight lines to those that are `wanted` at inner times.
+
+    They stay as they are `at_start` and `at_end`, where that is true.
+    """
+    known, moved = [grid.inner[number] for number in numbers], values.copy()
+    for body in range(len(values)):
+        there = [np.ravel(value)[body % np.size(value)] for value in wanted]
+        missing = np.array(there) - values[body, known]
+        nodes = np.concatenate([[0] * at_start, known, [grid.steps] * at_end]).astype(np.int64)
+        missing = np.concatenate([[0.0] * at_start, missing, [0.0] * at_end])
+        moved[body] += np.interp(grid.nodes, grid.nodes[nodes], missing)
+    return moved
+
+
+def without_inner_unknown(grid, number):
+    """Return which nodes (N + 1,) lack an unknown, the `number`th of those that belong to inner times."""
+    absent = np.ones(grid.steps + 1, bool)
+    absent[np.array(grid.inner)[grid.problem.structure.inner_present[:, number]]] = False
+    return absent

@@ -1,0 +1,363 @@
+"""Iterates of a search: how they begin, and how they follow each other where Python leads the search.
+
+The Newton loop itself is compiled, see `descent`; restoration, exact bounds and starts take these steps.
+"""
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.search import descent
+from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
+from codegen.runtime.search.grid import Grid, free_unknowns, multiplier_unknowns, with_pinned_values
+from codegen.runtime.search.linear_system import (
+    System,
+    allocate_system,
+    factor_kkt,
+    is_factored,
+    with_entry_factors,
+)
+from codegen.runtime.search.point import Point, evaluate, lagrangian
+
+LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
+LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
+LARGEST_KEPT = 4_000_000  # numbers of the storage that is kept between searches: 32 MB
+
+
+class Attempt(NamedTuple):
+    """How a search begins.
+
+    Attributes
+    ----------
+    weight, push : float
+        First weight of the barrier, and how far inside their bounds unknowns begin.
+    nearby : float
+        Part of the violation at the guess that may remain before the search begins.
+    shortest : float
+        Steps below it make way for restoration.
+    funnel : float
+        Factor by which the violation may grow.
+    bulge : float
+        Part of its size by which the guess is bent.
+    is_factored : bool
+        True if the linear system is factored, at a point beside the guess.
+    on_path : bool
+        True if duals begin on the central path, not at one.
+    """
+
+    weight: float
+    push: float
+    nearby: float
+    shortest: float
+    funnel: float
+    bulge: float = 0.0
+    is_factored: bool = False
+    on_path: bool = False
+
+
+FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+NEARBY = FROM_GUESS._replace(nearby=1e-2)
+# Warm start without multipliers.
+FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4, on_path=True)
+# Warm start whose equations do not hold: close to their bounds, unknowns would be stopped by these step after step.
+FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4, on_path=True)
+CASCADE_WITH_BOUNDS = (
+    Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
+    Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
+    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+)
+CASCADE = (CASCADE_WITH_BOUNDS[0], CASCADE_WITH_BOUNDS[2])
+
+
+class Bounds(NamedTuple):
+    """Indices, values, sides and magnitudes, one or more, of all finite bounds."""
+
+    indices: np.ndarray
+    value: np.ndarray
+    side: np.ndarray
+    magnitude: np.ndarray
+
+
+def finite_bounds(lower, upper):
+    """Return the bounds that exist, lower ones first."""
+    (below,), (above,) = (lower > -np.inf).nonzero(), (upper < np.inf).nonzero()
+    side = np.ones(below.size + above.size)
+    side[below.size :] = -1.0
+    value = np.concatenate([lower[below], upper[above]])
+    return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
+
+
+NO_BOUNDS = finite_bounds(np.zeros(0), np.zeros(0))
+
+
+class Workspace:
+    """The work space of the compiled search on a grid, which serves all searches with so many unknowns and bounds."""
+
+    def __init__(self, n, m):
+        self.vectors, self.barriers = np.zeros((descent.VECTORS, n)), np.zeros((descent.BARRIERS, m))
+        self.reals, self.integers = np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64)
+        self.pairs, self.room = np.empty((1000, 2)), np.empty((0, n))
+
+    def room_for_refinement(self):
+        """Return the storage of corrections, which is allocated when it is first needed."""
+        if not self.room.size:
+            self.room = np.empty((2 * descent.SOLVED_AGAIN + 2, self.vectors.shape[1]))
+        return self.room
+
+    @cached_property
+    def log(self):
+        """Rows of the iterates of one call."""
+        return np.empty((101, 6))
+
+
+class Search(NamedTuple):
+    """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
+
+    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
+    by `least` at least, relative to their magnitudes. `arguments` are those of the compiled search.
+    """
+
+    grid: Grid
+    bounds: Bounds
+    system: System
+    equations: np.ndarray
+    box: tuple[np.ndarray, np.ndarray]
+    work: Workspace
+    arguments: tuple[tuple[Any, ...], ...]
+    least: float = LEAST_RELAXED
+
+    @property
+    def is_bounded(self):
+        """True if there are bounds."""
+        return self.bounds.indices.size > 0
+
+
+class Iterate(NamedTuple):
+    """A point, the barrier's weight mu, distances to all bounds (m,) and their duals (m,)."""
+
+    point: Point
+    mu: float
+    distance: np.ndarray
+    duals: np.ndarray
+
+    @property
+    def objective(self):
+        """The barrier function, which a line search lowers (3)."""
+        return self.point.cost - self.mu * np.log(self.distance).sum()
+
+
+class Step(NamedTuple):
+    """A Newton step: primal and dual part, and their longest lengths."""
+
+    primal: np.ndarray
+    dual: np.ndarray
+    longest: float
+    dual_length: float
+
+
+def search_on(grid):
+    """Return what stays the same during a solve on a grid."""
+    box, n = bounds_of(grid), grid.is_multiplier.size
+    bounds = NO_BOUNDS if grid.problem.variable_bounds is None else finite_bounds(*box)
+    kept = grid.problem.storage.take(storage_key(grid, bounds))
+    if kept is None:
+        system, work = allocate_system(grid), Workspace(n, bounds.side.size)
+    else:
+        system, work = with_entry_factors(grid, kept[0]), kept[1]
+    arguments = *arguments_of(grid, system), (bounds.indices, bounds.side, bounds.magnitude)
+    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments)
+
+
+def keep_storage(search):
+    """Keep the storage of a search that has ended for the next search with as many intervals and bounds."""
+    system, work = search.system, search.work
+    if system.factors.size + work.vectors.size <= LARGEST_KEPT:
+        search.grid.problem.storage.keep(storage_key(search.grid, search.bounds), (system, work))
+
+
+def storage_key(grid, bounds):
+    """Return what the lengths of all arrays of a search follow from."""
+    return grid.steps, grid.is_uniform, bounds.side.size
+
+
+def on_grid(search, grid):
+    """Return the search on a grid with the same bounds and so many intervals: its storage serves again."""
+    if grid is search.grid:
+        return search
+    return search._replace(grid=grid, arguments=(*arguments_of(grid, search.system), search.arguments[-1]))
+
+
+def arguments_of(grid, system):
+    """Return problem, grid and linear system as the compiled search takes them."""
+    s = grid.problem.structure
+    problem = (grid.problem.gradient.address, system.loop, system.address)
+    data = (
+        grid.steps, float(grid.h), grid.nodes, grid.parameters, grid.is_multiplier, grid.sizes, grid.forces,
+        float(grid.weight), s.ties(grid.steps), free_unknowns(grid), s.fillings(grid.steps),
+    )  # fmt: skip
+    storage = (
+        system.tables, system.factors, system.orders, system.entries, system.scaled, system.costless, system.inverses,
+        system.counts, system.equations, system.rows, system.columns,
+    )  # fmt: skip
+    return problem, data, storage
+
+
+def begin(search, unknowns, attempt):
+    """Return the iterate at primal unknowns that are pushed inside their bounds, with duals of one or on the path."""
+    bounds, mu = search.bounds, attempt.weight
+    if not search.is_bounded:
+        return Iterate(evaluate(search.grid, unknowns), 0.0, bounds.side, bounds.side)
+    unknowns = pushed_inside(search, unknowns, attempt.push)
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
+    duals = central_duals(mu, distance) if attempt.on_path else np.ones(distance.size)
+    return Iterate(evaluate(search.grid, unknowns), mu, distance, duals)
+
+
+def pushed_inside(search, unknowns, push):
+    """Return unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
+    inside = unknowns.copy()
+    push_inside(inside, *search.box, search.bounds.indices, push)
+    return with_tied_values(search.grid, inside)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def push_inside(unknowns, lower, upper, indices, push):
+    """Move those of `unknowns` (n,) that have bounds inside, in place."""
+    for i in indices:
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            least = lower[i] + min(push * max(1.0, abs(lower[i])), width)
+            if unknowns[i] < least:
+                unknowns[i] = least
+        if upper[i] < np.inf:
+            greatest = upper[i] - min(push * max(1.0, abs(upper[i])), width)
+            if unknowns[i] > greatest:
+                unknowns[i] = greatest
+
+
+def with_tied_values(grid, unknowns):
+    """Return unknowns in which those that equal linking variables have their values."""
+    if not grid.problem.structure.is_tied:
+        return unknowns
+    if grid.sizes.size:
+        return with_pinned_values(grid, unknowns * grid.sizes) / grid.sizes
+    return with_pinned_values(grid, unknowns)
+
+
+def central_duals(mu, distance):
+    """Return duals (m,) on the central path, or large ones where a bound is closer."""
+    return np.minimum(mu / distance, LARGEST_DUAL)
+
+
+def with_least_squares_multipliers(search, iterate):
+    """Return an iterate whose multipliers solve stationarity by least squares (36), zero if huge or singular.
+
+    All multipliers of `iterate` are zero.
+    """
+    grid, bounds, point = search.grid, search.bounds, iterate.point
+    if not search.is_bounded and point.stationarity == 0.0:
+        return iterate
+    step, gradient = np.empty_like(point.unknowns), np.where(grid.is_multiplier, 0.0, point.gradient)
+    np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
+    diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
+    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, gradient, step)):
+        return iterate
+    multipliers = np.where(grid.is_multiplier, step, 0.0)
+    if not np.abs(multipliers).max(initial=0.0) <= LARGEST_MULTIPLIER:
+        return iterate
+    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+
+
+def measured_point(search, iterate):
+    """Return the point of an iterate, in whose stationarity and error the duals of bounds take part."""
+    point, bounds = iterate.point, search.bounds
+    if not search.is_bounded:
+        return point
+    stationarity = descent.optimality(
+        point.gradient, point.unknowns, search.grid.is_multiplier, bounds.indices, bounds.side, iterate.distance,
+        iterate.duals, search.work.vectors[descent.SPARE],
+    )[0]  # fmt: skip
+    error = max(point.residual, stationarity) if point.error < np.inf else np.inf
+    return point._replace(stationarity=stationarity, error=error)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def has_multipliers(unknowns, is_multiplier):
+    """Return True if any multiplier is not zero."""
+    has_any = False
+    for i in range(unknowns.size):
+        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
+    return has_any
+
+
+def barrier_curvature(search, iterate):
+    """Return what the barrier adds to the Hessian's diagonal (n,)."""
+    curvature = np.zeros(iterate.point.unknowns.size)
+    np.add.at(curvature, search.bounds.indices, iterate.duals / iterate.distance)
+    return curvature
+
+
+def newton_system(search, iterate, gradient, delta_w, delta_c):
+    """Return right-hand side and diagonal (n,) of Newton's equations (13), given the gradient of the Lagrangian."""
+    right, diagonal = np.empty_like(gradient), np.empty_like(gradient)
+    descent.fill_newton_system(
+        *search.arguments[1::2], gradient, iterate.distance, iterate.duals, iterate.mu, delta_w, delta_c, right,
+        diagonal,
+    )  # fmt: skip
+    return right, diagonal
+
+
+def step_along(search, iterate, right, primal):
+    """Return the step with a primal part for a right-hand side: its dual part and its longest lengths (15)."""
+    dual = np.empty_like(iterate.duals)
+    _, _, longest, dual_length = descent.measure_step(
+        *search.arguments[1::2], iterate.point.unknowns, right, primal, iterate.distance, iterate.duals, iterate.mu,
+        dual,
+    )  # fmt: skip
+    return Step(primal, dual, longest, dual_length)
+
+
+def moved(search, iterate, step, length):
+    """Return the iterate after a length of a step's primal part and the longest of its dual part."""
+    unknowns, distance, duals = (np.empty_like(x) for x in (iterate.point.unknowns, iterate.distance, iterate.duals))
+    descent.move(
+        search.arguments[3], iterate.point.unknowns, step.primal, length, iterate.distance, iterate.duals, step.dual,
+        step.dual_length, iterate.mu, unknowns, distance, duals,
+    )  # fmt: skip
+    moved_to = Iterate(evaluate(search.grid, unknowns), iterate.mu, distance, duals)
+    return moved_to._replace(point=measured_point(search, moved_to))
+
+
+def newton_step(search, iterate):
+    """Return the refined Newton step with the least shift of the Hessian that makes it one of descent, or None."""
+    work, point = search.work, iterate.point
+    is_found, _, longest, dual_length, _, _ = descent.regularise(
+        *search.arguments, point.unknowns, point.gradient, iterate.distance, iterate.duals, iterate.mu, 0.0, True,
+        np.zeros(descent.REALS), np.zeros(descent.INTEGERS, np.int64), work.vectors, work.barriers,
+        work.room_for_refinement(),
+    )  # fmt: skip
+    if not is_found:
+        return None
+    return Step(work.vectors[descent.STEP].copy(), work.barriers[descent.DUAL_STEP].copy(), longest, dual_length)
+
+
+def predicted_cost(search, iterate):
+    """Return the cost of the optimum nearby, to first order: residuals, and distances to bounds, cost multipliers.
+
+    Bounds count as they are, not relaxed.
+    """
+    bounds = search.bounds
+    distance = bounds.side * (iterate.point.unknowns[bounds.indices] - bounds.value)
+    return lagrangian(search.grid, iterate.point) - iterate.duals @ distance
+
+
+def with_relaxed_bounds(search):
+    """Return the search with bounds that stay as relaxed as they are at first.
+
+    Where equations force unknowns onto their bounds, and all multipliers are huge, the relaxation is what gives the
+    feasible set an inside; IPOPT keeps it as well.
+    """
+    return search._replace(least=RELAXED)

@@ -1,0 +1,59 @@
+"""The log of a search, which also tells when its time is up."""
+
+import math
+from time import perf_counter
+
+BETWEEN_LOOKS = 1e-3  # seconds between looks at the clock where there is a time limit, or one iteration if that is more
+
+
+class Log:
+    """The rows of all iterates; `watch`, if there is one, is called with the number of each and its row."""
+
+    def __init__(self, time_limit=math.inf, watch=None):
+        if not time_limit > 0.0:
+            raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
+        self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
+        self._called, self._iteration = 0.0, math.inf  # when the search was called; seconds of an iteration
+
+    def iterations_per_call(self, _done, most, affordable):
+        """Return how many iterations the compiled search may make before it returns: one if someone watches.
+
+        With a time limit, the search returns after about a millisecond. If the time is up, the search makes no
+        iteration and only tests for convergence.
+        """
+        if self.deadline < math.inf:
+            self._called = perf_counter()
+            if self._called > self.deadline:
+                return 0
+            affordable = min(affordable, int(BETWEEN_LOOKS / self._iteration))
+        if self.watch is not None:
+            return 1
+        return max(1, min(most, affordable))
+
+    def extend(self, search, rows):
+        """Keep the rows (k, 6) of iterates, in the problem's own units."""
+        if self.deadline < math.inf:
+            self._iteration = max(1e-9, perf_counter() - self._called) / max(1, len(rows))
+        for row in rows.tolist():
+            self.rows.append(tuple(row if search.is_bounded else row[:5]))
+            if self.watch is not None:
+                self.watch(len(self.rows) - 1, self.rows[-1])
+
+    def add(self, point, length):
+        """Keep a row about a point of a search without shifts."""
+        self.rows.append((point.cost, point.residual, point.stationarity, 0.0, length))
+        if self.watch is not None:
+            self.watch(len(self.rows) - 1, self.rows[-1])
+
+    def is_late(self):
+        """Return True if the time is up."""
+        return perf_counter() > self.deadline
+
+
+def print_log(rows):
+    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length, weight of a barrier."""
+    last = "  barrier" if len(rows[0]) > 5 else ""
+    print(f"iteration            cost   residual  stationarity     shift     step{last}")
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows):
+        weight = "".join(f" {mu:8.1e}" for mu in barrier)
+        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")

@@ -1,0 +1,211 @@
+"""The linear system of Newton's method on a grid: second derivatives, factorisation, solution."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.addresses import call_loop, call_system
+from codegen.runtime.kkt.system import SINGULAR, factor_sizes, root_index
+from codegen.runtime.search.grid import NONE, layout_of
+
+
+class System(NamedTuple):
+    """The storage of a linear system: index tables, work space, second derivatives, scaling factors of these.
+
+    `scaled` and `costless` are the factors of all entries with the cost and without the cost; the former
+    is empty where it makes no difference. `counts` are bodies, entries of an interval, of a start and of an end, own
+    linking variables, and all linking variables. `equations` is the number of multipliers.
+    """
+
+    address: int
+    loop: int
+    tables: np.ndarray
+    factors: np.ndarray
+    orders: np.ndarray
+    entries: np.ndarray
+    scaled: np.ndarray
+    costless: np.ndarray
+    inverses: int
+    counts: np.ndarray
+    equations: int
+    rows: np.ndarray
+    columns: np.ndarray
+
+
+def allocate_system(grid):
+    """Return the storage of the linear system on a grid."""
+    problem, s = grid.problem, grid.problem.structure
+    inverses = 1 if s.constant and grid.is_uniform else grid.steps
+    reals, integers = factor_sizes(s.shape, s.bodies, grid.steps, inverses)
+    system = System(
+        problem.system, problem.hessians.address, s.tables, np.zeros(reals), np.zeros(integers, np.int64),
+        np.zeros(s.entry_count(grid.steps)), NONE, NONE, inverses, s.counts, layout_of(grid).multipliers.size,
+        *s.entries,
+    )  # fmt: skip
+    return with_entry_factors(grid, system)
+
+
+def with_entry_factors(grid, system):
+    """Return the same storage with the factors of entries on a grid."""
+    if not grid.sizes.size:
+        return system._replace(scaled=NONE, costless=grid.problem.structure.without_cost)
+    return system._replace(scaled=entry_factors(grid, 1.0), costless=entry_factors(grid, 0.0))
+
+
+def entry_factors(grid, weight):
+    """Return what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
+
+    These are the roots of `sizes` times `forces` of both unknowns, which have the weight of the grid in them, and
+    `weight`, 0 or 1, where both unknowns are primal. The one for a multiplier that an interval lacks stays one: a shift
+    of the multipliers' diagonal would turn the sign of a smaller one.
+    """
+    s = grid.problem.structure
+    factors = np.where(s.is_of_cost, weight, 1.0)
+    roots_of_all, (rows, columns), is_multiplier = np.sqrt(grid.sizes * grid.forces), s.entries, s.local_is_multiplier
+    roots = roots_of_all[roots_of_all.size - s.root :]
+    parts = np.concatenate([roots_of_all[: s.element], roots[s.root_indices()[0]]])
+    of_elements = np.where(is_multiplier[rows] & (rows == columns), 1.0, parts[rows] * parts[columns])
+    return factors * np.concatenate([of_elements, (roots[:, None] * roots).ravel()])
+
+
+def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=None):
+    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
+
+    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
+    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
+    condensed is not positive definite. The Hessian of the cost is multiplied by `weight`, 0 or 1; then `diagonal` (n,)
+    is added to the diagonal of the whole matrix. Where it was factored, `step` (n,), if given, is Newton's: the
+    solution of KKT matrix . step = -gradient. Everything is scaled where the grid is.
+    """
+    steps, h, nodes, _, parameters, _, sizes, *_ = grid
+    factors = system.scaled if weight == 1.0 else system.costless
+    right = unknowns if gradient is None else gradient  # not read without a step
+    excess = factor_at(
+        system.loop, system.address, unknowns, sizes, np.empty(sizes.size), factors, steps, h, nodes, parameters,
+        system.tables, system.entries, right, diagonal, system.equations, system.factors, system.orders,
+        system.inverses, system.counts, NONE if step is None else step, step is not None,
+    )  # fmt: skip
+    return None if excess == SINGULAR else excess
+
+
+def is_factored(excess):
+    """Return True if what `factor_kkt` gave says that the whole matrix was factored, so that there is a solution."""
+    return excess is not None and excess <= 0
+
+
+def solve_kkt(grid, system, gradient, step):
+    """Fill the Newton step (n,) for another `gradient` (n,) with the matrix that was factored last."""
+    solve_at(
+        system.address, grid.steps, system.tables, gradient, system.equations, system.factors, system.orders,
+        system.inverses, system.counts, step,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def factor_at(
+    loop, address, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, tables, entries, right,
+    diagonal, equations, factors, orders, inverses, counts, step, is_wanted,
+):  # fmt: skip
+    """Factor the system at `address` with the second derivatives that `loop` fills; return the excess."""
+    fill_entries(
+        loop, unknowns, sizes, scaled, factors_of_entries, steps, h, nodes, parameters, counts, entries
+    )  # fmt: skip
+    return call_system(
+        address, 1, counts[0], steps, inverses, tables.ctypes.data, entries.ctypes.data, right.ctypes.data,
+        diagonal.ctypes.data, equations, factors.ctypes.data, orders.ctypes.data, step.ctypes.data, is_wanted,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def solve_at(address, steps, tables, right, equations, factors, orders, inverses, counts, step):
+    """Solve with the factors of the system at `address`."""
+    at = right.ctypes.data
+    call_system(
+        address, 0, counts[0], steps, inverses, tables.ctypes.data, at, at, at, equations, factors.ctypes.data,
+        orders.ctypes.data, step.ctypes.data, 1,
+    )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def fill_entries(loop, unknowns, sizes, scaled, factors, steps, h, nodes, parameters, counts, entries):
+    """Fill all second derivatives, and multiply them by `factors` unless these are empty."""
+    at = unknowns.ctypes.data
+    if sizes.size:
+        for i in range(sizes.size):
+            scaled[i] = unknowns[i] * sizes[i]
+        at = scaled.ctypes.data
+    call_loop(
+        loop, at, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1], entries.ctypes.data
+    )  # fmt: skip
+    if factors.size:
+        first, place = 0, 0
+        for kind in range(3):
+            size, repeated = counts[1 + kind], counts[0] * (steps if kind == 0 else 1)
+            for _ in range(repeated):
+                for j in range(size):
+                    entries[place + j] *= factors[first + j]
+                place += size
+            first += size
+        for j in range(counts[5] * counts[5]):
+            entries[place + j] *= factors[first + j]
+
+
+@njit(error_model="numpy", forceinline=True)
+def global_index(local, first, element, own, bodies, body, linking):
+    """Return the index, among all unknowns, of unknown `local` of the interval that begins at `first`.
+
+    Linking variables begin at `linking`.
+    """
+    return first + local if local < element else linking + root_index(own, bodies, body, local - element)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_absolute):
+    """Add the symmetric matrix of all entries times `vector` to `product`, both (n,); or absolute values of terms.
+
+    A one for a multiplier that an interval lacks, and that an end takes back, is no term: it is left out of absolute
+    values by both.
+    """
+    size, place, first_local = vector.size, 0, 0
+    bodies, own, root, element, stride = counts[0], counts[4], counts[5], counts[6], counts[7]
+    chain, linking = steps * stride + element - stride, size - root
+    for kind in range(3):
+        count = counts[1 + kind]
+        for body in range(bodies):
+            for k in range(steps if kind == 0 else 1):
+                first = body * chain + k * stride
+                if kind == 2:
+                    first += (steps - 1) * stride
+                for j in range(count):
+                    row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
+                    column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
+                    value = entries[place + j]
+                    if is_absolute:
+                        product[row] += abs(value * vector[column])
+                        if row != column:
+                            product[column] += abs(value * vector[row])
+                    else:
+                        product[row] += value * vector[column]
+                        if row != column:
+                            product[column] += value * vector[row]
+                place += count
+        first_local += count
+    for i in range(root):
+        for j in range(root):
+            value = entries[place + i * root + j] * vector[linking + j]
+            product[linking + i] += abs(value) if is_absolute else value
+
+
+def filled_entries(grid, unknowns, system):
+    """Return the storage with all second derivatives, unscaled, at `unknowns` (n,) in the problem's own units."""
+    call_hessians(system.loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, system.counts, system.entries)
+    return system.entries
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def call_hessians(loop, unknowns, steps, h, nodes, parameters, counts, entries):
+    """Fill all second derivatives."""
+    fill_entries(
+        loop, unknowns, unknowns[:0], unknowns[:0], unknowns[:0], steps, h, nodes, parameters, counts, entries
+    )  # fmt: skip

@@ -1,0 +1,264 @@
+"""One sentence on how a solution ended: what is wrong, in which row and where, and what to try."""
+
+import numpy as np
+
+from codegen.runtime.search.bounds import at_bounds, bounds_of, contradictory_bounds, prescribed_beyond, units_of
+from codegen.runtime.search.callbacks import hessian, jacobian
+from codegen.runtime.search.grid import (
+    least_duration,
+    multiplier_unknowns,
+    node_times,
+    plain_grid,
+    primal_unknowns,
+)
+from codegen.runtime.search.parts import interval_parts
+from codegen.runtime.search.saddle_points import negative_curvature_direction
+from codegen.runtime.search.slacks import with_violations
+from codegen.runtime.search.table_ranges import OUTSIDE_TABLE, tables_beyond
+from codegen.runtime.search.termination import GROWTH, HOLDS
+
+REMEDIES = {
+    "iteration limit": "raise max_iterations, or start from a better guess",
+    "time limit": "raise time_limit, take fewer steps, or start from a better guess",
+    "non-finite": "change the guess or the parameters, or keep away from there by bounds",
+    "rank-deficient": "leave out a condition that follows from others, give every control a cost; run codegen check",
+    "saddle point": "this point is stationary, but no minimum; start from another guess",
+    "unbounded": "nothing stops it; check the sign of a cost, add bounds, or start from a better guess",
+    "stalled": "no step makes progress; start from a better guess, loosen the tolerance or rescale the problem",
+    "infeasible": "nothing nearby satisfies the equations; relax a condition or bound, change the duration or the"
+    " steps, or start from another guess",
+    OUTSIDE_TABLE: "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'",
+}
+LONGEST = 80  # characters of a condition that a message quotes
+NAMED = 3  # how many equations a message names
+
+
+def describe(grid, guess, point, status):
+    """Return the final status and the sentence about it; guess and point are in the problem's own units."""
+    if grid.problem.variable_bounds is not None:
+        beyond = prescribed_beyond(grid, point.unknowns)
+        if beyond:
+            return "infeasible", f"infeasible: {beyond}; change the value or the bound"
+        index = contradictory_bounds(grid)
+        if index >= 0:
+            least, greatest = (float(bound[index] * units_of(grid)[index]) for bound in bounds_of(grid))
+            name = unknown_name(grid, point.unknowns, index)
+            limits = f"at least {least:g} and at most {greatest:g}"
+            return "infeasible", f"infeasible: {name} is to be {limits}; change one of the bounds"
+    if grid.problem.inputs is not None and status == "solved":
+        beyond = tables_beyond(grid, point.unknowns)
+        if beyond:
+            return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {beyond}; {REMEDIES[OUTSIDE_TABLE]}"
+    if status == "solved":
+        return status, f"all {reached(point)}"
+    if grid.sizes.size:
+        grid = plain_grid(grid)
+    if grid.problem.structure.slacks.size:
+        point = with_violations(grid, point)
+    return status, f"{status}: {finding(grid, guess, point, status)}; {REMEDIES[status]}"
+
+
+def reached(point):
+    """Return a text on the accuracy of equations and of optimality conditions."""
+    return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
+
+
+def finding(grid, guess, point, status):
+    """Return a text on what was found, by the names of the author."""
+    if status == "non-finite":
+        return not_finite(grid, point)
+    if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
+        return violated(grid, point)
+    if status == "rank-deficient":
+        return dependent(grid, point)
+    if status == "saddle point":
+        return f"the cost falls along {negative_curvature_unknown(grid, point)}"
+    if status == "unbounded":
+        return diverging_unknown(grid, guess, point)
+    if status == "time limit":
+        return f"{reached(point)} so far; {worst_row(grid, point)}"
+    return worst_row(grid, point)
+
+
+def worst_row(grid, point):
+    """Return a text on the equation with the largest residual, or on the largest slope if the equations hold."""
+    size = np.where(grid.is_multiplier == (point.residual > HOLDS), np.abs(point.gradient), -1.0)
+    return row_text(grid, point, int(np.argmax(size)))
+
+
+def row_text(grid, point, index):
+    """Return name and value of a row of the optimality conditions."""
+    value = point.gradient[index]
+    if grid.is_multiplier[index]:
+        return f"{equation_name(grid, point.unknowns, index)} is off by {value:.1e}"
+    return f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)} is {value:.1e}"
+
+
+def violated(grid, point):
+    """Return a text on the equations with the largest residuals, each where it is worst, and on active bounds."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    text = ", ".join(row_text(grid, point, index) for index in largest_by_name(grid, point.gradient, rows))
+    if grid.problem.variable_bounds is not None:
+        names, metadata = {}, grid.problem.metadata
+        for index in columns[at_bounds(grid, point.unknowns)[columns]]:
+            name = local_name(grid, index)
+            meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
+            names[shortened(meaning.removesuffix(" of an interval"))] = None
+        if names:
+            text += f", with bounds active on {', '.join(names)}"
+    if rows.size > columns.size:
+        text += f"; there are {rows.size} equations for {columns.size} unknowns"
+    return text
+
+
+def dependent(grid, point):
+    """Return the equations with the largest multipliers, or the count where no multiplier is large."""
+    rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
+    indices = largest_by_name(grid, point.unknowns, rows)
+    if indices and abs(point.unknowns[indices[0]]) > 1e3:
+        names = " and ".join(equation_name(grid, point.unknowns, index) for index in indices)
+        return f"equations depend on each other, or have no slope where they hold: {names}"
+    if rows.size > columns.size:
+        return f"there are {rows.size} equations for {columns.size} unknowns"
+    name = negative_curvature_unknown(grid, point)
+    return f"the cost does not change along {name}, so that its least value is not unique"
+
+
+def largest_by_name(grid, values, rows):
+    """Return the indices of the largest comparable values among some rows, one for each name.
+
+    The first of them come first where they are as large as each other but for a thousandth.
+    """
+    size, indices = np.abs(values[rows]), {}
+    order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
+    for index in order:
+        if abs(values[index]) < 1e-3 * abs(values[order[0]]) or len(indices) == NAMED:
+            break
+        indices.setdefault(local_name(grid, index), int(index))
+    return list(indices.values())
+
+
+def diverging_unknown(grid, guess, point):
+    """Return a text on the unknown that has grown most, on one without limit, or on a duration that is not positive."""
+    if grid.problem.structure.shared and not least_duration(grid, point.unknowns) > 0.0:
+        return f"a duration has become {least_duration(grid, point.unknowns):.1e}, and needs a lower bound"
+    growth = np.where(grid.is_multiplier, 0.0, np.abs(point.unknowns) / np.maximum(1.0, np.abs(guess)))
+    shared = growth.size - grid.problem.structure.root
+    index = int(np.argmax(growth))
+    if growth[shared:].max(initial=0.0) > GROWTH:
+        index = shared + int(np.argmax(growth[shared:]))
+    if growth[index] > GROWTH:
+        return f"{unknown_name(grid, point.unknowns, index)} has grown to {point.unknowns[index]:.1e}"
+    return f"the cost falls for ever along {negative_curvature_unknown(grid, point)}"
+
+
+def negative_curvature_unknown(grid, point):
+    """Return the name of the unknown that changes most along the direction of most negative curvature."""
+    direction = np.where(grid.is_multiplier, 0.0, negative_curvature_direction(grid, point.unknowns))
+    return unknown_name(grid, point.unknowns, int(np.argmax(np.abs(direction))))
+
+
+def not_finite(grid, point):
+    """Return a text on the first derivative or share of the cost that is infinite or NaN, with its kernel."""
+    bad = np.flatnonzero(~np.isfinite(point.gradient))
+    if bad.size:
+        index = int(bad[0])
+        text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
+        if grid.is_multiplier[index]:
+            text = equation_name(grid, point.unknowns, index)
+        return f"{text} is {point.gradient[index]} (kernel {kernel_name(grid, index)})"
+    if not np.isfinite(point.cost):
+        return cost_not_finite(grid, point)
+    for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
+        row, _, values = entries(grid, point.unknowns)
+        bad = row[~np.isfinite(values)]
+        if bad.size:
+            name = unknown_name(grid, point.unknowns, int(rows[bad[0]]))
+            return f"a second derivative by {name} is not finite (kernel interval_hessian)"
+    return worst_row(grid, point)
+
+
+def cost_not_finite(grid, point):
+    """Return a text on the interval whose discrete cost is infinite or NaN."""
+    costs = interval_parts(grid, point.unknowns)[..., -1]
+    bad = np.argwhere(~np.isfinite(costs))
+    if bad.size:
+        body, k = bad[0]
+        return f"the cost is {costs[body, k]} on interval {k}{of_body(grid, body)} (kernel interval_gradient)"
+    return f"the cost is {point.cost} at the end (kernel end_gradient)"
+
+
+def kernel_name(grid, index):
+    """Return the kernels whose values add up to a row."""
+    s = grid.problem.structure
+    chain = grid.steps * s.stride + s.node
+    if index >= grid.is_multiplier.size - s.couplings:
+        return "coupling_term"
+    local = index % chain
+    if index >= s.bodies * chain or s.node <= local < chain - s.node:
+        return "interval_gradient"
+    return f"interval_gradient or {'start' if local < s.node else 'end'}_gradient"
+
+
+def unknown_name(grid, unknowns, index):
+    """Return name and place of an unknown, as in `r at node 3 (t = 0.2)`; a slack is named by its condition."""
+    name = local_name(grid, index)
+    meaning = grid.problem.metadata["meanings"].get(name, "")
+    where = whereabouts(grid, unknowns, index)
+    return with_location(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+
+
+def equation_name(grid, unknowns, index):
+    """Return name and place of an equation, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
+    name = local_name(grid, index)
+    meaning = grid.problem.metadata["meanings"].get(name, name).removeprefix("multiplier of ")
+    return with_location(meaning, whereabouts(grid, unknowns, index))
+
+
+def with_location(meaning, where):
+    """Return a meaning, shortened, with its place unless the meaning contains it."""
+    for tail in (" at the start", " at the end", " of an interval", ""):
+        if meaning.endswith(tail):
+            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
+            if tail != " of an interval":
+                condition, at, inside = meaning.removesuffix(tail), "", ""
+            meaning = f"{shortened(condition)}{at}{inside}{tail}"
+            break
+    if meaning.endswith(" of an interval"):
+        return meaning.removesuffix("an interval") + where.removeprefix(" on ")
+    if meaning.endswith((" at the start", " at the end")):
+        return meaning + where.partition(")")[2]
+    return meaning + where
+
+
+def shortened(text):
+    """Return the beginning of a long text."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
+
+
+def local_name(grid, index):
+    """Return the name of an unknown without its place, or of a shared one with its body."""
+    s, metadata = grid.problem.structure, grid.problem.metadata
+    chain = grid.steps * s.stride + s.node
+    if index >= s.bodies * chain:
+        return metadata["shared"][index - s.bodies * chain]
+    return (*metadata["node"], *metadata["interval"])[index % chain % s.stride]
+
+
+def whereabouts(grid, unknowns, index):
+    """Return node or interval, time and body of an unknown."""
+    s = grid.problem.structure
+    chain = grid.steps * s.stride + s.node
+    if index >= s.bodies * chain:
+        return ""
+    body, (k, local) = index // chain, divmod(index % chain, s.stride)
+    kind = "at node" if local < s.node else "on interval"
+    t = grid.problem.duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
+    if s.phases:
+        t = node_times(grid, unknowns)[k]
+    return f" {kind} {k} (t = {t:.3g}){of_body(grid, body)}"
+
+
+def of_body(grid, body):
+    """Return the number of a body in words, where there are several."""
+    return f" of body {body}" if grid.problem.structure.bodies > 1 else ""

@@ -1,0 +1,195 @@
+"""Solve in multiples of scaling factors of unknowns and equations, which a change of units changes with them.
+
+The same problem is solved in other units, those in which its numbers are of ordinary size (see `scaling`); where they
+are that already, it is solved as it is.
+"""
+
+import numpy as np
+
+from codegen.runtime.search import linear
+from codegen.runtime.search.bounds import bounds_of
+from codegen.runtime.search.cascade import minimise
+from codegen.runtime.search.forward_motion import forward_motion
+from codegen.runtime.search.grid import plain_grid, with_pinned_values
+from codegen.runtime.search.messages import describe
+from codegen.runtime.search.point import evaluate, lagrangian
+from codegen.runtime.search.scaling import with_scaling_factors
+from codegen.runtime.search.termination import final_status, unscaled_unknowns
+
+# How much steeper equations and cost may be at a solution than at the guess, to powers of a thousand and a million.
+STEEPER, STEEPER_COST = 3e3, 3e6
+RESCALINGS = 10  # how often a search goes on at most, as two sets of factors may each be coarse beside the other
+LARGE_CORRECTION = 1e-3  # part of the cost
+FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", "iteration limit")
+SLOW = 150  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
+FROM_MOTION = 300  # for that one
+STEEP = 1e-3  # slopes of the Lagrangian above it, relative to the cost's or to one, belong to no optimum
+ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
+
+
+def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+
+    `scaled` is the grid with the scaling factors of the guess. Equations or a cost with far larger factors at the guess
+    than at the solution make the tolerance mean little. The search then goes on from the solution, with the factors
+    there. After a failure the problem is solved in its own units.
+    """
+    if scaling not in ("auto", "none"):
+        raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
+    if grid.problem.structure.linear_quadratic:
+        return optimise_linear(grid, unknowns, tolerance, log)
+    known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+    if scaling == "auto":
+        grid = with_scaling_factors(grid, known)
+    if grid.sizes.size:
+        known = None
+    if grid.problem.structure.forward and not warm:
+        found = search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known)
+        status, grid, point, iterations = found
+    else:
+        start = scaled_unknowns(grid, unknowns)
+        status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log, known)
+    scaled = grid
+    for _ in range(RESCALINGS):
+        if not grid.sizes.size or status != "solved" or iterations >= max_iterations:
+            break
+        begin = np.where(grid.is_multiplier, 0.0, unscaled_unknowns(grid, point.unknowns))
+        there = evaluate(plain_grid(grid), begin)
+        there = there._replace(gradient=np.where(grid.is_multiplier, 0.0, there.gradient))  # residuals are rounding
+        finer = with_scaling_factors(plain_grid(grid), there)
+        if not is_steeper(finer, grid):
+            break
+        start, left, grid = scaled_unknowns(finer, begin), max_iterations - iterations, finer
+        status, point, further = minimise(grid, start, tolerance, left, True, log)
+        iterations += further
+    status = verdict(grid, unknowns, point, status)
+    if grid.sizes.size and status in FAILED and iterations < max_iterations:
+        # Factors come from the guess, and may be far from those of the solution.
+        grid = plain_grid(grid)
+        status, point, further = minimise(grid, unknowns, tolerance, max_iterations - iterations, warm, log)
+        iterations += further
+        status = verdict(grid, unknowns, point, status)
+    own = unscaled_point(grid, point)
+    status, message = describe(grid, unknowns, own, status)
+    cost = corrected_cost(grid, point) if status == "solved" else own.cost
+    return status, message, own._replace(cost=cost), iterations, scaled
+
+
+def optimise_linear(grid, unknowns, tolerance, log):
+    """Minimise a linear-quadratic problem, which needs no scaling: one Newton step is the same in all units."""
+    status, point, iterations = linear.minimise(grid, unknowns, tolerance, log)
+    status = final_status(grid, unknowns, point, status)
+    status, message = describe(grid, unknowns, point, status)
+    if status == "solved":
+        point = point._replace(cost=float(lagrangian(grid, point)))
+    return status, message, point, iterations, grid
+
+
+def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known):
+    """Search, and begin anew at a motion if that takes long or fails; return (status, grid, point, iterations).
+
+    The motion is the one under the controls of the guess `unknowns` (n,). It is another guess, with scaling factors of
+    its own. If no optimum is found from there either, the first search goes on, from its beginning.
+    """
+    start = scaled_unknowns(grid, unknowns)
+    status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log, known)
+    if status not in FAILED or total >= max_iterations:
+        return status, grid, point, total
+    plain = plain_grid(grid)
+    motion = forward_motion(plain, unknowns)
+    if motion is not None:
+        there = with_scaling_factors(plain, evaluate(plain, motion)) if scaling == "auto" else plain
+        begin, left = scaled_unknowns(there, motion), max_iterations - total
+        if status == "iteration limit":
+            left = min(left, FROM_MOTION)  # the first search may still get there
+        ended, found, iterations = minimise(there, begin, tolerance, left, False, log)
+        total += iterations
+        if ended in ("solved", "time limit"):
+            return ended, there, found, total
+    if status == "iteration limit" and total < max_iterations:
+        left = max_iterations - total
+        status, point, iterations = minimise(grid, start, tolerance, left, False, log, known)
+        total += iterations
+    return status, grid, point, total
+
+
+def verdict(grid, guess, point, status):
+    """Return the status that a search on a grid gave, or a better one, as `final_status` and `has_run_away` see it.
+
+    Multipliers without limit would make any slope one of rounding. The guess (n,) is in the problem's own units.
+    """
+    if status == "solved" and point.stationarity > STEEP and point.stationarity > STEEP * steepest_cost(grid, point):
+        status = "stalled"
+    status = final_status(grid, scaled_unknowns(grid, guess), point, status)
+    is_doubtful = status == "solved" and point.residual > ROUNDED
+    if is_doubtful and has_run_away(grid, guess, unscaled_unknowns(grid, point.unknowns)):
+        return "unbounded"
+    return status
+
+
+def steepest_cost(grid, point):
+    """Return the largest slope of the cost."""
+    bare = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
+    return np.abs(bare.gradient[~grid.is_multiplier]).max(initial=0.0)
+
+
+def has_run_away(scaled, guess, unknowns):
+    """Return True if unknowns are far beyond the guess, where any residual is rounding.
+
+    Guess and unknowns are in the problem's own units, and have to be far apart in these and with the scaling factors of
+    the guess, which may mean little.
+    """
+    if not is_beyond(scaled, guess, unknowns, 0.0):
+        return False
+    guess, unknowns = scaled_unknowns(scaled, guess), scaled_unknowns(scaled, unknowns)
+    return is_beyond(scaled, guess, unknowns, 1.0)
+
+
+def is_beyond(grid, guess, unknowns, least):
+    """Return True if the largest unknown is far larger than the largest of the guess, and than `least`."""
+    is_primal = ~grid.is_multiplier
+    return np.abs(unknowns[is_primal]).max() > RUN_AWAY * max(least, np.abs(guess[is_primal]).max())
+
+
+def is_steeper(finer, grid):
+    """Return True if equations or cost are far steeper with the factors of `finer`, or none, than those of `grid`."""
+    forces = finer.forces if finer.sizes.size else 1.0
+    return (forces > np.where(grid.is_multiplier, STEEPER, STEEPER_COST) * grid.forces).any()
+
+
+def scaled_unknowns(grid, unknowns):
+    """Return unknowns in multiples of their scaling factors where the grid has them."""
+    return unknowns / grid.sizes if grid.sizes.size else unknowns
+
+
+def corrected_cost(grid, point):
+    """Return the cost of an optimum in its own units, corrected for residuals and distances to active bounds.
+
+    That is so to first order. A large correction belongs to multipliers without limit, as where equations force
+    unknowns onto their bounds, and says nothing: the cost stays as it is.
+    """
+    corrected = lagrangian(grid, point)
+    if grid.problem.variable_bounds is not None:
+        corrected -= remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+    if abs(corrected - point.cost) > LARGE_CORRECTION * abs(point.cost):
+        corrected = point.cost
+    return float(corrected) / grid.weight
+
+
+def remaining_gap(unknowns, gradient, lower, upper):
+    """Return the sum of duals times distances of active bounds; the dual of a bound is the Lagrangian's slope there."""
+    dual = np.abs(gradient)
+    distance = np.where(gradient > 0.0, unknowns - lower, np.where(gradient < 0.0, upper - unknowns, np.inf))
+    known = np.isfinite(distance)
+    dual, distance = dual[known], distance[known]
+    return float((dual * distance * (dual / (dual + np.abs(distance) + 1e-300))).sum())
+
+
+def unscaled_point(grid, point):
+    """Return a point in the problem's own units; its stationarity is the change of the cost by scaling factors."""
+    if not grid.sizes.size:
+        return point
+    stationarity = point.stationarity / grid.weight
+    sizes, grid = grid.sizes, plain_grid(grid)
+    point = evaluate(grid, with_pinned_values(grid, point.unknowns * sizes))
+    return point._replace(stationarity=stationarity, error=max(point.residual, stationarity))

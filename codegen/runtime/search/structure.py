@@ -1,0 +1,376 @@
+"""The structure of an optimal control problem: which unknowns there are, and which derivatives may be nonzero.
+
+Unknowns lie in one vector of length n: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
+N stride + node; then the linking variables, which no node owns, with the multipliers of conditions between them.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from codegen.runtime.kkt.shape import Shape
+from codegen.runtime.kkt.tables import packed
+
+NO_INDICES = np.zeros(0, np.int64)
+NO_MASK = np.zeros(0, bool)
+
+
+def _no_indices():
+    return NO_INDICES
+
+
+def _no_mask():
+    return NO_MASK
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Numbers and indices of the unknowns of an optimal control problem.
+
+    Attributes
+    ----------
+    node, stride : int
+        Unknowns of a node, and of a node with the interval after it.
+    condensed : int
+        Unknowns of an interval that are eliminated before all others: its last ones.
+    bodies, own, shared, couplings : int
+        Bodies; linking variables of one body alone, and with those of the whole problem; conditions between them.
+    phases : int
+        Phases, 0 if there is only one.
+    rows, columns : array of int
+        Rows and columns of the entries of an interval's Hessian, lower triangle; `start_rows` and so on of the ends.
+    is_multiplier, shared_is_multiplier : array of bool
+        Multipliers among the unknowns of a node and an interval, and among the linking variables.
+    start_pinned, end_pinned : array of int
+        Unknowns of the first and the last node that boundary conditions give; those that equal linking variables are
+        among them, and in `start_tied`, `end_tied`, with these variables in `start_shared`, `end_shared`.
+    only_at_ends : array of int
+        Unknowns that only the first and the last node have.
+    backward, bordered, carried, constant : bool
+        See `kkt.shape.Shape`.
+    equations : array of int
+        Multipliers of the equations of motion in a node, if these give the momenta.
+    slacks, slack_multipliers : array of int
+        Slacks of an interval, and the multipliers of the equations that define them.
+    motion_equations, motion_unknowns : array of int
+        Multipliers of the equations of a step, and what these determine, if a motion follows from the start.
+    inner_times, inner_first : int
+        Number of inner times, and their place among the parameters; `inner_unknowns` of nodes belong to them, those
+        `inner_present` (times, unknowns) to each; intervals after them lack `inner_lacks`.
+    phase_lacks, switch_lacks : array of bool
+        Unknowns that intervals of each phase, and the first after each switch, lack.
+    tabled, sample, first_sample : int
+        Numbers of tables behind the parameters; numbers of a sample, and the place of the first one.
+    inequalities, linear_quadratic, costless, forward : bool
+        Features of the problem: bounds; one Newton step suffices; any feasible motion will do; a motion follows from
+        the start.
+    """
+
+    node: int
+    stride: int
+    condensed: int
+    rows: np.ndarray
+    columns: np.ndarray
+    is_multiplier: np.ndarray
+    start_pinned: np.ndarray
+    end_pinned: np.ndarray
+    only_at_ends: np.ndarray = field(default_factory=_no_indices)
+    bodies: int = 1
+    own: int = 0
+    shared: int = 0
+    couplings: int = 0
+    phases: int = 0
+    backward: bool = False
+    bordered: bool = False
+    carried: bool = False
+    constant: bool = False
+    inequalities: bool = False
+    linear_quadratic: bool = False
+    costless: bool = False
+    forward: bool = False
+    equations: np.ndarray = field(default_factory=_no_indices)
+    start_tied: np.ndarray = field(default_factory=_no_indices)
+    start_shared: np.ndarray = field(default_factory=_no_indices)
+    end_tied: np.ndarray = field(default_factory=_no_indices)
+    end_shared: np.ndarray = field(default_factory=_no_indices)
+    start_rows: np.ndarray = field(default_factory=_no_indices)
+    start_columns: np.ndarray = field(default_factory=_no_indices)
+    end_rows: np.ndarray = field(default_factory=_no_indices)
+    end_columns: np.ndarray = field(default_factory=_no_indices)
+    slacks: np.ndarray = field(default_factory=_no_indices)
+    slack_multipliers: np.ndarray = field(default_factory=_no_indices)
+    motion_equations: np.ndarray = field(default_factory=_no_indices)
+    motion_unknowns: np.ndarray = field(default_factory=_no_indices)
+    shared_is_multiplier: np.ndarray = field(default_factory=_no_mask)
+    inner_times: int = 0
+    inner_first: int = 0
+    inner_unknowns: np.ndarray = field(default_factory=_no_indices)
+    inner_present: np.ndarray = field(default_factory=_no_mask)
+    inner_lacks: np.ndarray = field(default_factory=_no_indices)
+    phase_lacks: np.ndarray = field(default_factory=_no_mask)
+    switch_lacks: np.ndarray = field(default_factory=_no_mask)
+    tabled: int = 0
+    sample: int = 0
+    first_sample: int = 0
+
+    @cached_property
+    def element(self):
+        """Unknowns of an interval with both its nodes."""
+        return self.stride + self.node
+
+    @cached_property
+    def root(self):
+        """Linking variables of all bodies, with the multipliers of conditions between them."""
+        return self.bodies * self.own + self.shared - self.own + self.couplings
+
+    @cached_property
+    def is_tied(self):
+        """True if unknowns of the end nodes equal linking variables."""
+        return bool(self.start_tied.size + self.end_tied.size)
+
+    @cached_property
+    def local_is_multiplier(self):
+        """Mask of multipliers among the unknowns of an interval, both its nodes, and the linking variables."""
+        shared = self.shared_is_multiplier if self.shared_is_multiplier.size else np.zeros(self.shared, bool)
+        return np.concatenate([self.is_multiplier, self.is_multiplier[: self.node], shared])
+
+    @cached_property
+    def first_pinned(self):
+        """Unknowns that are given in the node that is eliminated first."""
+        return self.end_pinned if self.backward else self.start_pinned
+
+    @cached_property
+    def border(self):
+        """Unknowns of block 0 that stay to the end of the elimination."""
+        block = self.stride - self.condensed
+        return np.setdiff1d(np.arange(block), self.first_pinned) if self.bordered else NO_INDICES
+
+    @cached_property
+    def shape(self):
+        """What the factorisation of the KKT matrix is specialised to."""
+        block = self.stride - self.condensed
+        # What only ends have is zero in inner nodes, and is left out where it comes last.
+        inner = block - self.only_at_ends.size
+        if self.only_at_ends.min(initial=block) < inner:
+            inner = block
+        flags = self.backward, self.bordered, self.carried, self.constant
+        return Shape(
+            self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
+            *map(int, flags),
+        )  # fmt: skip
+
+    @cached_property
+    def tables(self):
+        """The index tables of the linear system, packed."""
+        node, block = self.node, self.stride - self.condensed
+        tail = block + node + self.border.size
+        left, right = (block, 0) if self.backward else (0, block)
+        local = np.arange(self.element + self.shared)
+        is_condensed = (local >= block) & (local < self.stride)
+        index = np.concatenate(
+            [
+                left + np.arange(node), np.arange(node, block), np.arange(self.condensed), right + np.arange(node),
+                tail + np.arange(self.shared),
+            ]
+        )  # fmt: skip
+        kinds = is_condensed[self.rows].astype(int) + is_condensed[self.columns]
+        swapped = is_condensed[self.columns] & ~is_condensed[self.rows]
+        rows = index[np.where(swapped, self.columns, self.rows)]
+        columns = index[np.where(swapped, self.rows, self.columns)]
+        tables, entries = {}, np.arange(kinds.size)
+        for kind, name in enumerate(("KEPT", "COUPLED", "INSIDE")):
+            here = kinds == kind
+            tables |= {name: entries[here], f"{name}_ROWS": rows[here], f"{name}_COLUMNS": columns[here]}
+        tables["TOUCHED"] = np.unique(tables["COUPLED_COLUMNS"])
+        for name, first, ends in (
+            ("START", left, (self.start_rows, self.start_columns)),
+            ("END", right, (self.end_rows, self.end_columns)),
+        ):
+            for kind, values in zip(("ROWS", "COLUMNS"), ends, strict=True):
+                tables[f"{name}_{kind}"] = np.where(values < node, first + values, tail + values - node)
+        multipliers = np.count_nonzero(self.is_multiplier)
+        ending = np.count_nonzero(self.is_multiplier[:node]) + multipliers
+        common = np.count_nonzero(self.local_is_multiplier[self.element :])
+        return packed(
+            tables
+            | {
+                "FIRST": self.border,
+                "FIRST_PINNED": self.first_pinned,
+                "LAST_PINNED": self.start_pinned if self.backward else self.end_pinned,
+                "START_PINNED": self.start_pinned,
+                "END_PINNED": self.end_pinned,
+                "START_TIED": self.start_tied,
+                "START_SHARED": self.start_shared,
+                "END_TIED": self.end_tied,
+                "END_SHARED": self.end_shared,
+                "COUNTS": [self.own, multipliers, ending, common, self.rows.size],
+                "SHAPE": self.shape,
+            }
+        )
+
+    @cached_property
+    def counts(self):
+        """Numbers that compiled functions read: see `linear_system.System`."""
+        sizes = self.rows.size, self.start_rows.size, self.end_rows.size
+        return np.array([self.bodies, *sizes, self.own, self.root, self.element, self.stride])
+
+    @cached_property
+    def entries(self):
+        """Rows and columns, in the unknowns of an element, of second derivatives of an interval and of both ends."""
+        sides = (self.rows, self.start_rows, self.end_rows), (self.columns, self.start_columns, self.end_columns)
+        return tuple(self.in_element(*side) for side in sides)
+
+    def in_element(self, of_interval, of_start, of_end):
+        """Return indices of unknowns, those of both ends behind those of an interval, in the unknowns of an element.
+
+        In an end the unknowns of the node come first, then linking variables.
+        """
+        ends = [
+            np.where(part < self.node, part + first, part - self.node + self.element)
+            for first, part in ((0, of_start), (self.stride, of_end))
+        ]
+        return np.concatenate([of_interval, *ends]).astype(np.int64)
+
+    @cached_property
+    def is_of_cost(self):
+        """Mask of the second derivatives by primal unknowns: of an interval, of both ends, of coupling conditions."""
+        few, (rows, columns), is_multiplier = self.phases or 1, self.entries, self.local_is_multiplier
+        root = self.layouts(few).is_multiplier[self.size(few) - self.root :]
+        of_root = ~(root[:, None] | root)
+        return np.concatenate([~(is_multiplier[rows] | is_multiplier[columns]), of_root.ravel()])
+
+    @cached_property
+    def without_cost(self):
+        """Factors of all kinds of second derivatives: 0 for derivatives by primal unknowns alone, otherwise 1."""
+        return np.where(self.is_of_cost, 0.0, 1.0)
+
+    def size(self, steps):
+        """Return the number n of unknowns on so many intervals."""
+        return self.bodies * (steps * self.stride + self.node) + self.root
+
+    def entry_count(self, steps):
+        """Return the number of second derivatives: of intervals, both ends of each body, and coupling conditions."""
+        of_ends = self.start_rows.size + self.end_rows.size
+        return self.bodies * (steps * self.rows.size + of_ends) + self.root**2
+
+    def root_indices(self):
+        """Return the indices (bodies, shared), among the linking variables, of those of each body."""
+        bodies, variables = np.arange(self.bodies)[:, None], np.arange(self.shared)
+        return np.where(variables < self.own, bodies * self.own, (self.bodies - 1) * self.own) + variables
+
+    @cached_property
+    def layouts(self):
+        """The layouts of the last numbers of intervals."""
+        return lru_cache(maxsize=4)(lambda steps: _layout(self, steps))
+
+    @cached_property
+    def inner_layouts(self):
+        """The layouts of the last numbers of intervals with inner times at given nodes."""
+        return lru_cache(maxsize=4)(lambda steps, numbers: _inner_layout(self, steps, numbers))
+
+    @cached_property
+    def ties(self):
+        """Pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
+        return lru_cache(maxsize=4)(lambda steps: _ties(self, steps))
+
+    @cached_property
+    def fillings(self):
+        """Pairs (k, 2) of the entry by which a start takes back a one of intervals on the diagonal, and its row."""
+        return lru_cache(maxsize=4)(lambda steps: _fillings(self, steps))
+
+    @cached_property
+    def kinds(self):
+        """The kind of each unknown: its index in a node with the interval after it, then linking variables."""
+        return lru_cache(maxsize=4)(lambda steps: _kinds(self, steps))
+
+
+class Layout(NamedTuple):
+    """Masks (n,) of multipliers and of free unknowns, indices of the free primal ones and of the free multipliers."""
+
+    is_multiplier: np.ndarray
+    is_free: np.ndarray
+    primal: np.ndarray
+    multipliers: np.ndarray
+
+
+def _layout(s, steps):
+    """Return the layout of `steps` intervals; its arrays are read-only."""
+    chain, size = steps * s.stride + s.node, s.size(steps)
+    is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
+    chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
+    chains[:, : -s.node].reshape(s.bodies, steps, s.stride)[:] = s.is_multiplier
+    chains[:, -s.node :] = s.is_multiplier[: s.node]
+    if s.couplings:
+        is_multiplier[size - s.couplings :] = True
+    if s.shared_is_multiplier.any():
+        first = s.bodies * (chain + s.own)
+        is_multiplier[s.bodies * chain : first].reshape(s.bodies, s.own)[:] = s.shared_is_multiplier[: s.own]
+        is_multiplier[first : size - s.couplings] = s.shared_is_multiplier[s.own :]
+    chains = is_free[: s.bodies * chain].reshape(s.bodies, chain)
+    for i in s.only_at_ends:
+        chains[:, i + s.stride : -s.node : s.stride] = False
+    chains[:, s.start_pinned] = False
+    chains[:, chain - s.node + s.end_pinned] = False
+    if s.phases:
+        intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
+        intervals[:, :, s.node :] &= ~lacking_unknowns(s, steps)
+    return _frozen(is_multiplier, is_free)
+
+
+def lacking_unknowns(s, intervals):
+    """Return which unknowns each of the `intervals` of all phases lacks: (intervals, stride - node)."""
+    steps = intervals // s.phases
+    lacking = np.repeat(s.phase_lacks, steps, axis=0)
+    lacking[steps::steps] = s.switch_lacks
+    return lacking
+
+
+def _inner_layout(s, steps, numbers):
+    """Return the layout of `steps` intervals whose nodes of these `numbers` are at inner times."""
+    plain, chain = s.layouts(steps), steps * s.stride + s.node
+    is_free = plain.is_free.copy()
+    for first in range(0, s.bodies * chain, chain):
+        nodes = first + s.stride * np.arange(steps + 1)
+        for j, present in zip(s.inner_unknowns, s.inner_present.T, strict=True):
+            is_free[nodes + j] = False
+            is_free[nodes[np.array(numbers)[present]] + j] = True
+        for j in s.inner_lacks:
+            is_free[nodes[np.array(numbers)] + j] = False
+    return _frozen(plain.is_multiplier, is_free)
+
+
+def _frozen(is_multiplier, is_free):
+    primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
+    for array in (is_multiplier, is_free, primal, multipliers):
+        array.flags.writeable = False
+    return Layout(is_multiplier, is_free, primal, multipliers)
+
+
+def _ties(s, steps):
+    chain, size = steps * s.stride + s.node, s.size(steps)
+    pairs = []
+    if s.is_tied:
+        for body, indices in enumerate(size - s.root + s.root_indices()):
+            pairs += zip(body * chain + s.start_tied, indices[s.start_shared], strict=True)
+            pairs += zip((body + 1) * chain - s.node + s.end_tied, indices[s.end_shared], strict=True)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _fillings(s, steps):
+    chain, first = steps * s.stride + s.node, s.bodies * steps * s.rows.size
+    is_one = (s.start_rows == s.start_columns) & np.isin(s.start_rows, s.only_at_ends)
+    entries = np.flatnonzero(is_one)
+    pairs = [
+        (first + body * s.start_rows.size + j, body * chain + s.start_rows[j])
+        for body in range(s.bodies)
+        for j in entries
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _kinds(s, steps):
+    chain = np.tile(np.arange(steps * s.stride + s.node) % s.stride, s.bodies)
+    own, common = np.tile(np.arange(s.own), s.bodies), np.arange(s.own, s.shared + s.couplings)
+    return np.concatenate([chain, s.stride + own, s.stride + common])

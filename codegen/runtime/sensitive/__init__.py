@@ -1,1 +1,0 @@
-"""Sensitivities: how a solution follows parameters, boundary values and a given duration."""

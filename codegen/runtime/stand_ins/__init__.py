@@ -1,1 +1,0 @@
-"""Hand-written kernels, with which the numerics are tested without a generated module."""

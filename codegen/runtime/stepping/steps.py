@@ -1,0 +1,382 @@
+"""Step after step of an initial value problem, whose kernels are called by address.
+
+Implicit steps are solved by Newton's method, whose first correction is exact where the equations are linear.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import carray, njit
+
+from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
+from codegen.runtime.kernels import ONLY_COMPILED
+from codegen.runtime.lu import factor_matrix, solve_factored
+
+NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # why a step fails
+LEAST = 1e-300  # numbers below it are so close to the least ones that they have no relative size
+ROUNDING = 1e-8  # corrections below this part of all unknowns are rounding errors once they no longer shrink
+TABLE_MARGIN = 1e-8  # parts of the range of a table by which an input may be outside, which is rounding
+
+INLINED: Any = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
+
+
+class Scheme(NamedTuple):
+    """What compiled code knows of a `StepProblem`: integers, so that passing them counts no references.
+
+    Addresses of kernels, 0 where there is none; numbers; and the addresses of `fractions` (parts, lengths) and `ranges`
+    (inputs, 2), arrays of the problem.
+    """
+
+    explicit: int
+    predict: int
+    residual: int
+    jacobian: int
+    complete: int
+    equations: int
+    used_inputs: int
+    state: int
+    stages: int
+    unknowns: int
+    is_iterated: int
+    is_constant: int
+    parts: int
+    lengths: int
+    inputs: int
+    fractions: int
+    ranges: int
+
+
+class Work(NamedTuple):
+    """Addresses of the arrays of a step, which the caller keeps.
+
+    `lengths` (parts, lengths) are those of all parts, `now` (state,) is the state before a step, `here` that at the
+    start of a part, `interval` (stages + state,) holds the inner stages and the state at its end, `seen` (inputs, 2)
+    inputs of tables. Of Newton's method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last corrections.
+    """
+
+    lengths: int
+    now: int
+    here: int
+    interval: int
+    seen: int
+    unknowns: int
+    residual: int
+    jacobian: int
+    pivots: int
+    sizes: int
+    last: int
+
+
+def memory_for(scheme):
+    """Return memory for the arrays of a step."""
+    count = scheme.unknowns
+    size = scheme.parts * scheme.lengths + 4 * (scheme.stages + scheme.state) + 2 * scheme.inputs + count * (count + 5)
+    return np.zeros(size)
+
+
+@njit(error_model="numpy")
+def work_in(scheme, memory, h, parameters_at):
+    """Return the addresses of the arrays of steps of length h in memory; a constant matrix is factored."""
+    count, size = scheme.unknowns, scheme.state
+    lengths = memory.ctypes.data
+    now = lengths + 8 * scheme.parts * scheme.lengths
+    here = now + 8 * size
+    interval = here + 8 * size
+    seen = interval + 8 * (scheme.stages + size)
+    unknowns = seen + 16 * scheme.inputs
+    row = 8 * count
+    residual, sizes, last, pivots = unknowns + row, unknowns + 2 * row, unknowns + 3 * row, unknowns + 4 * row
+    work = Work(lengths, now, here, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
+    fractions = carray(reals_at(scheme.fractions), (scheme.parts * scheme.lengths,))
+    for i in range(memory.size):
+        memory[i] = h * fractions[i] if i < fractions.size else 0.0
+    if scheme.is_constant:
+        call(scheme.jacobian, (unknowns, here, 0.0, lengths, parameters_at, residual, work.jacobian))
+        if count > 1:
+            jacobian, factored = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(pivots), (count,))
+            if factor_matrix(jacobian, factored) >= 0:
+                factored[0] = -1
+    return work
+
+
+@njit(error_model="numpy", forceinline=True)
+def advance(scheme, work, t, tolerance, most, parameters_at):
+    """Make a step from the state in work.here, which then holds that after it; return the iterations, or why it failed.
+
+    `t` is the time at the start, `tolerance` the relative size of a correction after which a part of a step has been
+    solved, in at most so many iterations.
+    """
+    state, iterations = carray(reals_at(work.here), (scheme.state,)), 0
+    after = carray(reals_at(work.interval + 8 * scheme.stages), (scheme.state,))
+    lengths = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths))
+    for part in range(scheme.parts):
+        lengths_at = work.lengths + 8 * part * scheme.lengths
+        if scheme.unknowns == 0:
+            call(scheme.explicit, (work.here, t, lengths_at, parameters_at, work.interval))
+        else:
+            outcome = solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at)
+            if outcome < 0:
+                return outcome
+            iterations += outcome
+        if scheme.inputs and first_left(scheme, work, t, lengths_at, parameters_at) >= 0:
+            return LEFT_TABLE
+        for i in range(scheme.state):
+            state[i] = after[i]
+        for i in range(scheme.lengths):
+            t += lengths[part, i]
+    return iterations
+
+
+@njit(error_model="numpy")
+def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
+    """Solve the equations of a part of a step from work.here; return the iterations, or why there is no solution.
+
+    Corrections are taken in full: where they do not converge the step is too long for the scheme, and shorter
+    corrections were seen to end in spurious minima of the residual as often as in a solution.
+    """
+    count, magnitude = scheme.unknowns, 0.0
+    unknowns, residual = carray(reals_at(work.unknowns), (count,)), carray(reals_at(work.residual), (count,))
+    jacobian, pivots = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(work.pivots), (count,))
+    sizes, last = carray(reals_at(work.sizes), (count,)), carray(reals_at(work.last), (count,))
+    state = carray(reals_at(work.here), (scheme.state,))
+    call(scheme.predict, (work.here, t, lengths_at, parameters_at, work.unknowns))
+    for i in range(state.size):
+        magnitude += abs(state[i])
+    for i in range(count):
+        sizes[i], last[i] = max(0.5 * sizes[i], LEAST), np.inf
+    given = work.unknowns, work.here, t, lengths_at, parameters_at
+    for iteration in range(1, most + 1):
+        if scheme.is_constant:
+            call(scheme.residual, (*given, work.residual))
+        else:
+            call(scheme.jacobian, (*given, work.residual, work.jacobian))
+        if scheme.is_iterated:
+            total = 0.0
+            for i in range(count):
+                total += abs(residual[i])
+            if not total < np.inf:
+                return NON_FINITE
+        if count == 1:
+            if not abs(jacobian[0, 0]) > 0.0:
+                return SINGULAR
+            residual[0] /= jacobian[0, 0]
+        else:
+            if pivots[0] < 0 if scheme.is_constant else factor_matrix(jacobian, pivots) >= 0:
+                return SINGULAR
+            solve_factored(jacobian, pivots, residual)
+        scale = magnitude
+        for i in range(count):
+            unknowns[i] -= residual[i]
+            scale += abs(unknowns[i])
+        if not scheme.is_iterated or has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last):
+            call(scheme.complete, (*given, work.interval))
+            return iteration
+    return NOT_CONVERGED
+
+
+@njit(error_model="numpy", forceinline=True)
+def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
+    """Return True if each correction (unknowns,) is small, or a rounding error that no longer shrinks.
+
+    Newton's method squares the error, so that after a correction of relative size 1e-13 nothing but rounding is left.
+    Each is measured against its unknown's own size, which may be that of a few steps ago: a sum over unknowns would
+    depend on their units. `sizes` and `last` take what the next call has to know.
+    """
+    settled = True
+    for i in range(unknowns.size):
+        change = abs(corrections[i])
+        sizes[i] = max(sizes[i], abs(unknowns[i]))
+        stagnates = change <= rounding and change >= 0.5 * last[i]
+        settled = settled and (stagnates or change <= tolerance * sizes[i])
+        last[i] = 0.0 if stagnates else change
+    return settled
+
+
+@njit(error_model="numpy")
+def first_left(scheme, work, t, lengths_at, parameters_at):
+    """Return the number of the first input of a table that a part of a step takes out of its range, or -1.
+
+    `work.seen` takes the least and the greatest value of each.
+    """
+    seen = carray(reals_at(work.seen), (scheme.inputs, 2))
+    ranges, parameters = carray(integers_at(scheme.ranges), (scheme.inputs, 2)), reals_at(parameters_at)
+    for j in range(scheme.inputs):
+        seen[j, 0], seen[j, 1] = np.inf, -np.inf
+    call(scheme.used_inputs, (work.here, work.interval, t, lengths_at, parameters_at, work.seen))
+    for j in range(scheme.inputs):
+        least, greatest = parameters[ranges[j, 0]], parameters[ranges[j, 1]]
+        margin = TABLE_MARGIN * (greatest - least)
+        if seen[j, 0] < least - margin or seen[j, 1] > greatest + margin:
+            return j
+    return -1
+
+
+@INLINED
+def checked(outcome, size, after):
+    """Return the outcome of a step, or that the state (size,) after it, at a pointer, is not finite."""
+    total = 0.0
+    for i in range(size):
+        total += abs(after[i])
+    return outcome if outcome < 0 or total < np.inf else NON_FINITE
+
+
+@INLINED
+def stored(made, steps, every, wait, rows, size, now, after, path, before):
+    """Store the state (size,) `after` a step where it is due; return how many steps to wait, and the rows in use.
+
+    `made` steps are made; every `every`-th state and the last are stored in `path` (M, size). Row i of `before` takes
+    the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written there. All are pointers.
+    """
+    wait -= 1
+    if wait == 0 or made == steps:
+        for i in range(size):
+            path[rows * size + i] = after[i]
+        if every > 1:
+            for i in range(size):
+                before[(rows - 1) * size + i] = now[i]
+        rows, wait = rows + 1, every
+    for i in range(size):
+        now[i] = after[i]
+    return wait, rows
+
+
+@INLINED
+def stored_last(wait, every, rows, size, now, path):
+    """Store the last good state (size,) if it has not been stored; return the rows in use."""
+    if wait < every:
+        for i in range(size):
+            path[rows * size + i] = now[i]
+        rows += 1
+    return rows
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, path, before):
+    """Make all steps from a state (state,), and store states in `path` and `before` (M, state); see `stored`.
+
+    Stops at the first step that fails, and then stores the last good state. Returns the number of steps made, the rows
+    of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
+    """
+    parameters_at, size = parameters.ctypes.data, scheme.state
+    work = work_in(scheme, memory, h, parameters_at)
+    now, after, rows, iterations, wait = reals_at(work.now), reals_at(work.here), 1, 0, every
+    states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
+    for i in range(size):
+        path[0, i] = after[i] = now[i] = start[i]
+    for k in range(steps):
+        outcome = checked(advance(scheme, work, k * h, tolerance, most, parameters_at), size, after)
+        if outcome < 0:
+            break
+        iterations += outcome
+        wait, rows = stored(k + 1, steps, every, wait, rows, size, now, after, states, states_before)
+    else:
+        k, outcome = steps, 0
+    if outcome < 0:
+        rows = stored_last(wait, every, rows, size, now, states)
+    return k, rows, iterations, outcome
+
+
+@INLINED
+def follow_explicitly(
+    step, size, stages, parts, count, state, now, interval, lengths, numbers, parameters, path, before, outcome
+):  # fmt: skip
+    """Make all steps of an explicit scheme by a function that is inlined; otherwise as `follow`.
+
+    A step has so many `parts`, of a `count` of lengths each. All arrays are given by pointers: `state` and `now` hold
+    the first state, `numbers` the number of steps, their length and `every`; `outcome` takes what `follow` returns.
+    """
+    steps, h, every = int(numbers[0]), numbers[1], int(numbers[2])
+    rows, wait, made, reason = 1, every, 0, 0
+    for i in range(size):
+        path[i] = state[i]
+    for k in range(steps):
+        t = k * h
+        for part in range(parts):
+            step(state, t, ahead(lengths, part * count), parameters, interval)
+            for i in range(size):
+                state[i] = interval[stages + i]
+            for i in range(count):
+                t += lengths[part * count + i]
+        reason = checked(0, size, state)
+        if reason < 0:
+            rows = stored_last(wait, every, rows, size, now, path)
+            break
+        made += 1
+        wait, rows = stored(made, steps, every, wait, rows, size, now, state, path, before)
+    outcome[0], outcome[1], outcome[2], outcome[3] = made, rows, 0, reason
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval, seen):
+    """Make one step from a state (state,); return the iterations, or why it failed.
+
+    `interval` (stages + state,) takes the inner stages and the end of the last part, `seen` (inputs, 2) those of
+    tables.
+    """
+    parameters_at = parameters.ctypes.data
+    work = work_in(scheme, memory, h, parameters_at)
+    here, made = carray(reals_at(work.here), (scheme.state,)), carray(reals_at(work.interval), (interval.size,))
+    for i in range(scheme.state):
+        here[i] = start[i]
+    outcome = advance(scheme, work, t, tolerance, most, parameters_at)
+    for i in range(interval.size):
+        interval[i] = made[i]
+    inputs = carray(reals_at(work.seen), (scheme.inputs, 2))
+    for j in range(scheme.inputs):
+        seen[j, 0], seen[j, 1] = inputs[j, 0], inputs[j, 1]
+    return outcome
+
+
+def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interval):
+    """Make a part of a step, of given lengths, from a state (state,) at time t; otherwise as `make_step`.
+
+    Inputs of tables may be anywhere.
+    """
+    lengths = np.ascontiguousarray(lengths, dtype=float)
+    alone = scheme._replace(parts=1, fractions=lengths.ctypes.data, inputs=0)
+    given = memory_for(alone), start, float(t), 1.0, parameters, tolerance, most
+    return make_step(alone, *given, interval, np.empty((0, 2)))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, tolerance, most, every):
+    """Return the max-norm of the scheme's equations over steps from `before` to rows 1, 2, ... of `path` (M, state).
+
+    Inner stages, and states between the parts of a step, are not stored: they are computed anew from the state before.
+    """
+    size, stages, parameters_at, largest = scheme.state, scheme.stages, parameters.ctypes.data, 0.0
+    work, residual = work_in(scheme, memory, h, parameters_at), np.empty(scheme.stages + scheme.state)
+    state, interval = carray(reals_at(work.here), (size,)), carray(reals_at(work.interval), (stages + size,))
+    lengths, residual_at = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths)), residual.ctypes.data
+    for row in range(1, rows):
+        t = (min(row * every, steps) - 1) * h
+        for i in range(size):
+            state[i] = before[row - 1, i]
+        for part in range(scheme.parts):
+            lengths_at, is_last = work.lengths + 8 * part * scheme.lengths, part == scheme.parts - 1
+            if stages > 0 or not is_last:
+                if scheme.unknowns == 0:
+                    call(scheme.explicit, (work.here, t, lengths_at, parameters_at, work.interval))
+                else:
+                    solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at)
+            if is_last:
+                for i in range(size):
+                    interval[stages + i] = path[row, i]
+            call(scheme.equations, (work.here, work.interval, t, lengths_at, parameters_at, residual_at))
+            for i in range(stages + size):
+                if not abs(residual[i]) < np.inf:
+                    return np.inf
+                largest = max(largest, abs(residual[i]))
+            for i in range(size):
+                state[i] = interval[stages + i]
+            for i in range(scheme.lengths):
+                t += lengths[part, i]
+    return largest
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def energies(energy, path, times, parameters, values):
+    """Fill `values` (M,) with the Hamiltonian, a Value at an address, along the path (M or more, size) at `times`."""
+    for row in range(values.size):
+        state_at = path.ctypes.data + 8 * row * path.shape[1]
+        values[row] = call_value(energy, (state_at, times[row], parameters.ctypes.data))

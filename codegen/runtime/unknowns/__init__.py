@@ -1,1 +1,0 @@
-"""The vector of all unknowns: where they stand, the Lagrangian there, what is shared or prescribed."""
