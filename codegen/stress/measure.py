@@ -49,7 +49,7 @@ def with_values(module: Any, case: Case) -> Any:
     values = as_keywords(case.values)
     varied = ModuleType(module.__name__)
     vars(varied).update(vars(module))
-    for name in ("make_grid", "solve", "make_case"):
+    for name in ("make_grid", "solve", "nlp", "make_case"):
         original = getattr(module, name, None)
         if original is not None:
             setattr(varied, name, lambda *given, _call=original, **more: _call(*given, **{**values, **more}))

@@ -110,6 +110,8 @@ class Varied:
             return with_arguments(self.module, **given)
         self._own.make_grid = _Remembered(partial(self.module.make_grid, **given))  # the guess and the verdict ask
         self._own.solve = partial(self.module.solve, **given)
+        if hasattr(self.module, "nlp"):
+            self._own.nlp = partial(self.module.nlp, **given)
         return self._own
 
 
