@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
 
 from codegen.errors import ArgumentError
-from codegen.interfaces import ControlModule, NonlinearProgram, Vector
+from codegen.interfaces import ControlModule, NonlinearProgram, Vector, time_grid
 from codegen.solutions.result import ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
@@ -37,7 +37,8 @@ def claim(
 
 def program_on_grid(module: ControlModule, run: Run) -> NonlinearProgram:
     """The nonlinear program on N intervals, from the guess that is asked for, else the problem's own."""
-    return module.nlp(run.steps, grid=run.grid, guess=run.guess)
+    guess = module.initial_guess(time_grid(module, run.steps, run.grid)) if run.guess is None else run.guess
+    return module.nlp(run.steps, grid=run.grid, guess=guess)
 
 
 def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
