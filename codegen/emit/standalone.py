@@ -66,7 +66,7 @@ from numba import njit
 
 
 class Statistics(NamedTuple):
-    """Where numba keeps machine code of a function, and how often it was read from there or made, by signature."""
+    """The folder of the machine code of a function, and the numbers of reads and compilations by signature."""
 
     cache_path: str | None
     cache_hits: Counter[Any]
@@ -111,7 +111,7 @@ _HEADER = """#
 
 @dataclass(frozen=True)
 class Target:
-    """What a name stands for: a definition in a file, a file (without a name), or something of another package."""
+    """The meaning of a name: a definition in a file, a file (without a name), or a name of another package."""
 
     file: str
     name: str = ""
@@ -238,7 +238,7 @@ class _Names(ast.NodeVisitor):
             self.block.references.append(Reference(line, start, end, target))
 
     def _target(self, name: str) -> Target | None:
-        """What a name stands for, or None for a local one and one of Python's own."""
+        """Return the meaning of a name, or None for a local name and for a name of Python."""
         if any(name in scope for scope in self.scopes):
             return None
         return next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
@@ -359,7 +359,7 @@ def _title(name: str, file: File) -> str:
 
 
 def _are_assignments(file: File, *blocks: Block) -> bool:
-    """Whether all blocks are assignments, which need no empty lines between them."""
+    """Return True if all blocks are assignments, which need no empty lines between them."""
     return all(isinstance(file.statement(block), (ast.Assign, ast.AnnAssign)) for block in blocks)
 
 

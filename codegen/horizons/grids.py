@@ -58,5 +58,5 @@ class Grids:
 
 
 def _are_same(one: Vector, other: Vector) -> bool:
-    """Whether two arrays hold the same bits, in a tenth of the time of `array_equal`."""
+    """Return True if two arrays hold the same bits, in a tenth of the time of `array_equal`."""
     return one.tobytes() == other.tobytes()

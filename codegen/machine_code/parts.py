@@ -1,4 +1,4 @@
-"""What is compiled before a module solves: its kernels, the linear system of its shape, functions of the runtime."""
+"""Machine code that a solve needs: kernels, the linear system of the shape, functions of the runtime."""
 
 from __future__ import annotations
 

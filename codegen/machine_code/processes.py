@@ -19,7 +19,7 @@ CAN_FORK = hasattr(os, "fork")
 NOTE = "codegen: note: "
 """How a line begins that is no error."""
 COUNT, DONE = "codegen: parts: ", "codegen: part done"
-"""How a line begins that tells how many parts there are, and the line that tells of one that is compiled."""
+"""The start of the line with the number of parts, and the line for each compiled part."""
 
 
 class Compilers:

@@ -24,13 +24,13 @@ from codegen.runtime.identity import identity_of
 STAMP = "codegen-runtime"
 RUNTIME = Path(__file__).parent
 PICKLES = {".nbi": 2, ".nbc": 1}
-"""How many pickles stand in an index of numba, and in a file of machine code."""
+"""Numbers of pickles in an index of numba, and in a file of machine code."""
 SEAL = b"\nsha256 of all before: "
 SEALED = len(SEAL) + hashlib.sha256().digest_size
 
 
 class Statistics(NamedTuple):
-    """Where numba keeps machine code of a function, and how often it was read from there or made, by signature."""
+    """The folder of the machine code of a function, and the numbers of reads and compilations by signature."""
 
     cache_path: str | None
     cache_hits: Counter[Any]
@@ -115,7 +115,7 @@ def is_whole(data, pickles):
 def add_checksums(folder, start=""):
     """Write a checksum behind the end of files of machine code, whose names have a start, if it is not there.
 
-    numba does not read as far. On a full disk there is none.
+    numba does not read the checksum. On a full disk no checksum is written.
     """
     for file in Path(folder).glob("*.nb[ic]"):
         if file.name.startswith(start):

@@ -248,7 +248,7 @@ def _end_kernels(
 def _features(
     program: ControlProgram, tables: Sequence[TableData], ranged: Sequence[Input]
 ) -> tuple[tuple[str, str], ...]:
-    """What the record of the problem holds beside what every problem has: names of fields with their code."""
+    """Return the optional fields of the record of the problem, with their code."""
     return (
         *((("variable_bounds", "variable_bounds"),) if program.has_inequalities else ()),
         *((("phase_durations", "phase_durations"),) if program.phases else ()),
