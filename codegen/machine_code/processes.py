@@ -16,6 +16,14 @@ from pathlib import Path
 from codegen.errors import one_line
 
 CAN_FORK = hasattr(os, "fork")
+START = """
+import runpy, sys
+folder = sys.argv.pop(1)
+if folder not in sys.path:
+    sys.path.insert(0, folder)
+runpy.run_module("codegen.machine_code.compilation", run_name="__main__", alter_sys=True)
+"""
+"""The program of a process: it takes this very package, and not one that lies in the current folder."""
 NOTE = "codegen: note: "
 """How a line begins that is no error."""
 COUNT, DONE = "codegen: parts: ", "codegen: part done"
@@ -36,7 +44,7 @@ class Compilers:
             return
         self.processes = [
             subprocess.Popen(
-                [sys.executable, "-m", "codegen.machine_code.compilation", share],
+                [sys.executable, "-P", "-c", START, str(Path(__file__).parents[2]), share],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from codegen.compiler import build
 from codegen.machine_code.processes import compilers
 
 GENERATED = Path(__file__).parents[2] / "generated"
@@ -60,7 +61,8 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     (tmp_path / "pendulum.py").write_bytes((GENERATED.parent / "problems" / "pendulum.py").read_bytes())
     (tmp_path / "sitecustomize.py").write_text(
         "import sys\n"
-        "if 'codegen.machine_code.compilation' in sys.orig_argv: sys.modules['codegen.runtime.linking'] = None\n"
+        "is_compiling = any('codegen.machine_code.compilation' in word for word in sys.orig_argv)\n"
+        "if is_compiling: sys.modules['codegen.runtime.linking'] = None\n"
     )
     paths = os.pathsep.join([str(tmp_path), str(GENERATED.parent), os.environ.get("PYTHONPATH", "")])
     surroundings = {**os.environ, "PYTHONPATH": paths, "CODEGEN_CACHE_DIR": str(tmp_path / "cache")}
@@ -72,3 +74,21 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     assert "machine code could not be made ahead (ModuleNotFoundError: import of codegen.runtime.linking" in done.stderr
     compiled, read = output(COUNT, tmp_path / "out" / "pendulum.py")
     assert compiled == "0" < read
+
+
+def test_processes_take_the_package_of_their_parent(tmp_path, monkeypatch):
+    """Whatever lies in the current folder, as a checkout beside an installed package."""
+    other = tmp_path / "codegen"
+    other.mkdir()
+    (other / "__init__.py").write_text("raise SystemExit('another package')\n")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drop.py").write_text(
+        '"""Drop a mass (a test)."""\n\n'
+        "from codegen import Simulate, coordinate\n\n\ndef problem():\n"
+        '    x, dx = coordinate("x")\n'
+        "    return Simulate(lagrangian=dx**2 / 2 - x, duration=1, start={x: 0, dx: 1}, steps=5)\n"
+    )
+    path = build(tmp_path / "drop.py").path
+    with compilers() as processes:
+        assert processes.compile(path)
+    assert processes.failure == ""
