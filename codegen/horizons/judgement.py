@@ -13,7 +13,7 @@ import numpy as np
 from codegen.interfaces import Grid, Matrix, Vector
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.descent import COST, ITERATIONS, RESIDUAL
-from codegen.runtime.search.newton import stored
+from codegen.runtime.search.iterates import stored
 from codegen.runtime.search.point import evaluate
 from codegen.solutions.control import control_verdict
 from codegen.solutions.result import ControlAttempt, Run

@@ -93,17 +93,28 @@ def linear_system(shape: Any) -> Iterator[Part]:
 
 def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the functions of searches that Python calls, and the types that all problems call them with."""
-    from codegen.runtime.search import cascade, descent, exact_bounds, iterates, linear_system, parts, point, scaling
+    from codegen.runtime.search import bounds as box
+    from codegen.runtime.search import (
+        cascade,
+        descent,
+        exact_bounds,
+        iterates,
+        linear_system,
+        parts,
+        point,
+        scaling,
+        solve,
+    )
     from codegen.runtime.search import sensitivities as changes
 
     grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
     factors = (int64, REALS, INTEGERS, int64, INTEGERS)  # equations, factors, orders, inverses, counts
+    bounds = types.Tuple((INTEGERS, *[REALS] * 5))
     yield descent.descend, (
         types.UniTuple(int64, 3),
         types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE)),
         types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
-        types.Tuple((INTEGERS, REALS, REALS)),
-        float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
+        bounds, float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
     )  # fmt: skip
     quantities = scaling.Quantities(
         **{
@@ -112,21 +123,28 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
         }
     )
     yield scaling.fill_scaling_factors, (
-        typeof(quantities), *[REALS] * 4, INTEGERS, INTEGERS, REALS, INTEGERS, MASKS, REALS, REALS, boolean, REALS,
+        typeof(quantities), int64, int64, *grid, MASK, *[REALS] * 3, INDEX_TABLE, INTEGERS, INTEGERS, INTEGERS, MASKS,
+        boolean, REALS, TABLE, REALS,
     )  # fmt: skip
     yield point.measured_gradient, (int64, REALS, REALS, float64, *grid, MASK, REALS, REALS)
     yield linear_system.factor_at, (
         int64, int64, *[REALS] * 4, *grid, INTEGERS, *[REALS] * 3, *factors, REALS, boolean,
     )  # fmt: skip
+    yield linear_system.fill_entry_factors, (REALS, REALS, INTEGERS, INTEGERS, MASK, REALS, INTEGERS, TABLE)
     yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)
     yield linear_system.multiply_entries, (REALS, INTEGERS, INTEGERS, int64, INTEGERS, REALS, REALS, boolean)
     yield linear_system.call_hessians, (int64, REALS, *grid, INTEGERS, REALS)
-    yield parts.fill, (int64, REALS, *grid, REALS)
-    yield iterates.has_multipliers, (REALS, MASK)
+    yield parts.fill_momenta, (int64, REALS, *grid, INTEGERS, int64, CUBE, CUBE)
+    yield solve.correction, (REALS, REALS, MASK, REALS, REALS)
     if problem.variable_bounds is not None:
-        yield iterates.push_inside, (REALS, REALS, REALS, INTEGERS, float64)
+        yield iterates.finite_bounds, (REALS, REALS)
+        yield descent.push_inside, (
+            types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE)), bounds, float64,
+            REALS,
+        )  # fmt: skip
+        yield box.first_beyond, (*[int64] * 4, *[REALS] * 4, float64)
         yield exact_bounds.clip, (REALS, REALS, REALS, INTEGERS)
-        yield cascade.fill_active, (REALS, REALS, INTEGERS, REALS, REALS, REALS, float64, float64, REALS, REALS)
+        yield cascade.fill_active, (REALS, REALS, bounds, float64, float64, REALS, REALS)
     if problem.data is not None:
         along = (
             int64, INTEGERS, REALS, INTEGERS, INTEGERS, REALS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS,

@@ -24,7 +24,9 @@ from codegen.runtime.search.linear_system import call_hessians, factor_at, globa
 from codegen.runtime.search.point import measured_gradient
 
 # Why the function returns.
-CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM = range(10)
+(
+    CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS,
+) = range(11)  # fmt: skip
 WORDS = (
     "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
 )  # fmt: skip
@@ -44,14 +46,24 @@ BARRIERS = 10
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOOSE_MU, LAST_COST,
-) = range(22)  # fmt: skip
-REALS = 22
+    STATIONARITY, ERROR, LOOSE_MU, LAST_COST, PUSH, FUNNEL, FIRST_MU, FIRST_VIOLATION, FIRST_ERROR,
+) = range(27)  # fmt: skip
+REALS = 27
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
-    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN,
-) = range(21)  # fmt: skip
-INTEGERS = 21
+    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN, STAGE, ON_PATH,
+    LOOKS,
+) = range(24)  # fmt: skip
+INTEGERS = 24
+
+# The stage of a search: it goes on; it begins with an iterate; it begins with primal unknowns.
+GO_ON, WITH_ITERATE, WITH_UNKNOWNS = range(3)
+
+# The start.
+LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
+LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
+FILTERED = 1e-4  # part of the first violation up to which the switching condition asks for descent
+GROSSLY = 0.03  # residuals above this part of the equations' terms are a gross violation
 
 # Sizes of residuals and terms.
 UNIT_ROUNDOFF = 2.2e-16
@@ -176,7 +188,7 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
         problem[0], unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, vectors[SCALED][: sizes.size],
         gradient,
     )  # fmt: skip
-    indices, side, _ = bounds
+    indices, side = bounds[0], bounds[1]
     measured = optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, vectors[SPARE])
     if error < np.inf:
         stationarity = measured[0]
@@ -321,7 +333,7 @@ def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_co
 @njit(cache=True, error_model="numpy", nogil=True)
 def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, diagonal):
     """Fill right-hand side and diagonal of Newton's equations (13), given the gradient of the Lagrangian."""
-    is_multiplier, (indices, side, _) = grid[4], bounds
+    is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     for i in range(g.size):
         is_rounding = indices.size > 0 and is_multiplier[i] and abs(g[i]) <= ROUNDING
         right[i] = 0.0 if is_rounding else g[i]
@@ -341,7 +353,7 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     again. A step that is far longer than its right-hand side is one of rounding. Lengths keep 1 - tau of every distance
     and of every dual (15).
     """
-    is_multiplier, (indices, side, _) = grid[4], bounds
+    is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     slope = size = largest = 0.0
     for i in range(x.size):
         slope += right[i] * (x[i] if is_multiplier[i] else step[i])
@@ -363,7 +375,7 @@ def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, t
 
     Rounding must not make a distance vanish; duals are kept within a factor of 1e10 of mu / d (16).
     """
-    indices, side, _ = bounds
+    indices, side = bounds[0], bounds[1]
     for i in range(x.size):
         trial[i] = x[i] + length * step[i]
     if indices.size == 0:
@@ -634,11 +646,126 @@ def copy(source, target):
         target[i] = source[i]
 
 
+@njit(error_model="numpy")
+def has_multipliers(unknowns, is_multiplier):
+    """Return True if any multiplier is not zero."""
+    has_any = False
+    for i in range(unknowns.size):
+        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
+    return has_any
+
+
+@njit(error_model="numpy")
+def tie(grid, x):
+    """Give unknowns that equal linking variables their values."""
+    sizes, ties = grid[5], grid[8]
+    for j in range(ties.shape[0]):
+        i, other = ties[j, 0], ties[j, 1]
+        x[i] = x[other] * sizes[other] / sizes[i] if sizes.size else x[other]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def push_inside(grid, bounds, push, x):
+    """Move unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
+    indices, lower, upper = bounds[0], bounds[4], bounds[5]
+    for i in indices:
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            x[i] = max(x[i], lower[i] + min(push * max(1.0, abs(lower[i])), width))
+        if upper[i] < np.inf:
+            x[i] = min(x[i], upper[i] - min(push * max(1.0, abs(upper[i])), width))
+    tie(grid, x)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def begin(problem, grid, bounds, reals, integers, vectors, barriers):
+    """Put the iterate at the primal unknowns X, which are pushed inside their bounds, into the work space.
+
+    Duals are one, or `ON_PATH`, the central path. The weight of the barrier and the push are in the work space.
+    """
+    x, distance, duals, mu = vectors[X], barriers[DISTANCE], barriers[DUALS], reals[MU]
+    indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
+    if indices.size > 0:
+        push_inside(grid, bounds, reals[PUSH], x)
+        relaxed = relaxation(mu, reals[LEAST_RELAXATION])
+        for j in range(indices.size):
+            distance[j] = side[j] * (x[indices[j]] - value[j]) + relaxed * magnitude[j]
+            duals[j] = min(mu / distance[j], LARGEST_DUAL) if integers[ON_PATH] else 1.0
+    evaluate_iterate(problem, grid, reals, vectors)
+
+
+@njit(error_model="numpy")
+def evaluate_iterate(problem, grid, reals, vectors):
+    """Evaluate the iterate of the work space; duals of bounds take no part in its measures."""
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
+    measures = measured_gradient(
+        problem[0], vectors[X], sizes, weight, steps, h, nodes, parameters, is_multiplier,
+        vectors[SCALED][: sizes.size], vectors[G],
+    )  # fmt: skip
+    for i in range(5):
+        reals[COST + i] = measures[i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers):
+    """Give an iterate the multipliers that solve stationarity by least squares (36), none if these are huge.
+
+    All its multipliers are zero.
+    """
+    is_multiplier, indices, side, duals = grid[4], bounds[0], bounds[1], barriers[DUALS]
+    x, g, right, diagonal, step = vectors[X], vectors[G], vectors[RIGHT], vectors[DIAGONAL], vectors[STEP]
+    if indices.size == 0 and reals[STATIONARITY] == 0.0:
+        return
+    for i in range(x.size):
+        right[i] = 0.0 if is_multiplier[i] else g[i]
+        diagonal[i] = -1e-12 if is_multiplier[i] else 1.0
+    for j in range(indices.size):
+        right[indices[j]] -= side[j] * duals[j]
+    excess = factored(problem, grid, system, x, 0.0, vectors, True)
+    if excess == SINGULAR or excess > 0:
+        return
+    for i in range(x.size):
+        if is_multiplier[i] and not abs(step[i]) <= LARGEST_MULTIPLIER:
+            return
+    for i in range(x.size):
+        if is_multiplier[i]:
+            x[i] = step[i]
+    evaluate_iterate(problem, grid, reals, vectors)
+
+
+@njit(error_model="numpy")
+def enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs):
+    """Prepare the state of a search that begins with the iterate in the work space.
+
+    Multipliers that are all zero are estimated; others are those of a neighbour.
+    """
+    integers[IS_WARM] = has_multipliers(vectors[X], grid[4])
+    if not integers[IS_WARM]:
+        estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers)
+    first = max(1.0, reals[VIOLATION])
+    reals[SMALL_VIOLATION], reals[FIRST_COST], reals[LAST_ERROR] = FILTERED * first, reals[COST], np.inf
+    reals[FIRST_MU], reals[FIRST_VIOLATION], reals[FIRST_ERROR] = reals[MU], reals[VIOLATION], reals[ERROR]
+    pairs[0, 0], pairs[0, 1], integers[PAIRS], integers[ENOUGH] = reals[FUNNEL] * first, -np.inf, 1, 2
+    integers[STAGE] = GO_ON
+
+
+@njit(error_model="numpy")
+def is_gross(problem, grid, system, reals, vectors):
+    """Return True if the residual of the iterate is more than a small part of the equations' largest terms."""
+    if not reals[ERROR] < np.inf:
+        return False
+    of_equations, _ = terms(problem, grid, system, vectors[X], False, vectors)
+    return reals[RESIDUAL] > GROSSLY * of_equations
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def descend(
     problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
 ):
-    """Follow Newton's steps from the iterate in the work space; return why that ends, a number.
+    """Follow Newton's steps; return why that ends, a number.
+
+    At the STAGE of a search that begins, this is from the primal unknowns in the work space, or from the iterate there.
+    A search without bounds that LOOKS ends at once, GROSS, where the equations are grossly violated.
 
     Parameters
     ----------
@@ -650,7 +777,7 @@ def descend(
         Storage of the linear system: tables, factors, orders, entries, scaled, costless, inverses, counts, equations,
         rows, columns; see `linear_system.System`.
     bounds : tuple
-        indices, side, magnitude (m,).
+        indices, side, magnitude, value (m,) of all finite bounds; least and greatest values (n,), or empty without any.
     tolerance : float
         Of residual and stationarity, as `is_solved` has it.
     limit, most : int
@@ -666,13 +793,20 @@ def descend(
     log : (most + 1, 6)
         Rows of all iterates: cost, residual, stationarity, shift of the Hessian, step length, mu.
     """
-    indices, side, magnitude = bounds
+    indices, side, magnitude = bounds[0], bounds[1], bounds[2]
     n, m, is_multiplier = vectors.shape[1], indices.size, grid[4]
     x, g, trial, tg = vectors[X], vectors[G], vectors[TRIAL], vectors[TRIAL_G]
     distance, duals, moved, pushed = barriers[DISTANCE], barriers[DUALS], barriers[MOVED], barriers[PUSHED]
     right, step, right2, step2 = vectors[RIGHT], vectors[STEP], vectors[RIGHT2], vectors[STEP2]
     dual_step, dual_step2 = barriers[DUAL_STEP], barriers[DUAL_STEP2]
     is_costless, least_mu, done, status = integers[IS_COSTLESS], LEAST_PART * tolerance, 0, CONTINUE
+    if integers[STAGE] == WITH_UNKNOWNS:
+        begin(problem, grid, bounds, reals, integers, vectors, barriers)
+        integers[STAGE] = WITH_ITERATE
+    if integers[STAGE] == WITH_ITERATE:
+        if m == 0 and integers[LOOKS] and is_gross(problem, grid, system, reals, vectors):
+            return GROSS
+        enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs)
     measures, measured = measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors)
     logarithms = sum_of_logarithms(distance)
     t_measures, t_measured, t_logarithms = measures, measured, logarithms
@@ -717,7 +851,7 @@ def descend(
                 status = SADDLE
         elif m > 0 and largest > LARGEST:
             status = UNBOUNDED
-        elif cost < -UNBOUNDED_BELOW * max(1.0, reals[FIRST_COST]):
+        elif cost < -UNBOUNDED_BELOW * max(1.0, abs(reals[FIRST_COST])):
             # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
             of_equations, _ = terms(problem, grid, system, x, is_costless, vectors)
             if residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * of_equations):

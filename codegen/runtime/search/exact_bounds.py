@@ -18,7 +18,7 @@ WORSE = 2.0  # largest growth of an error above the tolerance
 def within_bounds(search, iterate, tolerance):
     """Return the point of an iterate inside its bounds, with its errors, or as it is if that costs accuracy."""
     point = iterate.point
-    if not point.error < np.inf:
+    if not (search.is_bounded and point.error < np.inf):
         return point
     clipped = inside = on_bounds(search, iterate)
     for _ in range(LAST_STEPS):
@@ -34,7 +34,7 @@ def within_bounds(search, iterate, tolerance):
 
 def on_bounds(search, iterate):
     """Return the point with unknowns beyond a bound moved onto it, and its stationarity with the duals of bounds."""
-    grid, (lower, upper) = search.grid, search.box
+    grid, lower, upper = search.grid, search.bounds.lower, search.bounds.upper
     unknowns = iterate.point.unknowns.copy()
     if clip(unknowns, lower, upper, search.bounds.indices):
         iterate = iterate._replace(point=evaluate(grid, with_tied_values(grid, unknowns)))

@@ -39,7 +39,7 @@ def describe(grid, guess, point, status):
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
-        index = contradictory_bounds(grid)
+        index = contradictory_bounds(grid) if status != "solved" else -1
         if index >= 0:
             least, greatest = (float(bound[index] * units_of(grid)[index]) for bound in bounds_of(grid))
             name = unknown_name(grid, point.unknowns, index)
