@@ -95,7 +95,6 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the functions of searches that Python calls, and the types that all problems call them with."""
     from codegen.runtime.search import bounds as box
     from codegen.runtime.search import (
-        cascade,
         descent,
         exact_bounds,
         iterates,
@@ -110,9 +109,10 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
     factors = (int64, REALS, INTEGERS, int64, INTEGERS)  # equations, factors, orders, inverses, counts
     bounds = types.Tuple((INTEGERS, *[REALS] * 5))
+    addresses = types.UniTuple(int64, 3)
+    on_grid = types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE))
     yield descent.descend, (
-        types.UniTuple(int64, 3),
-        types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE)),
+        addresses, on_grid,
         types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
         bounds, float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
     )  # fmt: skip
@@ -138,13 +138,10 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     yield solve.correction, (REALS, REALS, MASK, REALS, REALS)
     if problem.variable_bounds is not None:
         yield iterates.finite_bounds, (REALS, REALS)
-        yield descent.push_inside, (
-            types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE)), bounds, float64,
-            REALS,
-        )  # fmt: skip
         yield box.first_beyond, (*[int64] * 4, *[REALS] * 4, float64)
-        yield exact_bounds.clip, (REALS, REALS, REALS, INTEGERS)
-        yield cascade.fill_active, (REALS, REALS, bounds, float64, float64, REALS, REALS)
+        yield exact_bounds.clip, (
+            addresses, on_grid, bounds, types.UniTuple(float64, 5), REALS, REALS, TABLE, REALS, REALS,
+        )  # fmt: skip
     if problem.data is not None:
         along = (
             int64, INTEGERS, REALS, INTEGERS, INTEGERS, REALS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS,

@@ -66,7 +66,7 @@ def prescribed_beyond(grid, unknowns):
     return f"what is prescribed at the {end} violates {condition}"
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, unsure):
     """Return the index of the first unknown at an end that is beyond the bounds farther inside, and its neighbour's.
 

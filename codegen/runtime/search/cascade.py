@@ -1,20 +1,25 @@
 """The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed."""
 
 import numpy as np
-from numba import njit
 
 from codegen.runtime.search.convergence import is_at_rounding_level, is_solved
-from codegen.runtime.search.descent import LARGEST_DUAL, relaxation
+from codegen.runtime.search.descent import (
+    FROM_AFAR,
+    IS_BESIDE,
+    LEAST_RELAXATION,
+    WITH_NEIGHBOUR,
+    WITH_UNKNOWNS,
+    X,
+    begin_beside,
+)
 from codegen.runtime.search.exact_bounds import within_bounds
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
     CASCADE,
     CASCADE_WITH_BOUNDS,
-    FROM_AFAR,
     FROM_GUESS,
     FROM_NEIGHBOUR,
     NEARBY,
-    Iterate,
     barrier_curvature,
     begin,
     central_duals,
@@ -23,8 +28,8 @@ from codegen.runtime.search.iterates import (
     newton_system,
     on_grid,
     predicted_cost,
-    pushed_inside,
     search_on,
+    stored,
 )
 from codegen.runtime.search.linear_system import factor_kkt
 from codegen.runtime.search.newton import UNLUCKY, descend, restored
@@ -34,13 +39,11 @@ from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is
 from codegen.runtime.search.termination import VIOLATED
 
 BULGE = 0.1  # part of its size by which a guess is bent
+WAVES, AMPLITUDE = 3, 0.5  # of a varied guess: sines in a curve, their standard deviation in units of a quantity's size
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # after these the violation itself is minimised
 
 NEARBY_ITERATIONS = 100  # largest number for a search from a point near such a guess
 FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts everything
-WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
-CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
-NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
 
 
 def minimise(grid, unknowns, tolerance, max_iterations, warm, log, search=None, is_factored=False):
@@ -67,22 +70,22 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, search=None, 
 
 def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_factored=False):
     """Find a local minimum, as `minimise` does, of a search whose bounds do not contradict each other."""
-    grid, begun, cascade = search.grid, None, CASCADE_WITH_BOUNDS if search.is_bounded else CASCADE
-    first, guess = FROM_NEIGHBOUR if warm else FROM_GUESS, np.where(grid.is_multiplier, 0.0, unknowns)
-    if warm:
-        begun = begin_nearby(search, unknowns, tolerance)
+    grid, cascade = search.grid, CASCADE_WITH_BOUNDS if search.is_bounded else CASCADE
+    guess, first, stage = np.where(grid.is_multiplier, 0.0, unknowns), FROM_GUESS, WITH_UNKNOWNS
     start = guess
-    if begun is not None:
-        start, cascade = begun, (FROM_NEIGHBOUR, *cascade)
-        first = first._replace(is_factored=is_factored and begun.mu < FROM_AFAR.weight)
-    status, iterate, total = leave_saddles(search, start, first, tolerance, max_iterations, log, looks=True)
+    if warm:
+        start, first, stage = unknowns, FROM_NEIGHBOUR, WITH_NEIGHBOUR
+    status, iterate, total = leave_saddles(
+        search, start, first, tolerance, max_iterations, log, stage=stage, is_factored=is_factored
+    )
+    if search.work.integers[IS_BESIDE]:
+        cascade = FROM_NEIGHBOUR, *cascade
     if status == "gross":
-        start = iterate
-        status, iterate, total = from_nearby(search, start, tolerance, max_iterations, log)
+        begun = iterate
+        status, iterate, total = from_nearby(search, begun, tolerance, max_iterations, log)
         if status not in ("solved", "time limit"):
             left = max_iterations - total
-            again = first._replace(is_factored=False)
-            status, iterate, iterations = leave_saddles(search, start, again, tolerance, left, log)
+            status, iterate, iterations = leave_saddles(search, begun, first, tolerance, left, log)
             total += iterations
     if status == "solved":
         return status, within_bounds(search, iterate, tolerance), total
@@ -106,7 +109,7 @@ def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_facto
         status, iterate = ended
     if status in WITHOUT_WAY and iterate.point.residual > VIOLATED and total < max_iterations:
         left = max_iterations - total
-        start = begin(search, guess, first) if begun is None else begun
+        start = (begin_nearby(search, unknowns, tolerance) if warm else None) or begin(search, guess, first)
         status, iterate, iterations = from_least_violation(search, iterate, start, status, tolerance, left, log)
         total += iterations
     return status, within_bounds(search, iterate, tolerance), total
@@ -179,15 +182,34 @@ def bulged_guess(grid, unknowns, part):
     return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
 
 
-def leave_saddles(search, start, attempt, tolerance, max_iterations, log, looks=False):
+def varied_guess(grid, unknowns, seed):
+    """Return a guess (n,) with a random smooth curve added to every quantity: a sum of a few sines, zero at both ends.
+
+    What is given stays, and so do multipliers and linking variables, such as a free duration. A guess that is zero all
+    over has no size, and curves of the size of one are added to it.
+    """
+    rng, root, is_changed = np.random.default_rng(seed), grid.problem.structure.root, ~grid.is_multiplier
+    is_changed[unknowns.size - root :] = False
+    is_changed &= free_unknowns(grid)
+    least = 0.3 * np.abs(unknowns[is_changed]).max(initial=0.0) or 1.0
+    change, waves = np.zeros_like(unknowns), np.arange(1, WAVES + 1)
+    for own, curves in zip(views(grid, unknowns), views(grid, change), strict=True):
+        sines = np.sin(np.pi * waves[:, None] * np.linspace(0.0, 1.0, own.shape[1]))
+        for body in range(own.shape[0]):
+            for index in range(own.shape[2]):
+                size = max(np.abs(own[body, :, index]).max(), least)
+                curves[body, :, index] = AMPLITUDE * size * ((rng.standard_normal(WAVES) / waves) @ sines)
+    return np.where(is_changed, unknowns + change, unknowns)
+
+
+def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how):
     """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
 
     Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
     """
-    status, saddle, total = descend(search, start, attempt, tolerance, max_iterations, log, looks=looks)
+    status, saddle, total = descend(search, start, attempt, tolerance, max_iterations, log, **how)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
-        attempt = attempt._replace(is_factored=False)
         known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
@@ -213,40 +235,11 @@ def escaping_iterates(search, saddle, attempt, escapes):
 
 
 def begin_nearby(search, unknowns, tolerance):
-    """Return the warm start at a neighbour's unknowns, multipliers among them; None without any.
-
-    Nor is there one far from the equations, unless there are bounds. Duals of bounds follow from the multipliers: where
-    the Lagrangian falls towards a bound, by more than the distance to it, the bound is active, and its dual is that
-    slope; the others are on the central path. The barrier's weight begins where it ends, and unknowns stay close to
-    their bounds. Far from the equations, as after a push, other bounds become active: then the start is farther inside.
-    Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming, SIAM J.
-    Optim. 12: the larger the change of the data, the larger the weight of the barrier from which to begin.
-    """
-    grid, bounds = search.grid, search.bounds
-    if not unknowns[grid.is_multiplier].any():
-        return None
-    if not search.is_bounded:
-        iterate = Iterate(evaluate(grid, unknowns), 0.0, bounds.side, bounds.side)
-        return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
-    mu, unknowns = WARM_WEIGHT * tolerance, pushed_inside(search, unknowns, CLOSE)
-    point = evaluate(grid, unknowns)
-    if point.residual > NEAR:
-        iterate = begin(search, unknowns, FROM_AFAR)
-    else:
-        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
-        fill_active(unknowns, point.gradient, search.arguments[3], mu, search.least, distance, duals)
-        iterate = Iterate(point, mu, distance, duals)
-    return iterate if iterate.point.error < np.inf else None
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def fill_active(unknowns, gradient, bounds, mu, least, distance, duals):
-    """Fill the distances (m,) to bounds, and duals (m,), where bounds that the Lagrangian falls towards are active."""
-    relaxed, indices, side, magnitude, value = relaxation(mu, least), bounds[0], bounds[1], bounds[2], bounds[3]
-    for j in range(indices.size):
-        distance[j] = side[j] * (unknowns[indices[j]] - value[j]) + relaxed * magnitude[j]
-        slope = side[j] * gradient[indices[j]]
-        duals[j] = slope if slope > distance[j] else min(mu / distance[j], LARGEST_DUAL)
+    """Return the warm start at a neighbour's unknowns, with its multipliers, or None; see `descent.begin_beside`."""
+    work, (problem, data, _, bounds) = search.work, search.arguments
+    work.vectors[X], work.reals[LEAST_RELAXATION] = unknowns, search.least
+    begin_beside(problem, data, bounds, tolerance, work.reals, work.integers, work.vectors, work.barriers)
+    return stored(search) if work.integers[IS_BESIDE] else None
 
 
 def factor_nearby(grid, unknowns, tolerance, search):
@@ -257,7 +250,7 @@ def factor_nearby(grid, unknowns, tolerance, search):
     """
     search = on_grid(search, grid)
     iterate = begin_nearby(search, unknowns, tolerance)
-    if iterate is None or iterate.mu == FROM_AFAR.weight:
+    if iterate is None or iterate.mu == FROM_AFAR[0]:
         return False
     _, diagonal = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, search.system) == 0

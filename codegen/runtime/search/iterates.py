@@ -35,8 +35,6 @@ class Attempt(NamedTuple):
         Factor by which the violation may grow.
     bulge : float
         Part of its size by which the guess is bent.
-    is_factored : bool
-        True if the linear system is factored, at a point beside the guess.
     on_path : bool
         True if duals begin on the central path, not at one.
     """
@@ -47,16 +45,13 @@ class Attempt(NamedTuple):
     shortest: float
     funnel: float
     bulge: float = 0.0
-    is_factored: bool = False
     on_path: bool = False
 
 
-FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+FROM_GUESS = Attempt(*descent.AT_GUESS, 1.0, 1e-12, 1e4)
 NEARBY = FROM_GUESS._replace(nearby=1e-2)
 # Warm start without multipliers.
-FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4, on_path=True)
-# Warm start whose equations do not hold: close to their bounds, unknowns would be stopped by these step after step.
-FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4, on_path=True)
+FROM_NEIGHBOUR = Attempt(*descent.BESIDE, 1.0, 1e-12, 1e4, on_path=True)
 CASCADE_WITH_BOUNDS = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
@@ -79,7 +74,7 @@ class Bounds(NamedTuple):
     upper: np.ndarray
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def finite_bounds(lower, upper):
     """Return indices, sides, magnitudes and values of the bounds that exist, lower ones first."""
     n, m = lower.size, 0

@@ -1,9 +1,7 @@
 """The compiled search in Python's hands: it is called again until it ends, with restorations in between."""
 
-import numpy as np
-
 from codegen.runtime.search import descent
-from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WITH_UNKNOWNS, WORDS
+from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WORDS
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
@@ -24,27 +22,28 @@ FIRST = [descent.FIRST_MU, descent.FIRST_COST, descent.FIRST_VIOLATION, descent.
 MARKED = [descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]
 
 
-def descend(search, start, attempt, tolerance, max_iterations, log, known=None, looks=False):
+def descend(search, start, attempt, tolerance, max_iterations, log, known=None, stage=WITH_ITERATE, is_factored=False):
     """Follow Newton's steps from `start`; return (status, iterate, iterations).
 
-    The start is an iterate, or primal unknowns (n,) with zeros for multipliers. Multipliers that are all zero are
-    estimated; others are those of a neighbour. Beside a saddle point whose cost is `known`, the search ends as there
-    once it is clear that it leads no lower. If it `looks`, and there are no bounds, it ends as "gross", without an
-    iteration, where the equations are grossly violated.
+    The start is an iterate; or, by the `stage`, primal unknowns (n,) with zeros for multipliers; or those of a
+    neighbour, for whose first step the linear system may be factored. From there, and without bounds, the search ends
+    as "gross", without an iteration, where the equations are grossly violated. Multipliers that are all zero are
+    estimated. Beside a saddle point whose cost is `known`, the search ends as there once it is clear that it leads no
+    lower.
     """
     work = search.work
     reals, integers = work.reals, work.integers
     reals[:], integers[:] = 0.0, 0
-    if isinstance(start, np.ndarray):
-        work.vectors[descent.X], integers[descent.STAGE] = start, WITH_UNKNOWNS
-        reals[descent.MU], reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
-        integers[descent.ON_PATH] = attempt.on_path
-    else:
+    if stage == WITH_ITERATE:
         load(search, start)
-        integers[descent.STAGE] = WITH_ITERATE
+    else:
+        work.vectors[descent.X] = start
+        reals[descent.MU], reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
+        integers[descent.ON_PATH], integers[descent.LOOKS] = attempt.on_path, 1
+    integers[descent.STAGE] = stage
     reals[descent.SHORTEST], reals[descent.FUNNEL] = attempt.shortest, attempt.funnel
     reals[descent.LEAST_RELAXATION] = search.least
-    integers[descent.IS_FACTORED], integers[descent.LOOKS] = attempt.is_factored, looks
+    integers[descent.IS_FACTORED] = is_factored
     integers[descent.IS_COSTLESS] = search.grid.problem.structure.costless
     if known is not None:
         reals[descent.KNOWN], integers[descent.HAS_KNOWN] = known, 1

@@ -17,7 +17,7 @@ def interval_parts(grid, unknowns):
     return parts
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill(loop, unknowns, steps, h, nodes, parameters, filled):
     """Call the loop at an address, which fills a vector; return what it returns."""
     return call_loop(
@@ -42,7 +42,7 @@ def discrete_momenta(grid, unknowns):
     return momenta
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill_momenta(loop, unknowns, steps, h, nodes, parameters, equations, stride, parts, momenta):
     """Fill the momenta (bodies, N + 1, m); `parts` (bodies, N, element + shared + 1) takes what the loop fills."""
     call_loop(

@@ -176,7 +176,7 @@ def lacking(s, steps, places):
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill_scaling_factors(
     q, gradient, hessians, steps, h, nodes, parameters, is_multiplier, unknowns, lower, upper, ties, kinds, counts,
     places, lacks, is_solution, entries, work, factors,

@@ -9,7 +9,7 @@ from numba import njit
 
 from codegen.runtime.search import linear
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.cascade import minimise
+from codegen.runtime.search.cascade import minimise, varied_guess
 from codegen.runtime.search.forward_motion import forward_motion
 from codegen.runtime.search.grid import NONE, plain_grid, with_pinned_values
 from codegen.runtime.search.messages import describe
@@ -25,11 +25,36 @@ FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", 
 SLOW = 150  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
 FROM_MOTION = 300  # for that one
 STEEP = 1e-3  # slopes of the Lagrangian above it, relative to the cost's or to one, belong to no optimum
+VARIED, FROM_VARIED = 5, 500  # guesses that are tried after a search has stalled, and iterations for each of them
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+
+    `scaled` is the grid with the scaling factors of the guess. Where the search stalls, as from a symmetric guess that
+    leads through the middle of an obstacle, others begin at varied guesses. The message says so.
+    """
+    ended = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
+    status, message, point, iterations, scaled = ended
+    if status != "stalled" or warm or iterations >= max_iterations:
+        return ended
+    number = 0
+    while number < VARIED and iterations < max_iterations:
+        number += 1
+        left, guess = min(FROM_VARIED, max_iterations - iterations), varied_guess(grid, unknowns, number)
+        ended, text, found, further, its_grid = optimise_from(grid, guess, tolerance, left, False, scaling, log)
+        iterations += further
+        if ended == "solved":
+            text += f"; found from varied guess {number}, as the search from the first guess stalled"
+            return ended, text, found, iterations, its_grid
+        if ended == "time limit":
+            break
+    return status, f"{message}; searches from {number} varied guesses failed as well", point, iterations, scaled
+
+
+def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise from one guess; return (status, message, point, iterations, scaled) as `optimise` does.
 
     `scaled` is the grid with the scaling factors of the guess. Equations or a cost with far larger factors at the guess
     than at the solution make the tolerance mean little. The search then goes on from the solution, with the factors
@@ -173,7 +198,7 @@ def corrected_cost(grid, point):
     return float(corrected) / grid.weight
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def correction(unknowns, gradient, is_multiplier, lower, upper):
     """Return the sum of multipliers times residuals, less that of duals times distances of active bounds.
 
