@@ -43,7 +43,7 @@ def unsolved(module: Any) -> Result:
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
     names = component_names(module.metadata)
     return Result(
-        problem="made-up", title="Made up.", task="control", method=module.metadata["method"], scheme="midpoint",
+        problem="made-up", title="Made up.", task="control", method=module.metadata.method, scheme="midpoint",
         driver="none", steps=grid.steps, status="stalled", message="", cost=1.0, residual=1.0, stationarity=1.0,
         iterations=0, t=t, q=q, p=p, u=u, multipliers=multipliers, energy=None, log=None, names=names,
         summary={}, unknowns=unknowns,

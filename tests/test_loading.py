@@ -54,8 +54,8 @@ def test_a_file_is_imported_once_until_it_changes(tmp_path, pendulum):
     first = load(path)
     assert load(path) is first is not pendulum
     path.write_text(path.read_text().replace('"steps": 200', '"steps": 300'))
-    assert load(path).metadata["steps"] == 300
-    assert first.metadata["steps"] == 200
+    assert load(path).metadata.steps == 300
+    assert first.metadata.steps == 200
 
 
 def test_kinds(orbital_transfer, pendulum, explicit_pendulum):

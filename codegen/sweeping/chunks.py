@@ -106,12 +106,12 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
     """
     task, metadata = task_of(module), module.metadata
     if task.name == "control":
-        width = len(metadata["node"]) + len(metadata["interval"])
-        intervals = run.steps * metadata["bodies"] * metadata.get("phases", 1)
+        width = len(metadata.node) + len(metadata.interval)
+        intervals = run.steps * metadata.bodies * metadata.phases
         seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
     elif task.name == "connect":
         assert run.points is not None, "there are points to connect"
         seconds = CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
     else:
-        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata["coordinates"])
+        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata.coordinates)
     return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))

@@ -63,18 +63,18 @@ def solved(name: str, module: Any, steps: int) -> Any:
     solution = module.solve(steps)
     seconds = perf_counter() - begin
     error = solution.cost / REFERENCES[name].value - 1.0
-    row = f"{name:14} {module.metadata['scheme']:16} {steps:6} {solution.cost:.9e} {error:+.1e}"
+    row = f"{name:14} {module.metadata.scheme:16} {steps:6} {solution.cost:.9e} {error:+.1e}"
     print(f"{row} {solution.iterations:4} {1e3 * seconds:8.1f}")
     return solution
 
 
 def with_more_samples(name: str, module: Any, solution: Any, folder: Path, factor: int = 10) -> Path:
     """The problem with as many times as many samples, of the fitted motion at times in between."""
-    told, rows = module.metadata["observations"], module.OBSERVATIONS[0]
+    told, rows = module.metadata.observations, module.OBSERVATIONS[0]
     times = np.interp(np.linspace(0, len(rows) - 1, factor * len(rows)), np.arange(len(rows)), rows[:, 0])
     given = np.full((times.size, rows.shape[1]), 1.0)
     given[:, 0] = times
-    fit = Fit(module, module.make_grid(module.metadata["steps"], observations=given), solution.unknowns)
+    fit = Fit(module, module.make_grid(module.metadata.steps, observations=given), solution.unknowns)
     (folder / "data").mkdir(exist_ok=True)
     (folder / "published").mkdir(exist_ok=True)
     lines = [",".join([told["time"], *told["columns"]])]
@@ -94,8 +94,8 @@ def coverage(module: Any, sets: int) -> None:
     generator, columns = np.random.default_rng(20), truth.shape[1]
     for known in (False, True):
         held, failed, begin = np.zeros(len(found.names)), 0, perf_counter()
-        original = module.metadata["observations"]["sigmas"]
-        module.metadata["observations"]["sigmas"] = (found.deviation,) * columns if known else (None,) * columns
+        original = module.metadata.observations["sigmas"]
+        module.metadata.observations["sigmas"] = (found.deviation,) * columns if known else (None,) * columns
         for _ in range(sets):
             rows = own.copy()
             rows[:, 1 : 1 + columns] = truth + found.deviation * generator.standard_normal(truth.shape)
@@ -109,7 +109,7 @@ def coverage(module: Any, sets: int) -> None:
             assert one is not None
             low, high = one.intervals.T
             held += (low <= found.values) & (found.values <= high)
-        module.metadata["observations"]["sigmas"] = original
+        module.metadata.observations["sigmas"] = original
         shares = ", ".join(f"{n} {100 * h / (sets - failed):.1f} %" for n, h in zip(found.names, held, strict=True))
         sigma = "given" if known else "estimated"
         seconds = perf_counter() - begin
@@ -128,7 +128,7 @@ def main() -> None:
         for problem in NAMES:
             path = PROBLEMS / "published" / f"{problem}.py"
             module, seconds = timed_build(path, folder / "own")
-            solution = modules[problem] = solved(problem, module, module.metadata["steps"])
+            solution = modules[problem] = solved(problem, module, module.metadata.steps)
             solved(problem, timed_build(path, folder / "own", "hermite-simpson")[0], FINE_STEPS)
             more, longer = timed_build(with_more_samples(problem, module, solution, folder), folder / "more")
             assert more.solve().status == "solved"

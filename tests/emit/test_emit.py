@@ -155,14 +155,14 @@ def test_names_that_generated_functions_use_are_marked(tree):
     metadata = ast.literal_eval(
         next(n.value for n in tree.body if isinstance(n, ast.Assign) and isinstance(n.value, ast.Dict))
     )
-    own = {*metadata["parameters"], *metadata.get("own", ()), "t"}
+    own = {*metadata.parameters, *metadata.own, "t"}
     for function in [node for node in tree.body if isinstance(node, ast.FunctionDef)]:
         if not own & {argument.arg for argument in function.args.kwonlyargs}:
             continue
         names = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
         names |= {argument.arg for argument in (*function.args.args, *function.args.kwonlyargs)}
         # Points that move one by one have locals of their own kind, which no symbol is called.
-        task = "particles" if "own" in metadata and metadata["task"] == "simulate" else metadata["task"]
+        task = "particles" if "own" in metadata and metadata.task == "simulate" else metadata.task
         lacking = {n for n in names - own if mangling.marked(n, task, (), moving=False) == n}
         assert not lacking, function.name
 

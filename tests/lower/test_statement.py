@@ -137,10 +137,10 @@ def test_no_unknown_bound_or_given_value_of_the_gallery_is_left_out(problem):
     assigned = {ast.unparse(node.targets[0]): node.value for node in tree.body if isinstance(node, ast.Assign)}
     metadata = ast.literal_eval(assigned["metadata"])
     goal = joined(statement.split("\n\n")[1])
-    for unknown in (*metadata["coordinates"], *metadata["control_names"], *metadata["free_parameters"]):
+    for unknown in (*metadata.coordinates, *metadata.control_names, *metadata.free_parameters):
         assert re.search(rf"\b{unknown}\b", goal), unknown
     bounded = re.findall(r"^    (?:lower|upper)_(?:nodes|intervals|common)\[.*# (\w+)$", text, re.MULTILINE)
-    for unknown in set(bounded) - set(metadata["meanings"]):
+    for unknown in set(bounded) - set(metadata.meanings):
         assert re.search(rf"<= {unknown}\b|\b{unknown} [<>]= ", statement), unknown
     ends = dict(re.findall(r"At the (start|end):\n\n((?:    .*\n?)*)", statement))
     for value in metadata["boundary"]:
