@@ -67,10 +67,14 @@ def notes(of: Record) -> list[str]:
 
 def notes_of_file(path: Path) -> list[str]:
     """The same of a generated module that need not be imported."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    named = ((getattr(node.targets[0], "id", ""), node.value) for node in tree.body if isinstance(node, ast.Assign))
-    made = ast.Expression(dict(named)["metadata"])
-    return notes(eval(compile(made, str(path), "eval"), dict(vars(record))))
+    return notes(record_in(path.read_text(encoding="utf-8")))
+
+
+def record_in(text: str) -> Record:
+    """Return the record in the text of a generated module."""
+    assigned = (node for node in ast.parse(text).body if isinstance(node, ast.Assign))
+    made = next(node.value for node in assigned if getattr(node.targets[0], "id", "") == "metadata")
+    return cast(Record, eval(compile(ast.Expression(made), "metadata", "eval"), dict(vars(record))))
 
 
 def shortened(name: str, limit: int = NAME) -> str:

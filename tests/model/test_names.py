@@ -184,7 +184,7 @@ def test_arguments_have_underscores_and_everything_else_the_authors_names():
     assert solution.t.size == 9
     assert "steps_ for steps, lambda_ for lambda, theta for θ" in module.__doc__
     assert module.metadata.free_parameters == ("guess",)
-    assert module.metadata["boundary"][0] == "start h"
+    assert module.metadata.start[0] == "h"
 
 
 def test_an_underscore_more_where_the_name_with_one_is_taken():

@@ -57,7 +57,7 @@ def test_the_greatest_value_is_minus_the_least_cost():
     assert -greatest.cost == pytest.approx(8 - least.cost, rel=1e-13)
     np.testing.assert_allclose(greatest.u, least.u, rtol=1e-12)
     assert module.metadata.maximised
-    assert "maximised" not in interpreted.of_problem(pushed(cost=lambda x, v, u: u**2)).metadata
+    assert not interpreted.of_problem(pushed(cost=lambda x, v, u: u**2)).metadata.maximised
 
 
 @pytest.mark.parametrize("other", ["cost", "terminal_cost"])

@@ -48,7 +48,7 @@ def test_an_explicit_module_holds_no_newton_method(method: str, scheme: str) -> 
 def left_out(name: str, method: str) -> set[str]:
     """What a module leaves out, before the reasons."""
     program = transcribe(model_of(name), "midpoint", method)
-    return {entry.partition(":")[0] for entry in lower(program, derivatives(program)).left_out}
+    return {entry.partition(":")[0] for entry in lower(program, derivatives(program)).metadata.left_out}
 
 
 def test_a_module_knows_what_it_leaves_out() -> None:

@@ -144,10 +144,11 @@ def _stage_abscissae(program: ControlProgram) -> tuple[float, ...]:
 def _slacks(program: ControlProgram) -> tuple[dict[str, Meaning], ...]:
     """What slacks are in each of several phases."""
     first = len(program.interval) + len(program.controls)
-    return tuple(
+    found = tuple(
         {p.inside[i].name: p.inside[i].meaning for i in range(first, len(p.inside)) if i not in p.regular.lacking}
         for p in program.phases
     )
+    return found if any(found) else ()
 
 
 def _meanings(program: ControlProgram) -> dict[str, Meaning]:
