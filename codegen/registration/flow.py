@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError
 from codegen.registration.pairs import PointArray
-from codegen.runtime.record import ConnectRecord
+from codegen.runtime.record import ConnectRecord, Task
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
@@ -50,7 +50,7 @@ class FlowModule(Protocol):
 
 def require_tracers(module: Any) -> FlowModule:
     """The same module, if it carries tracer points; ModuleError tells if it does not."""
-    if not module.metadata.passive:
+    if module.metadata.task != Task.CONNECT or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
 

@@ -263,8 +263,8 @@ class Record:
         Names of coordinates or states, and of velocities or momenta.
     start, end : tuple of str
         Quantities with a prescribed value at the start, and at the end.
-    bodies, phases : int
-        Numbers of bodies and phases.
+    bodies, phases, inner_times : int
+        Numbers of bodies, phases, and times inside at which conditions hold.
     control_names : tuple of str
         Names of controls.
     units : mapping
@@ -304,6 +304,7 @@ class Record:
     end: tuple[str, ...] = ()
     bodies: int = 1
     phases: int = 1
+    inner_times: int = 0
     control_names: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
@@ -348,8 +349,8 @@ class ControlRecord(Record):
         The author's sizes of quantities; one radian in the unit of a quantity that is an argument of sines and cosines.
     integrals : tuple
         Pairs (condition on an integral, index of its multiplier among shared unknowns).
-    inner_times : int
-        The number of inner times; `waypoints` is True where they are free.
+    waypoints : bool
+        True if inner times are free.
     inner_conditions : tuple
         Triples (condition, number of its time, index of its multiplier in a node).
     maximised : bool
@@ -382,7 +383,6 @@ class ControlRecord(Record):
     scale: Mapping[str, float] = field(default_factory=dict)
     angles: Mapping[str, float] = field(default_factory=dict)
     integrals: tuple[tuple[str, int], ...] = ()
-    inner_times: int = 0
     waypoints: bool = False
     inner_conditions: tuple[tuple[str, int, int], ...] = ()
     maximised: bool = False

@@ -220,7 +220,7 @@ def test_templates_name_nothing_that_is_not_supplied(template, kind):
         tree = environment.parse(environment.loader.get_source(environment, left.pop())[0])
         wanted |= meta.find_undeclared_variables(tree)
         left += meta.find_referenced_templates(tree)
-    made = {"numba_imports", "imports", "title_code", "left_out_code", "identity", "loops", "public"}
+    made = {"numba_imports", "imports", "record_type", "record_lines", "identity", "loops", "public"}
     supplied = {field.name for owner in (kind, Origin) for field in fields(owner)}
     inherited = {"kernel", "visit"}  # by an include, from a loop
     assert wanted - inherited <= supplied | made
