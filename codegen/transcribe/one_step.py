@@ -54,7 +54,7 @@ def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> Contro
         phase,
         _motion(phase, scheme, method, controls, guesses),
         boundary_values,
-        path_conditions.nodal_equalities(placed, nodal_conditions(phase, equality=True), ("y", Kind.NODAL), names),
+        path_conditions.nodal_equalities(placed, nodal_conditions(phase, equality=True), "y", names),
         start,
         end,
         shared,

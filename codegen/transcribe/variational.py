@@ -46,9 +46,7 @@ def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgra
     model, boundary_values = with_symbolic_boundaries(in_velocities(original))
     names = Names(model)
     constraints = Constraints(model, names)
-    equalities = path_conditions.nodal_equalities(
-        model, nodal_conditions(model, equality=True), ("y", Kind.NODAL), names
-    )
+    equalities = path_conditions.nodal_equalities(model, nodal_conditions(model, equality=True), "y", names)
     periodic = _periodic(original, model, names)
     shared = shared_unknowns(model, periodic, coordinate_guess(model), names)
     ends = _end_conditions(model, periodic)

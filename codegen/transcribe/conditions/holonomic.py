@@ -44,7 +44,7 @@ class Constraints:
             Unknown(names.numbered("kappa"), Meaning(Kind.NORMAL_FORCE, str(c))) for c in model.holonomic
         )
         conditions = [Condition(str(c), c) for c in model.holonomic]
-        self.eta = nodal_equalities(model, conditions, ("eta", Kind.CONSTRAINT), names)
+        self.eta = nodal_equalities(model, conditions, "eta", names, Kind.CONSTRAINT)
 
     def force(self, suffix: str) -> list[Expr]:
         """The impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""

@@ -181,16 +181,16 @@ def is_convex(model: Model, condition: Condition) -> bool:
 
 
 def nodal_equalities(
-    model: Model, conditions: Sequence[Condition], labels: tuple[str, Kind], names: Names
+    model: Model, conditions: Sequence[Condition], stem: str, names: Names, kind: Kind = Kind.NODAL
 ) -> NodalTerms:
-    """Impose conditions on coordinates and time at every node; `labels` are stem and kind of the multipliers.
+    """Impose conditions on coordinates and time at every node by multipliers `<stem>_<number>` of a kind.
 
     A multiplier is pinned at an end where every coordinate of its condition is given, and at the end of a motion that
     is periodic in all of them, where the condition at the start says the same, or at the start of a segment that
     follows another one.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero
-    (stem, kind), equations = labels, list[tuple[str, Expr]]()
+    equations = list[tuple[str, Expr]]()
     for condition in conditions:
         name = names.numbered(stem)
         unknowns.append(Unknown(name, Meaning(kind, condition.name, segment=condition.segment)))
