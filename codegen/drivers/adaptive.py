@@ -44,7 +44,7 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
 def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
     """Find the initial momenta from which the adaptive integrator arrives; iterations are those of Newton's method."""
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
-    code = module.metadata["adaptive"]
+    code = module.metadata.adaptive
     with quiet_single_thread():
         begin = module.solve_case(case)
         momenta, factor = begin.p[0], module.preconditioner(case)

@@ -50,7 +50,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Call the module's `solve_case`, or integrate adaptively where the scheme says so."""
     case = case_of(module, run)
-    if module.metadata["adaptive"]:
+    if module.metadata.adaptive:
         return adaptive(module, case, run)
     with quiet_single_thread():
         solution = module.solve_case(case)

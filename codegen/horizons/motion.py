@@ -35,7 +35,7 @@ class Motion:
         steps = max(1, math.ceil(intervals - WHOLE))
         self._grids = Grids(module, interface, steps, is_searched=False)
         self._starts = Grids(module, interface, 1, is_searched=False)
-        coordinates = module.metadata["coordinates"]
+        coordinates = module.metadata.coordinates
         self._places = [interface.states.index(name) for name in coordinates if name in interface.states]
         self._rates = [i for i in range(len(interface.states)) if i not in self._places]
         pair = module.make_grid(2)
@@ -48,8 +48,8 @@ class Motion:
         own = np.setdiff1d(primal[primal < self._stride], self._controls)
         states = np.setdiff1d(primal[np.isin(primal, second)], own + self._stride)
         self._unknowns: Indices = np.concatenate([own, states])
-        if self._equations.size != self._unknowns.size or module.metadata["free_parameters"]:
-            finding = f"the state of {module.metadata['problem']} does not follow from its start and inputs alone"
+        if self._equations.size != self._unknowns.size or module.metadata.free_parameters:
+            finding = f"the state of {module.metadata.problem} does not follow from its start and inputs alone"
             raise ArgumentError(finding, "leave delay out, and give step the state that inputs on their way lead to")
         self._entries = self._entries_of_matrix()
         self._system = allocate_system(module.make_grid(steps))

@@ -16,7 +16,8 @@ from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.horizons.interface import Interface, module_of
 from codegen.horizons.values import Moving, Values
 from codegen.horizons.velocities import velocities_of
-from codegen.interfaces import Vector, is_control, is_of_particles, is_simulation
+from codegen.interfaces import Vector, is_control, is_of_particles
+from codegen.runtime.record import Form
 from codegen.solutions.given_values import parameter_arguments
 
 Plant: TypeAlias = Callable[[Vector, Vector, float, float], Vector]
@@ -49,7 +50,7 @@ def plant_of(
     if set(starts) != set(states):
         finding = f"the plant starts from {', '.join(starts) or 'nothing'}, the controller from {', '.join(states)}"
         raise ArgumentError(clause(finding), "give both the same names")
-    parameters = tuple(module.metadata["parameters"])
+    parameters = tuple(module.metadata.parameters)
     if missing := [name for name in inputs if name not in parameters]:
         finding = f"the plant has no parameter {missing[0]}, which is an input of the controller"
         raise ArgumentError(finding, f'declare it there, as in {missing[0]} = parameter("{missing[0]}", 0)')
@@ -83,13 +84,11 @@ class FunctionPlant:
 
 def _start_names(module: Any) -> tuple[str, ...]:
     metadata = module.metadata
-    is_free = is_control(module) and (metadata["control_names"] or metadata["form"] == "lagrangian")
+    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
     if is_of_particles(module) or is_free:
-        finding = f"{metadata['problem']} is no plant: it has controls, or particles"
+        finding = f"{metadata.problem} is no plant: it has controls, or particles"
         raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
-    if is_simulation(module):
-        return tuple(metadata["start"])
-    return tuple(name.removeprefix("start ") for name in metadata["boundary"] if name.startswith("start "))
+    return tuple(metadata.start)
 
 
 class ModulePlant:
@@ -101,15 +100,15 @@ class ModulePlant:
         self.module, self.states, self.inputs = module, states, inputs
         self._values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
         metadata = module.metadata
-        self._rates = tuple(name for name in _start_names(module) if name not in metadata["coordinates"])
-        self._has_velocities = metadata["form"] == "lagrangian"
+        self._rates = tuple(name for name in _start_names(module) if name not in metadata.coordinates)
+        self._has_velocities = metadata.form == Form.LAGRANGIAN
 
     def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
         """The next state; PlantFailed where the motion could not be followed."""
         given = self._values.given(t, dict(zip(self.inputs, inputs.tolist(), strict=True)))
         given |= {"start": dict(zip(self.states, state.tolist(), strict=True)), "duration": seconds}
         try:
-            found = self.module.solve(int(self.module.metadata["steps"]), **given)
+            found = self.module.solve(int(self.module.metadata.steps), **given)
         except ValueError as error:
             raise NumericsError(str(error), "correct the plant's numbers") from error
         if found.status != "solved":
@@ -117,7 +116,7 @@ class ModulePlant:
         return self._end_of(found, given)
 
     def _end_of(self, found: Any, given: Mapping[str, Any]) -> Vector:
-        values = dict(zip(self.module.metadata["coordinates"], found.q[-1].tolist(), strict=True))
+        values = dict(zip(self.module.metadata.coordinates, found.q[-1].tolist(), strict=True))
         if self._rates:
             rates = self._velocities(found, given) if self._has_velocities else found.p[-1]
             values |= zip(self._rates, rates.tolist(), strict=True)
@@ -126,7 +125,7 @@ class ModulePlant:
     def _velocities(self, found: Any, given: Mapping[str, Any]) -> Vector:
         """The velocities (coordinates,) with the momenta at the end."""
         q = found.q[-1]
-        place = dict(zip(self.module.metadata["coordinates"], q.tolist(), strict=True))
+        place = dict(zip(self.module.metadata.coordinates, q.tolist(), strict=True))
 
         def momenta(v: Vector) -> Vector:
             start = place | dict(zip(self._rates, v.tolist(), strict=True))

@@ -11,6 +11,7 @@ import numpy as np
 from numba import boolean, config, float64, int64, typeof, types
 
 from codegen.interfaces import few_steps
+from codegen.runtime.record import Task
 
 REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
 INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
@@ -184,7 +185,7 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
     pairs, shape = typeof(steps.Pairs(*[0] * len(steps.Pairs._fields))), types.UniTuple(int64, 3)
     own = (TABLE, REALS)  # parameters of each particle, and of all
-    if problem.metadata["task"] == "simulate":
+    if problem.metadata.task == Task.SIMULATE:
         yield motion.follow_particles, (pairs, CUBE, int64, float64, *own, int64, TABLE, TABLE)
         yield motion.largest_difference, (pairs, TABLE, TABLE, int64, float64, *own, shape)
         yield motion.energies_of, (pairs, TABLE, *own, shape, REALS)
@@ -211,7 +212,7 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
 def small_case(module: Any, steps: int = 2) -> Any:
     """Thirteen particles near the origin that move a little, to have functions compiled by."""
-    dimension = module.metadata["coordinates"]
+    dimension = module.metadata.coordinates
     angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
     start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
     start[:, 0] += 0.01 * np.arange(13)

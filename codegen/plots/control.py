@@ -73,7 +73,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     guess and the optimum.
     """
     groups, conditions = quantities(module, result), inequalities(module, result)
-    samples, bodies = measured.measured(module, result), int(module.metadata["bodies"])
+    samples, bodies = measured.measured(module, result), int(module.metadata.bodies)
     states = _state_rows(groups, samples, measured.bands(module, result) if samples else {})
     others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
     others += _of_sensitivities(module, result)
@@ -87,7 +87,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
     figure = new_figure(width, 0.9 + shape.height + height, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
-    phases = int(module.metadata.get("phases", 1))
+    phases = int(module.metadata.phases)
     label, switches = Units.of(result, unit).time, result.t[result.steps : -1 : result.steps]
     inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if _inner_times(module) else ()
     time = Time(label, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)), tuple(map(float, inner)))
@@ -113,9 +113,9 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
 
 def _inner_times(module: ControlModule) -> str:
     """What times between start and end at which conditions hold are called; nothing where there are none."""
-    if not module.metadata.get("inner_times"):
+    if not module.metadata.inner_times:
         return ""
-    return "waypoint" if module.metadata.get("waypoints") else "inner time"
+    return "waypoint" if module.metadata.waypoints else "inner time"
 
 
 def _state_rows(
@@ -278,7 +278,7 @@ def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
 
 def _notes(result: Result, module: ControlModule, groups: dict[str, list[Quantity]]) -> list[str]:
     """Further words of the title: free parameters, and what the figure has no room for."""
-    free = [f"{name} = {result.summary[name]:.6g}" for name in module.metadata["free_parameters"]]
+    free = [f"{name} = {result.summary[name]:.6g}" for name in module.metadata.free_parameters]
     many = {"states": len(groups["state"]), "controls": len(groups["control"])}
-    phases = [f"{module.metadata['phases']} phases"] if "phases" in module.metadata else []
+    phases = [f"{module.metadata.phases} phases"] if module.metadata.phases > 1 else []
     return phases + free + [f"{n - _MOST_ROWS} further {kind} not shown" for kind, n in many.items() if n > _MOST_ROWS]

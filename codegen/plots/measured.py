@@ -40,14 +40,14 @@ class Measured:
 
 def measured(module: ControlModule, result: Result) -> list[Measured]:
     """All columns of measurements, where there are any, beside a result."""
-    observations = module.metadata.get("observations")
+    observations = module.metadata.observations
     if observations is None or result.unknowns is None:
         return []
     fit = Fit(module, time_grid(module, result.steps, result.grid), result.unknowns)
     columns = zip(
-        observations["columns"],
-        observations["values"],
-        observations["sigmas"],
+        observations.columns,
+        observations.values,
+        observations.sigmas,
         fit.measured.T,
         fit.fitted.T,
         fit.errors.T,
@@ -61,7 +61,7 @@ def measured(module: ControlModule, result: Result) -> list[Measured]:
 
 def bands(module: ControlModule, result: Result) -> dict[str, Matrix]:
     """How far 95 % intervals of the motion extend at the nodes, (N + 1, bodies) of every state, if estimates tell."""
-    found, names = result.estimates, tuple(module.metadata["coordinates"])
+    found, names = result.estimates, tuple(module.metadata.coordinates)
     if found is None or not np.isfinite(found.unknown_errors).all():
         return {}
     nodes, _ = module.views(time_grid(module, result.steps, result.grid), found.unknown_errors)

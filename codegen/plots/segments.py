@@ -27,8 +27,8 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
         return of_segments.inequalities(module, result)
     duration, parts = float(cut.t[-1] - cut.t[0]), dict[str, list[tuple[Vector, Matrix]]]()
     for own in of_segments.inequalities(module, cut):
-        name, _, segment = own.name.rpartition(" in segment ")
-        parts.setdefault(name, []).append((own.t + (int(segment) - 1) * duration, own.distance))
+        name = own.name.removesuffix(f" in segment {own.segment}")
+        parts.setdefault(name, []).append((own.t + (own.segment - 1) * duration, own.distance))
     return [
         Inequality(name, np.concatenate([t for t, _ in own]), np.concatenate([values for _, values in own]))
         for name, own in parts.items()

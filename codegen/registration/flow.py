@@ -11,7 +11,7 @@ alone are safe in a server with several sessions, and in a process that forks, a
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError
 from codegen.registration.pairs import PointArray
+from codegen.runtime.record import ConnectRecord, Task
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
@@ -32,7 +33,7 @@ THREADED = 400_000
 class FlowModule(Protocol):
     """What is used of a generated module that carries tracer points; a case is what `make_case` returns."""
 
-    metadata: Mapping[str, Any]
+    metadata: ConnectRecord
 
     solve_case: Callable[..., Any]
     make_case: Callable[..., Any]
@@ -49,7 +50,7 @@ class FlowModule(Protocol):
 
 def require_tracers(module: Any) -> FlowModule:
     """The same module, if it carries tracer points; ModuleError tells if it does not."""
-    if not module.metadata.get("passive"):
+    if module.metadata.task != Task.CONNECT or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
 

@@ -57,7 +57,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
 
     made = build(problem_file(), arguments_of(dimension), scheme=scheme)
     module = require_tracers(load(made.path))
-    if module.metadata["adaptive"]:
+    if module.metadata.adaptive:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
     if not has_machine_code(module):
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)

@@ -9,8 +9,7 @@ beside their multipliers.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.runtime.record import Kind, Meaning, Place, phrase
 from codegen.solutions.finer_grids import carried, cut
 
 PARTS = 8
@@ -29,10 +29,6 @@ NEGLIGIBLE = 1e-7
 INCREMENT = 1e-6
 """Relative increments by which sizes of terms are measured."""
 
-_SLACK = re.compile(r"slack of (?P<name>.*) at 1 of an interval")
-_IN_SEGMENT = re.compile(r" in segment (?P<number>\d+)$")
-_MULTIPLIER = re.compile(r"multiplier of (?:the constraint )?(?P<name>.*)")
-
 
 @dataclass(frozen=True)
 class Excursion:
@@ -42,6 +38,7 @@ class Excursion:
     where the condition holds in parts of the states x, and 1 in the middle of an obstacle, where the gradient vanishes.
     `condition` is the module's name of it, with its segment where a delay cut the motion; `time` is that of the whole
     motion, in the problem's units. Of several bodies `body` is the number of the one that is worst.
+    `segment` is 0 where no delay cut the motion.
     """
 
     condition: str
@@ -49,6 +46,7 @@ class Excursion:
     relative: float
     time: float
     body: int | None = None
+    segment: int = 0
 
     @property
     def is_gross(self) -> bool:
@@ -59,7 +57,7 @@ class Excursion:
     def note(self) -> str:
         """What is to be said of it, and what helps."""
         of_body = "" if self.body is None else f" of body {self.body}"
-        condition = _IN_SEGMENT.sub("", self.condition)
+        condition = self.condition.removesuffix(f" in segment {self.segment}")
         return (
             f"between nodes the motion{of_body} violates {condition} by {self.figures}: the grid is too coarse "
             "for it, and what was found may be no motion at all; take more --steps, or --doublings"
@@ -82,6 +80,7 @@ class _Row:
     equality: bool
     states: tuple[int, ...]
     phases: tuple[int, ...]
+    segment: int
 
 
 def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Excursion]:
@@ -95,7 +94,7 @@ def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: V
     if not rows:
         return []
     coarse = time_grid(module, steps, fractions)
-    intervals = module.metadata.get("phases", 1) * steps
+    intervals = module.metadata.phases * steps
     evenly = _Sampled(module, coarse, unknowns, np.full((intervals, PARTS), 1.0 / PARTS))
     found = list[Excursion]()
     for row in rows:
@@ -118,26 +117,30 @@ def _rows(module: Any) -> Iterator[_Row]:
     first = structure.node
     partners = _partners(structure)
     stride = structure.stride
-    meanings: Mapping[str, str] = metadata["meanings"]
-    every = tuple(range(metadata.get("phases", 1)))
-    for i, name in enumerate(metadata["node"]):
-        met = _MULTIPLIER.fullmatch(meanings.get(name, ""))
+    every = tuple(range(metadata.phases))
+    for i, name in enumerate(metadata.node):
+        meaning = metadata.meanings.get(name)
         beside = partners.get(i, set()) - {i}
         own = {j for j in beside if j < first}
-        if met and structure.is_multiplier[i] and own and not any(first <= j < stride + first for j in beside):
-            yield _Row(met["name"], i, True, tuple(sorted(own)), every)
+        if meaning and structure.is_multiplier[i] and own and not any(first <= j < stride + first for j in beside):
+            yield _Row(_condition(meaning), i, True, tuple(sorted(own)), every, meaning.segment)
     for slack, multiplier in zip(structure.slacks, structure.slack_multipliers, strict=True):
         beside = partners.get(int(multiplier), set()) - {int(slack), int(multiplier)}
         if any(j < stride for j in beside):
             continue  # of the left node, or the interval
         states = tuple(sorted(j - stride for j in beside if j < stride + first))
-        named: dict[str, list[int]] = {}
-        for phase, texts in enumerate(metadata.get("slacks", (meanings,))):
-            met = _SLACK.fullmatch(texts.get(metadata["interval"][slack - first], ""))
-            if met:
-                named.setdefault(met["name"], []).append(phase)
-        for name, where in named.items():
-            yield _Row(name, int(multiplier), False, states, tuple(where))
+        found: dict[Meaning, list[int]] = {}
+        for phase, meanings in enumerate(metadata.slack_meanings):
+            meaning = meanings.get(metadata.interval[slack - first])
+            if meaning and meaning.kind.place == Place.INTERVAL and meaning.at == 1:
+                found.setdefault(meaning, []).append(phase)
+        for meaning, where in found.items():
+            yield _Row(meaning.subject, int(multiplier), False, states, tuple(where), meaning.segment)
+
+
+def _condition(meaning: Meaning) -> str:
+    """The condition of a multiplier: a constraint as its author wrote it."""
+    return meaning.of if meaning.kind == Kind.CONSTRAINT else phrase(meaning, role=False)
 
 
 def _partners(structure: Any) -> dict[int, set[int]]:
@@ -234,10 +237,9 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
         return None
     body, interval, part = np.unravel_index(int(np.argmax(relative)), relative.shape)
     metadata, time = sampled.module.metadata, sampled.times[sampled.parts * interval + part + 1]
-    if met := _IN_SEGMENT.search(row.name):
-        time += (int(met["number"]) - 1) * (sampled.times[-1] - sampled.times[0])
-    worst, own = (body, interval, part), int(body) if metadata["bodies"] > 1 else None
-    return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own)
+    time += max(row.segment - 1, 0) * (sampled.times[-1] - sampled.times[0])
+    worst, own = (body, interval, part), int(body) if metadata.bodies > 1 else None
+    return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own, row.segment)
 
 
 def _of_phases(row: _Row, intervals: int, steps: int) -> NDArray[np.bool_]:

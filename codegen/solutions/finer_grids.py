@@ -11,7 +11,7 @@ from codegen.interfaces import Grid, Matrix, Vector, time_grid
 
 def cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
     """The grid on which every interval is cut in the parts (intervals, parts) of it."""
-    phases = module.metadata.get("phases", 1)
+    phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
     parts /= parts.sum(axis=1, keepdims=True)
     return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
@@ -26,8 +26,8 @@ def carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int,
     result = np.zeros(fine.is_multiplier.size)
     nodes, intervals = module.views(coarse, unknowns)
     new_nodes, new_intervals = module.views(fine, result)
-    order = module.metadata["order"]
-    phases, old, new = module.metadata.get("phases", 1), coarse.nodes / coarse.steps, fine.nodes / fine.steps
+    order = module.metadata.order
+    phases, old, new = module.metadata.phases, coarse.nodes / coarse.steps, fine.nodes / fine.steps
     for phase in range(phases):
         count = intervals.shape[1] // phases
         here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))

@@ -8,7 +8,6 @@ largest change. Near a pole that grows without end; a smooth right-hand side, ho
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.runtime.record import Kind
 from codegen.runtime.search.convergence import sizes_of_terms
 from codegen.solutions.finer_grids import carried, cut
 
@@ -36,9 +36,6 @@ SHORTEST, ROOM, LEAST_FRACTION = 1e-5, 2e-10, 1e-8
 intervals without a length; and the shortest interval that can be cut so."""
 NEGLIGIBLE, ROUNDING = 1e-6, 1e-9
 """Parts of the largest value on all intervals, and of the largest terms of equations, below which a change is none."""
-
-_EQUATION = re.compile(r"multiplier of the (?:step|equation of motion) of (?P<name>.*)")
-_STAGE = re.compile(r"(?P<name>.*)_stage\d+")
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
         closer = _Looked(module, coarse, unknowns, cuts)
         suspects = [suspect.closer(closer) for suspect in suspects]
     return [
-        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata["bodies"] > 1 else None)
+        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata.bodies > 1 else None)
         for s in suspects
         if s.grows_without_end
     ]
@@ -139,12 +136,12 @@ def _suspects(first: _Looked, terms: float, steps: int) -> Iterator[_Suspect]:
 def _equations(module: Any) -> Iterator[_Equation]:
     """The equations of motion of a module's states, without those of stages."""
     metadata = module.metadata
-    nodes = list(metadata["node"])
-    for at_nodes, names in ((True, nodes), (False, metadata["interval"])):
+    nodes = list(metadata.node)
+    for at_nodes, names in ((True, nodes), (False, metadata.interval)):
         for place, name in enumerate(names):
-            met = _EQUATION.fullmatch(metadata["meanings"].get(name, ""))
-            if met and met["name"] in nodes:
-                yield _Equation(met["name"], place, at_nodes)
+            meaning = metadata.meanings.get(name)
+            if meaning and meaning.kind in (Kind.STEP, Kind.MOTION) and meaning.of in nodes:
+                yield _Equation(meaning.of, place, at_nodes)
 
 
 def _around(middle: float, width: float, room: float) -> Vector:
@@ -170,11 +167,11 @@ class _Looked:
     def _give_stages(self) -> None:
         """Have stages lie between the nodes of the finer grid."""
         nodes, intervals = self.module.views(self.grid, self._unknowns)
-        names = list(self.module.metadata["node"])
-        for place, name in enumerate(self.module.metadata["interval"]):
-            met = _STAGE.fullmatch(name)
-            if met and met["name"] in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
-                state = nodes[:, :, names.index(met["name"])]
+        names = list(self.module.metadata.node)
+        for place, name in enumerate(self.module.metadata.interval):
+            of = self.module.metadata.stages.get(name)
+            if of in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
+                state = nodes[:, :, names.index(of)]
                 intervals[:, :, place] = 0.5 * (state[:, :-1] + state[:, 1:])
 
     def changes(self, equation: _Equation) -> Matrix:

@@ -6,7 +6,6 @@ imposed on it. Kinetics that change their sign beyond a bound lead to a motion t
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -14,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from codegen.interfaces import ControlModule, Vector, time_grid
+from codegen.runtime.record import Kind
 
 NEGLIGIBLE = 1e-6
 """Part of a state's largest value by which a stage may be beyond a bound."""
-
-_STAGE = re.compile(r"(?P<name>.*)_stage\d+")
 
 
 @dataclass(frozen=True)
@@ -50,17 +48,17 @@ def stages_beyond(
     `unknowns` (n,) are those of `steps` intervals in each phase, equal ones or those of `fractions`.
     """
     generated: Any = module
-    metadata, meanings = module.metadata, module.metadata["meanings"].values()
-    if not metadata["inequalities"] or any(text.startswith("slack of the bound") for text in meanings):
+    metadata = module.metadata
+    if not metadata.inequalities or any(m.kind == Kind.BOUND_SLACK for m in metadata.meanings.values()):
         return
-    grid, names = time_grid(module, steps, fractions), list(metadata["node"])
+    grid, names = time_grid(module, steps, fractions), list(metadata.node)
     nodes, intervals = generated.views(grid, unknowns)
     limits = [generated.views(grid, bound) for bound in module.variable_bounds(grid)]
     stages = dict[str, list[int]]()
-    for column, name in enumerate(metadata["interval"]):
-        met = _STAGE.fullmatch(name)
-        if met and met["name"] in names and not generated.problem.structure.is_multiplier[len(names) + column]:
-            stages.setdefault(met["name"], []).append(column)
+    for column, name in enumerate(metadata.interval):
+        state = metadata.stages.get(name)
+        if state in names and not generated.problem.structure.is_multiplier[len(names) + column]:
+            stages.setdefault(state, []).append(column)
     times = module.unpack(grid, unknowns)[0] if stages else np.empty(0)
     for state, columns in stages.items():
         if any(np.isfinite(inside[:, :, columns]).any() for _, inside in limits):
@@ -74,7 +72,7 @@ def stages_beyond(
             continue
         body, interval, _ = map(int, worst)
         limit = (lower if values[worst] < lower[body, interval, 0] else upper)[body, interval, 0]
-        own = body if metadata["bodies"] > 1 else None
+        own = body if metadata.bodies > 1 else None
         yield StageBeyond(state, float(values[worst]), float(limit), float(times[interval]), own)
 
 

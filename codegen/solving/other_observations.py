@@ -20,14 +20,14 @@ def with_observations(module: GeneratedModule, given: Any) -> Any:
     """
     if given is None:
         return module
-    observations = module.metadata.get("observations")
+    observations = module.metadata.observations
     if observations is None:
         raise ArgumentError("--observations: the problem has no measurements", "leave it out")
-    listed, bodies = list(given) if isinstance(given, (list, tuple)) else [given], module.metadata["bodies"]
+    listed, bodies = list(given) if isinstance(given, (list, tuple)) else [given], module.metadata.bodies
     if len(listed) != bodies:
         finding = f"--observations gives {len(listed)} sets of measurements, and there are {bodies} bodies"
         raise ArgumentError(finding, "give one for each")
-    layout = Layout(observations["time"], tuple(observations["columns"]), tuple(observations["sigmas"]))
+    layout = Layout(observations.time, observations.columns, observations.sigmas)
     return with_arguments(module, observations=tuple(_rows(one, layout) for one in listed))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError, TableError
 from codegen.interfaces import GeneratedModule, Vector, is_connect
+from codegen.runtime.record import TableRecord
 from codegen.tables.files import read_table
 
 
@@ -22,7 +23,7 @@ def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None)
     """
     if not files:
         return module
-    known = module.metadata.get("tables", {})
+    known = module.metadata.tables
     numbers = {name: _numbers(name, Path(file), known) for name, file in files.items()}
     return with_arguments(module, tables=numbers)
 
@@ -36,15 +37,15 @@ def with_arguments(module: Any, **given: Any) -> Any:
     return other
 
 
-def _numbers(name: str, file: Path, known: Mapping[str, Any]) -> Vector:
+def _numbers(name: str, file: Path, known: Mapping[str, TableRecord]) -> Vector:
     if name not in known:
         remedy = f"name one of {', '.join(known)}" if known else "leave it out"
         raise ArgumentError(f"--table {name}={file}: the problem has no table {name}", remedy)
     own = known[name]
-    columns = (own["inputs"], own["output"], own["kind"], own["outside"])
+    columns = (own.inputs, own.output, own.kind, own.outside)
     table = read_table(file, file.as_posix(), name, *columns)
-    if table.shape.sizes != own["sizes"]:
-        found, wanted = (" and ".join(map(str, sizes)) for sizes in (table.shape.sizes, own["sizes"]))
+    if table.shape.sizes != own.sizes:
+        found, wanted = (" and ".join(map(str, sizes)) for sizes in (table.shape.sizes, own.sizes))
         raise TableError(
             f"{file}: table {name} has {found} breakpoints, and the module is built for {wanted}",
             "give as many, or change the problem's own file",

@@ -31,7 +31,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     given: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
-            raise ArgumentError(clause(f"{module.metadata['problem']} has no parameter {name}"), _remedy(name, known))
+            raise ArgumentError(clause(f"{module.metadata.problem} has no parameter {name}"), _remedy(name, known))
         end, quantity = known[name]
         if quantity:
             given.setdefault(end, {})[quantity] = float(value)
@@ -41,7 +41,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     try:
         other.make_grid(few_steps(module, 1))
     except ValueError as error:
-        raise NumericsError(f"{module.metadata['problem']}: {error}", "give other values") from error
+        raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
     return other
 
 

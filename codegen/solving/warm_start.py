@@ -94,7 +94,7 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
     except NumericsError:
         finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns fit no number of steps of this problem"
         raise ArgumentError(finding, remedy) from None
-    parts = segments.number if segments else module.metadata.get("phases", 1)
+    parts = segments.number if segments else module.metadata.phases
     if saved.nodes is not None and saved.nodes != steps * parts + 1:
         finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns on {saved.nodes} nodes are others than here"
         raise ArgumentError(finding, remedy)

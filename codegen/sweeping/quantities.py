@@ -49,7 +49,7 @@ def quantities(names: Iterable[str], module: Any, arguments: Sequence[str]) -> t
             offered = [word for word in known if word not in refused]
             close = difflib.get_close_matches(name, offered, 3, 0.5)
             nearest = f"did you mean {' or '.join(close)}? " if close else ""
-            remedy = f"{nearest}{module.metadata['problem']} has {', '.join(offered)}"
+            remedy = f"{nearest}{module.metadata.problem} has {', '.join(offered)}"
             raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
         found.append(known[name])
     return tuple(found)

@@ -59,7 +59,7 @@ class Wanted:
         self, module: Any, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
     ) -> CaseRates:
         """Those of a case that is solved; `module` has its values."""
-        names = module.metadata["sensitivities"]
+        names = module.metadata.sensitivities
         given = [own.name for own in self.varied if own.name in names]
         try:
             rates = rates_at(module, run.steps, attempt.unknowns, given)

@@ -18,6 +18,7 @@ from codegen.checks.module.flat_vector import FlatVector
 from codegen.checks.module.kernel_arguments import few_steps
 from codegen.checks.solution.solutions import free_values
 from codegen.expressions import checks as expressions
+from codegen.runtime.record import phrase
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.callbacks import submatrix
 from codegen.solutions.notes import shortened
@@ -157,7 +158,7 @@ def _named(program: ControlProgram, intervals: int, null: Any, rows: Any, touche
     weights[rows] = np.abs(null)
     bound = _TAKES_PART * weights.max()
     meanings = flat.meanings()
-    equations = dict.fromkeys(meanings[i].removeprefix("multiplier of ") for i in np.flatnonzero(weights > bound))
+    equations = dict.fromkeys(phrase(meanings[i], role=False) for i in np.flatnonzero(weights > bound))
     conditions = dict[str, None]()
     for body in range(program.bodies):
         for where, end, k in (("start", program.start, 0), ("end", program.end, flat.steps)):

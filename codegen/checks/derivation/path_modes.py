@@ -69,7 +69,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _excursions(context: Context) -> dict[str, Excursion] | None:
     """What the solution violates inside intervals, by the names of conditions; None without a solution."""
-    solution, phases = context.solution, context.module.metadata.get("phases", 1)
+    solution, phases = context.solution, context.module.metadata.phases
     if solution.status != "solved":
         return None
     found = excursions(context.module, solution.unknowns, (solution.t.size - 1) // phases, None)

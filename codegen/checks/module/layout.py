@@ -20,6 +20,7 @@ from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, othe
 from codegen.checks.module.step_kernels import step_lengths
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
+from codegen.runtime.record import Record
 from codegen.runtime.search.grid import free_unknowns
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
@@ -51,7 +52,8 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     names = {
         "node": tuple(u.name for u in program.node),
         "interval": tuple(u.name for u in flat.inside[len(program.node) :]),
-        "boundary": tuple(f"{v.where} {v.quantity}" for v in program.boundary_values),
+        "start": tuple(v.quantity for v in program.boundary_values if v.where == "start"),
+        "end": tuple(v.quantity for v in program.boundary_values if v.where == "end"),
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     return (
@@ -65,11 +67,11 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     )
 
 
-def _differing_metadata(recorded: Mapping[str, Any], names: Mapping[str, tuple[str, ...]]) -> str:
+def _differing_metadata(recorded: Record, names: Mapping[str, tuple[str, ...]]) -> str:
     for key, marked in names.items():
         wanted = tuple(mangling.plain(name) for name in marked)
-        if tuple(recorded.get(key, ())) != wanted:
-            return f"{key} is {tuple(recorded.get(key, ()))}, expected {wanted}"
+        if (found := tuple(getattr(recorded, key))) != wanted:
+            return f"{key} is {found}, expected {wanted}"
     return ""
 
 

@@ -12,7 +12,7 @@ from codegen.checks.base import Finding
 
 def compare(file: Path, module: Any, inputs: str, text: str) -> Iterator[Finding]:
     """Compare the recorded hash of the inputs, and the text line by line, with those of a fresh derivation."""
-    recorded = module.metadata.get("inputs")
+    recorded = module.metadata.inputs
     same = recorded == inputs
     detail = "the recorded hash is that of the problem file, its arguments and versions"
     if not same:

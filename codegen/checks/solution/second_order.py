@@ -48,7 +48,7 @@ def check(context: Context) -> Iterator[Finding]:
         yield not_measured("second-order condition", subject, "equations depend on each other at the solution")
         return
     passed, detail = judged
-    if module.metadata["inequalities"]:
+    if module.metadata.inequalities:
         detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"
     yield Finding("second-order condition", subject, passed, detail)
 
@@ -80,7 +80,7 @@ def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagona
 def held_by_bounds(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """The diagonal z / distance of the unknowns that push against a bound; z is the gradient of the Lagrangian."""
     diagonal = np.zeros(unknowns.size)
-    if not module.metadata["inequalities"]:
+    if not module.metadata.inequalities:
         return diagonal
     gradient = np.where(grid.is_multiplier, 0.0, module.evaluate(grid, unknowns).gradient)
     lower, upper = module.variable_bounds(grid)

@@ -44,7 +44,7 @@ class _Direction:
 def check(context: Context) -> Iterator[Finding]:
     """Compare along two directions."""
     module, solution = context.module, context.solution
-    if "sensitivities" not in module.metadata:
+    if module.metadata.sensitivities is None:
         yield does_not_apply(_NAME, "the module has none, unless it is built with --sensitivities")
         return
     subject = f"solution on {solution.t.size - 1} intervals"
@@ -59,7 +59,7 @@ def check(context: Context) -> Iterator[Finding]:
 
 def _directions(module: Any, grid: Any) -> Iterator[_Direction]:
     """Changes of everything by itself, and of parameters, which all else follows."""
-    names, count = module.QUANTITIES, len(module.metadata["parameters"])
+    names, count = module.QUANTITIES, len(module.metadata.parameters)
     values = (*grid.parameters[:, : module.OWN_QUANTITIES].T, grid.steps * grid.h)[: len(names)]
     own = tuple(v if i >= count else float(np.max(v)) for i, v in enumerate(values))
     sizes = np.array([max(float(np.abs(value).max()), 0.1) for value in own])

@@ -44,7 +44,7 @@ def _solved(settings: Settings, kernel: str, dimension: int, count: int) -> Valu
         "iterations": solution.iterations,
         "seconds": least_time(lambda: module.solve_case(case), repeats),
         "seconds of a trajectory": least_time(lambda: module.trajectory(case, momenta), 20),
-        "operations": list(module.metadata["operations"]["hamiltonian_gradient"]),
+        "operations": list(module.metadata.operations["hamiltonian_gradient"]),
     }
 
 

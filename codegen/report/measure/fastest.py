@@ -47,7 +47,7 @@ def cases(settings: Settings, store: Store) -> Iterator[Case]:
 def _fewest_steps(settings: Settings, scheme: str, target: float, exact: float) -> Values:
     """Steps by the power of N with which the scheme's order lets the error fall; not reached where N would be huge."""
     module = settings.module(scheme)
-    order, steps, error = module.metadata["order"], 1, math.inf
+    order, steps, error = module.metadata.order, 1, math.inf
     while steps <= _MOST_STEPS:
         result = _solved(settings, scheme, {"steps": steps})
         error = abs(result.cost - exact) if result.solved else math.inf

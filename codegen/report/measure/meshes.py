@@ -101,7 +101,7 @@ def sequence(module: ControlModule, first: int, seconds: float) -> Values:
         steps *= 2
     between = _between(found) if changes and len(found.steps) > 2 else []
     return {
-        "order": module.metadata["order"], "expected order": order_of_optima(module), "steps": found.steps,
+        "order": module.metadata.order, "expected order": order_of_optima(module), "steps": found.steps,
         "costs": found.costs, "switching": changes, "more steps": [n for n, _ in between],
         "more costs": [cost for _, cost in between], "failure": found.failure, "seconds": seconds - found.seconds,
     }  # fmt: skip
@@ -113,7 +113,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     A bound is active where its multiplier, the slope of the Lagrangian, exceeds the distance from it. Inequalities
     of the path have unknowns of their own, which are bounded.
     """
-    if not module.metadata["inequalities"]:
+    if not module.metadata.inequalities:
         return []
     grid, unknowns = module.make_grid(result.steps), result.unknowns
     assert unknowns is not None
@@ -121,7 +121,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     active = np.zeros(unknowns.size)
     active[module.primal_unknowns(grid)] = np.abs(callbacks.stationarity(grid, unknowns)) > np.minimum(below, above)
     nodes, intervals = module.views(grid, active)
-    names, phases = [*module.metadata["node"], *module.metadata["interval"]], module.metadata.get("phases", 1)
+    names, phases = [*module.metadata.node, *module.metadata.interval], module.metadata.phases
     changes = np.zeros(len(names), dtype=bool)
     for first in range(0, phases * result.steps, result.steps):  # between phases lies a node, wherever it is
         inner = nodes[:, first + 1 : first + result.steps], intervals[:, first : first + result.steps]

@@ -59,7 +59,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
     store, built = workshop.store, workshop.built(variants)
     for variant in built:
-        own = _module(workshop, variant).metadata["steps"]
+        own = _module(workshop, variant).metadata.steps
         for steps in ladder(own, extent.control_doublings):
             name = case_name(variant, steps)
             yield Case(
@@ -78,7 +78,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
     yield Case(references_of(problem), "cost", lambda: _reference(store, problem, trusted, exact))
     module = _module(workshop, built[0])
-    steps = ladder(module.metadata["steps"], 0)[0]
+    steps = ladder(module.metadata.steps, 0)[0]
     if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
         return
     for driver in DRIVERS:
@@ -91,7 +91,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 def _sequence(workshop: Workshop, variant: Variant, extent: Extent) -> Values:
     module = _module(workshop, variant)
-    return sequence(module, ladder(module.metadata["steps"], 0)[0], extent.sequence_seconds)
+    return sequence(module, ladder(module.metadata.steps, 0)[0], extent.sequence_seconds)
 
 
 def _module(workshop: Workshop, variant: Variant) -> ControlModule:
@@ -112,7 +112,7 @@ def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton
     return {
         "status": result.status, "steps": steps, "cost": result.cost, "seconds": result.seconds_solve,
         "iterations": result.iterations, "residual": result.residual, "stationarity": result.stationarity,
-        "order": module.metadata["order"], "expected order": order_of_optima(module),
+        "order": module.metadata.order, "expected order": order_of_optima(module),
         "load seconds": result.seconds_code,
     }  # fmt: skip
 

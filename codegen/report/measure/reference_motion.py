@@ -99,7 +99,7 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Any], Any]]:
     rates = [field(0.0, z) for z in states]
     found: dict[str, Callable[[Any], Any]] = {}
     if not hasattr(module, "DIMENSION"):
-        for i, name in enumerate(module.metadata.get("momenta") or module.metadata["rates"]):
+        for i, name in enumerate(module.metadata.momenta or module.metadata.rates):
             if all(rate[half + i] == 0.0 for rate in rates):
                 found[f"momentum {name}"] = partial(_momenta, first=half + i, axes=2 * half)
         return found

@@ -64,7 +64,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             variant.label,
             lambda v=variant: order_values(_simulation(workshop, v), spans, extent.limit),  # type: ignore[misc]
         )
-        own_steps = int(workshop.module(variant).metadata["steps"])
+        own_steps = int(workshop.module(variant).metadata.steps)
         rungs = ladder(own_steps, extent.simulation_doublings)
         for steps in rungs:
             name = case_name(variant, steps)
@@ -120,7 +120,7 @@ def _errors(
         return {"status": "refused", "message": str(error), "steps": steps, "seconds": None}
     found: dict[str, Any] = {
         "status": result.status, "steps": steps, "seconds": result.seconds_solve, "iterations": result.iterations,
-        "residual": result.residual, "order": module.metadata["order"],
+        "residual": result.residual, "order": module.metadata.order,
     }  # fmt: skip
     if not result.solved:
         return found

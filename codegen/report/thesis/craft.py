@@ -40,7 +40,7 @@ def _solved(workshop: Workshop, variant: Variant, repeat: int) -> Values:
     grid = module.make_grid(STEPS)
     _, guess, *_ = module.unpack(grid, module.initial_guess(grid))
     optimum = module.solve(STEPS).q
-    bodies = module.metadata["bodies"]
+    bodies = module.metadata.bodies
     values = solved(module, STEPS, repeat)
     return {
         **values,

@@ -60,9 +60,9 @@ def prescribed_beyond(grid, unknowns):
     end, i = END_NAMES[local >= s.stride], local % s.stride
     if i < s.node:
         limits = f"{units[index] * lower[inner]:g} to {units[index] * upper[inner]:g}"
-        return f"{metadata['node'][i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
-    name = metadata["interval"][i - s.node]
-    condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+        return f"{metadata.node[i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
+    name = metadata.interval[i - s.node]
+    condition = metadata.meanings[name].subject if name in metadata.meanings else name
     return f"what is prescribed at the {end} violates {condition}"
 
 

@@ -70,21 +70,21 @@ class Quantities(NamedTuple):
 def quantities_of(problem):
     """Return the quantities of a problem."""
     s, metadata = problem.structure, problem.metadata
-    names = [*metadata["node"], *metadata["interval"], *[f"shared {i}" for i in range(s.shared + s.couplings)]]
-    free = metadata["free_parameters"]
+    names = [*metadata.node, *metadata.interval, *[f"shared {i}" for i in range(s.shared + s.couplings)]]
+    free = metadata.free_parameters
     for i, name in enumerate(free, s.stride + s.shared - len(free)):
         names[i] = name
     is_multiplier = s.local_is_multiplier
     multiplies = np.concatenate(
         [is_multiplier[: s.stride], is_multiplier[s.element :], np.ones(s.couplings, bool)]
     )  # fmt: skip
-    stages = metadata.get("stages", {})
+    stages = metadata.stages
     pairs = [(stages.get(name, name), bool(m)) for name, m in zip(names, multiplies, strict=True)]
     kinds = list(dict.fromkeys(pairs))
     numbers = {pair: number for number, pair in enumerate(kinds)}
     kind = np.array([numbers[pair] for pair in pairs])
     is_slack, is_single = np.zeros(len(kinds), bool), np.zeros(len(kinds), bool)
-    is_slack[kind] = [metadata["meanings"].get(name, "").startswith("slack of ") for name in names]
+    is_slack[kind] = [metadata.is_slack(name) for name in names]
     is_single[kind[s.stride :]] = ~multiplies[s.stride :]
     tied = np.concatenate(
         [
@@ -105,8 +105,8 @@ def quantities_of(problem):
     return Quantities(
         kind, multiplies, kind[local], is_multiplier.copy(), abscissa, only_at_ends,
         np.array([multiplier for _, multiplier in kinds]),
-        np.array([float(metadata.get("scale", {}).get(name, 0.0)) for name, _ in kinds]),
-        np.array([float(metadata.get("angles", {}).get(name, np.inf)) for name, _ in kinds]),
+        np.array([float(metadata.scale.get(name, 0.0)) for name, _ in kinds]),
+        np.array([float(metadata.angles.get(name, np.inf)) for name, _ in kinds]),
         is_slack, is_single, tied.astype(np.int64), s.rows, s.columns, of_end(s.start_rows), of_end(s.start_columns),
         filling.astype(float), of_end(s.end_rows), of_end(s.end_columns),
     )  # fmt: skip

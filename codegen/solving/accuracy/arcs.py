@@ -123,7 +123,7 @@ def _all_runs(module: ControlModule, result: Result) -> Iterator[tuple[int, Vect
 
 def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]:
     """What is active of every unknown with bounds, on all intervals of a phase, of every body."""
-    if not module.metadata["inequalities"] or result.unknowns is None:
+    if not module.metadata.inequalities or result.unknowns is None:
         return
     generated: Any = module
     grid = time_grid(module, result.steps, result.grid)
@@ -141,7 +141,7 @@ def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]
     (nodes, intervals), (at_nodes, inside) = (generated.views(grid, table.astype(float)) for table in (kind, bounded))
     own = np.concatenate([nodes[:, 1:], intervals], axis=2)
     has = np.concatenate([at_nodes[:, 1:], inside], axis=2).any(axis=1)
-    for phase in range(module.metadata.get("phases", 1)):
+    for phase in range(module.metadata.phases):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
         for body, column in zip(*np.nonzero(has), strict=True):
             yield phase, own[body, rows, column].astype(np.int8)

@@ -12,7 +12,6 @@ Solving ordinary differential equations I, II.4, for double steps.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
+from codegen.runtime.record import Kind
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
@@ -39,9 +39,6 @@ BEYOND = 0.01
 Search = Callable[[int, Vector, Vector | None], Vector | None]
 """The optimum for a number of intervals, a start and fractions of the duration; None where none was found."""
 
-_STEP = re.compile(r"multiplier of the (?:step|equation of motion) of (?P<name>.*)")
-_STAGE = re.compile(r"(?P<name>.*)_stage\d+")
-
 
 def discretisation_error(module: ControlModule, result: Result, search: Search) -> DiscretisationError | None:
     """Estimate the error of a solution, relative to the largest value of every state, and of the cost.
@@ -52,7 +49,7 @@ def discretisation_error(module: ControlModule, result: Result, search: Search) 
     assert result.unknowns is not None
     fine = time_grid(module, result.steps, result.grid)
     kept = _kept(result.steps, _inner(module, fine))
-    phases, steps = module.metadata.get("phases", 1), kept.size - 1
+    phases, steps = module.metadata.phases, kept.size - 1
     rows = np.concatenate([[0], *(phase * result.steps + kept[1:] for phase in range(phases))])
     fractions = _merged(fine, rows, phases)
     equal = result.grid is None and result.steps == 2 * steps
@@ -70,7 +67,7 @@ def discretisation_error(module: ControlModule, result: Result, search: Search) 
 
 def _inner(module: ControlModule, grid: Grid) -> tuple[int, ...]:
     """The nodes of a grid at inner times."""
-    return tuple(map(int, grid.inner)) if module.metadata.get("inner_times", 0) else ()
+    return tuple(map(int, grid.inner)) if module.metadata.inner_times else ()
 
 
 def _kept(steps: int, inner: tuple[int, ...]) -> Indices:
@@ -102,14 +99,14 @@ def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     one, other, double = intervals[:, first], intervals[:, last], first != last
     new_intervals[:] = 0.5 * (one + other)
     structure = module.problem.structure
-    names, meanings = list(module.metadata["node"]), module.metadata["meanings"]
-    for column, name in enumerate(module.metadata["interval"]):
-        step, stage = _STEP.fullmatch(meanings.get(name, "")), _STAGE.fullmatch(name)
+    metadata, names = module.metadata, list(module.metadata.node)
+    for column, name in enumerate(metadata.interval):
+        state = metadata.stages.get(name)
         if structure.is_multiplier[structure.node + column]:
-            if not (step and step["name"] in names):
+            if not (metadata.kind(name) in (Kind.STEP, Kind.MOTION) and metadata.meanings[name].of in names):
                 new_intervals[:, double, column] *= 2.0
-        elif stage and stage["name"] in names:
-            middle = nodes[:, last, names.index(stage["name"])]
+        elif state in names:
+            middle = nodes[:, last, names.index(state)]
             new_intervals[:, double, column] = (one + other)[:, double, column] - middle[:, double]
     result[result.size - structure.root :] = unknowns[unknowns.size - structure.root :]
     return np.asarray(module.with_pinned_values(grid, result))
@@ -135,7 +132,7 @@ def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     scaled = scaled_grid(grid, start)
     sizes = scaled.sizes if scaled.sizes.size else np.ones(start.size)
     held = bounded = np.zeros(start.size, dtype=bool)
-    if module.metadata["inequalities"]:
+    if module.metadata.inequalities:
         held = _held(module, fine, grid, rows, unknowns)
         lower, upper = module.variable_bounds(grid)
         bounded = (np.isfinite(lower) | np.isfinite(upper)) & ~held
@@ -175,7 +172,7 @@ def _compared(module: ControlModule, result: Result, grid: Grid, found: Vector, 
     changes = np.abs(coarse - table[rows])[:, kept] / sizes_of(table[:, kept])
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     states, quantity, time = float(changes[node, column]), names[kept[column]], float(times[node])
-    free = module.metadata["free_parameters"]
+    free = module.metadata.free_parameters
     last = found.size - module.problem.structure.couplings
     for name, value in zip(free, found[last - len(free) : last], strict=True):
         own = result.summary[name]

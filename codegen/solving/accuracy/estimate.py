@@ -40,7 +40,7 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
 def _cost_so_far(module: ControlModule, result: Result) -> Vector:
     """The discrete cost up to each node, of all bodies together, without ends, and without samples, where it jumps."""
     grid: Any = time_grid(module, result.steps, result.grid)
-    if "observations" in module.metadata:
+    if module.metadata.observations is not None:
         first = module.problem.structure.first_sample
         grid = grid._replace(parameters=np.ascontiguousarray(grid.parameters[:, :first]))
     costs = interval_parts(grid, result.unknowns)[..., -1]
@@ -80,7 +80,7 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
 
 def _numbers(module: ControlModule, coarse: Result, fine: Result) -> dict[str, tuple[float, float]]:
     """Cost, duration and free parameters of both."""
-    names = ("duration", *module.metadata["free_parameters"])
+    names = ("duration", *module.metadata.free_parameters)
     pairs = {name: (coarse.summary[name], fine.summary[name]) for name in names}
     if coarse.cost is not None and fine.cost is not None:
         pairs["the cost"] = coarse.cost, fine.cost
@@ -96,7 +96,7 @@ def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
     """
     table, _ = trajectories(module, fine)
     table = table / sizes_of(table)
-    phases = module.metadata.get("phases", 1)
+    phases = module.metadata.phases
     steps = fine.steps // 2
     out = np.empty((phases, steps))
     for phase in range(phases):
