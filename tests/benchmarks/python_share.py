@@ -1,4 +1,4 @@
-"""The share of Python in a solve: what a module's interpreted code takes beside its compiled functions.
+"""The share of Python in a solve: what the interpreter takes beside the compiled functions that it calls.
 
     python tests/benchmarks/python_share.py [--steps N] [--solves S] [PROBLEM ...]
 
@@ -14,7 +14,8 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -63,17 +64,14 @@ def row(path: Path, steps: int, solves: int) -> tuple[str, ...] | None:
     if solution.status != "solved":
         return None
     whole = median(seconds(lambda: module.solve(steps)) for _ in range(solves))
-    clock = Clock()
-    for name, function in list(vars(module).items()):
-        if isinstance(function, CPUDispatcher):
-            setattr(module, name, clock.around(function))
-    module.solve(steps)
-    inside, calls = [], 0
-    for _ in range(solves):
-        clock.seconds, clock.calls = 0.0, 0
+    clock, inside, calls = Clock(), [], 0
+    with timed_by(clock):
         module.solve(steps)
-        inside.append(clock.seconds)
-        calls = clock.calls
+        for _ in range(solves):
+            clock.seconds, clock.calls = 0.0, 0
+            module.solve(steps)
+            inside.append(clock.seconds)
+            calls = clock.calls
     idle = Clock()
     nothing = idle.around(lambda: None)
     for _ in range(10_000):
@@ -84,6 +82,25 @@ def row(path: Path, steps: int, solves: int) -> tuple[str, ...] | None:
         path.stem, f"{solution.iterations}", f"{calls}", *(f"{figure:.1f}" for figure in figures),
         f"{100.0 * (1.0 - within / whole):.0f} %",
     )  # fmt: skip
+
+
+@contextmanager
+def timed_by(clock: Clock) -> Iterator[None]:
+    """Time all calls of compiled functions of the runtime from Python."""
+    runtime = [module for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
+    found = [
+        (module, name, function)
+        for module in runtime
+        for name, function in list(vars(module).items())
+        if isinstance(function, CPUDispatcher)
+    ]
+    for module, name, function in found:
+        setattr(module, name, clock.around(function))
+    try:
+        yield
+    finally:
+        for module, name, function in found:
+            setattr(module, name, function)
 
 
 def seconds(call: Callable[[], Any]) -> float:
