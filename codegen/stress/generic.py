@@ -14,7 +14,7 @@ from codegen.errors import CodegenError
 from codegen.interfaces import is_connect, is_of_particles
 from codegen.loading import load
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
-from codegen.stress.expectations import EXPECTATIONS
+from codegen.stress.classify import EXPECTATIONS
 from codegen.stress.families.common import registered
 
 FACTORS = (1e-12, 1e-6, 1e6, 1e12)

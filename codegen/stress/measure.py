@@ -12,10 +12,10 @@ from codegen import solving
 from codegen.author.points import PointSet
 from codegen.solutions.result import Result
 from codegen.stress.cases import Case, Measurement, Values
-from codegen.stress.expectations import EXPECTATIONS
-from codegen.stress.limits import stable_limit
+from codegen.stress.classify import EXPECTATIONS
 from codegen.stress.references import REFERENCES, drift_scale
-from codegen.stress.textbook import textbook_errors
+from codegen.stress.stability import stable_limit
+from codegen.stress.systems import textbook_errors
 from codegen.tasks import task_of
 
 

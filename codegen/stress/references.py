@@ -13,10 +13,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from codegen.solutions.result import Result
-from codegen.stress import linear
+from codegen.stress import stability
 from codegen.stress.cases import Case
 from codegen.stress.families.common import registered
-from codegen.stress.limits import stable_limit
+from codegen.stress.stability import stable_limit
 from codegen.stress.systems import DEFAULTS, FORCES, chain_acceleration, plate_gradient
 
 Vector = Any
@@ -50,7 +50,7 @@ def oscillator(module: Any, case: Case, result: Result) -> float:
 
 def stable_step(module: Any, case: Case, result: Result) -> float:
     """The largest stable step by the scheme's table, against the one that bisection finds."""
-    measured, exact = stable_limit(module, case), linear.limit(registered((result.method, result.scheme)))
+    measured, exact = stable_limit(module, case), stability.limit(registered((result.method, result.scheme)))
     if measured == exact:
         return 0.0
     return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
@@ -59,7 +59,7 @@ def stable_step(module: Any, case: Case, result: Result) -> float:
 def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
     """The scheme's own closed form, from its table."""
     h = result.t[-1] / result.steps
-    theta, lean = linear.turn(registered((result.method, result.scheme)), h * of_case(case).get("omega", 1.0))
+    theta, lean = stability.turn(registered((result.method, result.scheme)), h * of_case(case).get("omega", 1.0))
     k = np.round(result.t / h)
     exact = np.cos(k * theta) + lean * np.sin(k * theta)
     return float(np.abs(result.q[:, 0] / result.q[0, 0] - exact).max())
