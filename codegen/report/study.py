@@ -9,31 +9,21 @@ from typing import Any
 
 from codegen.files import write_text
 from codegen.machine import machine
-from codegen.report.measure import (
-    accuracy,
-    ansatz,
-    dimension,
-    effort,
-    fastest,
-    jumps,
-    paths,
-    smoothness,
-    sweeps,
-)
+from codegen.report.measure import landmark_effort, landmark_motion
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store
 from codegen.terminal import progress
 
 PARTS: tuple[tuple[str, Callable[[Settings, Store], Iterator[Case]]], ...] = (
-    ("accuracy", accuracy.cases),
-    ("routes", sweeps.cases),
-    ("fastest", fastest.cases),
-    ("initial paths", paths.cases),
-    ("midpoint", effort.cases),
-    ("dimension", dimension.cases),
-    ("smoothness", smoothness.cases),
-    ("weak solution", ansatz.cases),
-    ("jumps", jumps.cases),
+    ("accuracy", landmark_effort.accuracy_cases),
+    ("routes", landmark_effort.route_cases),
+    ("fastest", landmark_effort.fastest_cases),
+    ("initial paths", landmark_motion.path_cases),
+    ("midpoint", landmark_effort.midpoint_cases),
+    ("dimension", landmark_effort.dimension_cases),
+    ("smoothness", landmark_motion.smoothness_cases),
+    ("weak solution", landmark_effort.weak_solution_cases),
+    ("jumps", landmark_motion.jump_cases),
 )
 """Parts of the study in the order in which they are measured."""
 
