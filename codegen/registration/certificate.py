@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import RegistrationError
-from codegen.registration.coarse import PORTION, Positions
-from codegen.registration.frame import pixel_grid
-from codegen.registration.grid import Extent, Grid, grid_of, mesh, slabs
+from codegen.registration.grid import Extent, Grid, grid_of, mesh, pixel_grid, slabs
 from codegen.registration.maps import ROUND_TRIP, Registration, in_steps
 from codegen.registration.pairs import PointArray
 from codegen.registration.step_bounds import bound_of_steps, is_explicit
+from codegen.registration.warp import PORTION, Positions
 
 SPACING = 8
 """Pixels between those at which det J is evaluated where it is proved to be positive."""

@@ -17,7 +17,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.grid import Extent
 from codegen.registration.maps import Registration, in_steps
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.smoothing import registered
+from codegen.registration.register import registered
 
 ENOUGH = 0.1
 """Error of a map, in pixels, below which its steps are many enough to predict landmarks with."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
 from codegen.registration.flow import Flow
-from codegen.registration.frame import Frame, coarse_grid
-from codegen.registration.grid import Grid, place_text, short
+from codegen.registration.grid import Frame, Grid, coarse_grid, place_text, short
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 

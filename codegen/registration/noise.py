@@ -1,4 +1,17 @@
-"""How large the errors of landmarks are, by their restricted likelihood, and whether that is plausible."""
+"""How large the errors of landmarks are, by their restricted likelihood, and whether that is plausible.
+
+How large the errors of landmarks are, by their restricted likelihood: what near landmarks do not share.
+
+Displacements are taken for an affine trend, a smooth Gaussian field and errors of one variance. What is left without
+the trend has a likelihood (Patterson and Thompson 1971, Biometrika 58(3)) in which the field's variance is eliminated.
+With few landmarks its maximum is often at no errors; therefore the estimate is the mean variance, when all standard
+deviations of errors (Gelman 2006, Bayesian Analysis 1(3)) and all lengths of the field are equally likely before.
+
+The field's covariance is 1/(1 + r^2/(2 l^2)), a mixture of Gaussian ones of all lengths about l (Rasmussen and Williams
+2006, Gaussian Processes for Machine Learning, equation 4.19). The Green's function of the maps is rougher than what
+deforms most images, and takes part of the deformation for errors. Lengths l are at least the distance of landmarks: of
+what changes from each landmark to the next nobody can tell whether it is an error.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +19,127 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import pdist, squareform
 
 from codegen.errors import LandmarkError
 from codegen.registration.grid import Extent
-from codegen.registration.likelihood import LikelySigma, likely_sigma
 from codegen.registration.matching import Matching
 from codegen.registration.outliers import outliers_of
 from codegen.registration.pairs import LandmarkPairs
+
+LONGEST, STEP = 4.0, np.sqrt(2.0)
+"""The longest length in units of the landmarks' radius, and the ratio of one length to the next."""
+RATIOS = np.logspace(-8.0, 2.0, 401)
+"""Variances of errors that are compared, in units of the largest eigenvalue of the field's covariance."""
+BLOCK = 500
+"""Of more landmarks, those of either half of the image are taken for independent of the others, and so on."""
+NOTHING = 1e-9
+"""Displacements that are a smaller share of the landmarks' radius are rounding."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LikelySigma:
+    """The standard deviation of errors in pixels, and the range in which it is with a probability of 68 percent.
+
+    Where the least that was compared is the likeliest, it `may_be_zero`.
+    """
+
+    sigma: float
+    low: float
+    high: float
+    may_be_zero: bool
+
+
+def likely_sigma(places: Array, displacements: Array) -> LikelySigma:
+    """The errors of displacements at places, both of shape (n, d) in pixels, of at least four landmarks."""
+    blocks = [_Block.of(places[k], displacements[k]) for k in _blocks(places)]
+    if max(float(np.abs(block.data).max()) for block in blocks) <= NOTHING * _radius(places):
+        return LikelySigma(0.0, 0.0, 0.0, True)
+    lengths = _lengths(places)
+    curves = np.array([_curve(blocks, length) for length in lengths])
+    sigmas, logarithms = curves[:, 0], curves[:, 1]
+    weights = np.exp(logarithms - logarithms.max()) * np.gradient(sigmas, axis=1) * (lengths / lengths[0])[:, None]
+    sigma = float(np.sqrt((weights * sigmas**2).sum() / weights.sum()))
+    low, high = _quantiles(sigmas.ravel(), weights.ravel(), [0.16, 0.84])
+    return LikelySigma(sigma, low, high, bool(np.argmax(logarithms) % len(RATIOS) == 0))
+
+
+def _quantiles(values: Array, weights: Array, shares: list[float]) -> list[float]:
+    """The values below which are shares of the weight."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return [float(value) for value in np.interp(shares, below / weights.sum(), values[order])]
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Landmarks without their trend: an orthonormal basis of what is free of it, shape (n, m), and the data, (m, d).
+
+    `squares` are squared distances, shape (n, n).
+    """
+
+    squares: Array
+    basis: Array
+    data: Array
+
+    @classmethod
+    def of(cls, places: Array, displacements: Array) -> _Block:
+        count, dimension = places.shape
+        trend = np.ones((count, 1))
+        if count >= 2 * (dimension + 1):  # fewer say more of their errors if they are not fitted by an affine map
+            trend = np.hstack([trend, places - places.mean(axis=0)])
+        basis = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
+        return cls(squareform(pdist(places, "sqeuclidean")), basis, basis.T @ displacements)
+
+    def parts(self, length: float) -> tuple[Array, Array]:
+        """Eigenvalues of the field's covariance, and squares of the data along its eigenvectors, shape (m,)."""
+        covariance = 1.0 / (1.0 + self.squares / (2.0 * length**2))
+        values, vectors = np.linalg.eigh(self.basis.T @ covariance @ self.basis)
+        return np.maximum(values, 0.0), ((vectors.T @ self.data) ** 2).sum(axis=1)
+
+
+def _curve(blocks: list[_Block], length: float) -> tuple[Array, Array]:
+    """Standard deviations of errors, and logarithms of their likelihoods, for a field of some length."""
+    values, squares = (np.concatenate(part) for part in zip(*(b.parts(length) for b in blocks), strict=True))
+    ratios = RATIOS * values.max()
+    dimension = blocks[0].data.shape[1]
+    count = dimension * len(values)
+    variances = values + ratios[:, None]
+    field = (squares / variances).sum(axis=1) / count
+    logarithms = -0.5 * (count * np.log(field) + dimension * np.log(variances).sum(axis=1))
+    return np.sqrt(field * ratios), logarithms
+
+
+def _radius(places: Array) -> float:
+    """The root mean square distance from the middle."""
+    return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def _lengths(places: Array) -> Array:
+    """The lengths of fields that are compared, in pixels."""
+    count, dimension = places.shape
+    # A square or cube with this radius has this side, and its landmarks this distance from each other.
+    distance = np.sqrt(12.0 / dimension) * _radius(places) / count ** (1.0 / dimension)
+    number = 1 + int(np.log(LONGEST * _radius(places) / distance) / np.log(STEP))
+    return np.asarray(distance * STEP ** np.arange(number))
+
+
+def _blocks(places: Array) -> list[NDArray[np.intp]]:
+    """The numbers of landmarks in blocks of at most `BLOCK`, by halves of the longest extent."""
+    found, waiting = list[NDArray[np.intp]](), [np.arange(len(places))]
+    while waiting:
+        block = waiting.pop()
+        if len(block) <= BLOCK:
+            found.append(block)
+            continue
+        axis = int(np.argmax(np.ptp(places[block], axis=0)))
+        block = block[np.argsort(places[block, axis], kind="stable")]
+        waiting += [block[: len(block) // 2], block[len(block) // 2 :]]
+    return found
+
 
 FEWEST = 4
 """Of fewer landmarks, no error can be told from a deformation."""

@@ -2,6 +2,12 @@
 
 Forces are written for arrays of any floating type, so that they serve scipy in double and the textbook's equations in
 extended precision.
+
+The equations of a step in their textbook form and extended precision, evaluated on the states that a module returns.
+
+For H = |p|^2/2 + V(q) with f = -V_q. Nothing of the generated code takes part. Source of all forms: Hairer, Lubich and
+Wanner (2006), Geometric numerical integration, I.1 and VI.3; variational schemes are taken on their Hamiltonian side,
+Marsden and West (2001), section 2.6.
 """
 
 from __future__ import annotations

@@ -13,10 +13,9 @@ pytest.importorskip("tornado", reason="tornado is not installed")
 from codegen.errors import ModuleError
 from codegen.registration.app import page, preparing, solving
 from codegen.registration.app.autosave import Store
-from codegen.registration.app.live import LiveWork
+from codegen.registration.app.live import LiveWork, Works
 from codegen.registration.app.picture import Picture
 from codegen.registration.app.session import Session
-from codegen.registration.app.works import Works
 
 SHAPE = (30, 40)
 WINDOW = [0.0, 0.0, 40.0, 30.0, 40, 30]

@@ -10,10 +10,9 @@ from small_pictures import SHAPE, two_pictures
 from codegen.errors import CodegenError, RegistrationError
 from codegen.registration import LandmarkPairs, certificate, chosen_alignment, register, warp
 from codegen.registration.app import exports, reading, solving
-from codegen.registration.app.picture import Picture
+from codegen.registration.app.picture import SIDE, Picture, tile
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import Settings, pairs_of
-from codegen.registration.app.tiles import SIDE, tile
 from codegen.registration.images import read_image
 
 RNG = np.random.default_rng(5)

@@ -25,7 +25,7 @@ from codegen.errors import ClusterError
 from codegen.registration.batches.lines import read_summary
 from codegen.registration.batches.pairing import Places, jobs_in_folder
 from codegen.registration.batches.work import BatchWork, Pair, Place
-from codegen.registration.job import run as run_pair
+from codegen.registration.job import run_pictures as run_pair
 from codegen.registration.jobs import Options
 
 pytestmark = pytest.mark.usefixtures("solver")

@@ -16,14 +16,13 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.app.session import Task
 from codegen.registration.app.solving import arguments, frame, grid, whole
 from codegen.registration.certificate import certify_with_positions
-from codegen.registration.coarse import Positions
 from codegen.registration.fields import displacements, write_field
 from codegen.registration.formats import FORMATS, Frames, landmark_texts
 from codegen.registration.images import write_image
 from codegen.registration.maps import Registration
 from codegen.registration.pixels import in_pixels
 from codegen.registration.register import register
-from codegen.registration.warp import warp
+from codegen.registration.warp import Positions, warp
 
 FRAMES, FRAME_MILLISECONDS = 21, 70
 PAPER = (255, 255, 255, 255)

@@ -6,19 +6,18 @@ import json
 import math
 import struct
 from collections.abc import Mapping
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.registration.app import solving
 from codegen.registration.app.operations import ALIGNMENTS, INTERPOLATIONS, SCHEMES
-from codegen.registration.app.picture import Picture
+from codegen.registration.app.picture import SIDE, Picture
 from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
 from codegen.registration.app.session import Session, Task
-from codegen.registration.app.solving import Certified, Seen, Shown
+from codegen.registration.app.solving import Certified, Look, Seen, Shown
 from codegen.registration.app.state import MOST_PAIRS, Pair, Work
-from codegen.registration.app.tiles import SIDE
 from codegen.registration.formats import FORMATS
 
 Values: TypeAlias = dict[str, Any]
@@ -150,3 +149,37 @@ def packed(header: Mapping[str, Any], image: NDArray[np.uint8]) -> bytes:
     height, width = image.shape[:2]
     text = json.dumps({**header, "width": width, "height": height}, allow_nan=False).encode()
     return struct.pack("<I", len(text)) + text + image.tobytes()
+
+
+class Line(Protocol):
+    """The way to a browser's tab."""
+
+    def send(self, message: Mapping[str, Any] | bytes) -> None:
+        """Send values or a packed picture; whoever is gone hears nothing."""
+
+
+class Tab:
+    """One picture is on its way at a time; of those that come meanwhile only the newest is sent."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+        self.look = Look()
+        self._number = 0
+        self._busy = False
+        self._next: tuple[Seen, int] | None = None
+
+    def show(self, shown: Seen, revision: int) -> None:
+        """Send a picture, now or when the one before it has been drawn."""
+        if self._busy:
+            self._next = (shown, revision)
+            return
+        self._busy = True
+        self._number += 1
+        self.line.send(seen(shown, self._number, revision))
+
+    def drawn(self) -> None:
+        """The tab has drawn what it was sent."""
+        self._busy = False
+        if self._next is not None:
+            following, self._next = self._next, None
+            self.show(*following)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import PurePath
@@ -135,3 +136,20 @@ def _range(pixels: NDArray[Any]) -> tuple[float, float]:
         return 0.0, 0.0
     low, high = np.percentile(values, [SATURATED, 100.0 - SATURATED])
     return (float(low), float(high)) if high > low else (float(values.min()), float(values.max()))
+
+
+SIDE = 512
+"""Pixels along each side of a tile; those at the right and at the lower edge have what is left."""
+
+
+def tile(picture: Picture, level: int, column: int, row: int) -> bytes | None:
+    """A tile of one of the picture's levels, counted from the top left; None where there is none."""
+    if not 0 <= level < len(picture.levels) or min(column, row) < 0:
+        return None
+    top, left = row * SIDE, column * SIDE
+    part = picture.levels[level][top : top + SIDE, left : left + SIDE]
+    if not part.size:
+        return None
+    out = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(part)).save(out, "PNG", compress_level=1)
+    return out.getvalue()

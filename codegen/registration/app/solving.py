@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from codegen.errors import RegistrationError
 from codegen.registration.app.picture import Picture, rgba
 from codegen.registration.app.session import Task
-from codegen.registration.frame import coarse_grid
+from codegen.registration.grid import coarse_grid
 from codegen.registration.jobs import out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration

@@ -14,8 +14,8 @@ from codegen import __version__
 from codegen.engines.tally import SOLVED, Tally
 from codegen.errors import one_line
 from codegen.files import replacing
+from codegen.registration.fields import written_with
 from codegen.registration.jobs import Job, Options
-from codegen.registration.volumes.two_files import written_with
 
 SUMMARY = "summary.csv"
 COLUMNS = (

@@ -18,7 +18,6 @@ from codegen.engines.machines import Target, alone, compiled_note, target
 from codegen.engines.tally import LOST
 from codegen.engines.work import Abandoned, Done
 from codegen.errors import ClusterError, CodegenError, FileError
-from codegen.registration.any_job import run
 from codegen.registration.batches.lines import (
     Digests,
     Line,
@@ -31,6 +30,7 @@ from codegen.registration.batches.lines import (
     written_by,
 )  # fmt: skip
 from codegen.registration.flow import threads_at_most
+from codegen.registration.job import run
 from codegen.registration.jobs import Job, Options
 from codegen.registration.solver import is_compiled, registration_module
 

@@ -20,7 +20,7 @@ from codegen.plots.style import AMBER, BLUE, RED
 from codegen.registration.grid import Grid, mesh
 from codegen.registration.pair_pictures import Picture
 from codegen.registration.pairs import PointArray
-from codegen.registration.volumes.results import VolumeResult
+from codegen.registration.volumes.warp import VolumeResult
 
 LONGEST = 240
 """Voxels of the longer side of a slice that are shown."""

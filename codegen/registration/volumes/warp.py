@@ -1,4 +1,6 @@
-"""Where voxels come from, by slabs: cubic splines between exactly mapped nodes, and exact places where these err.
+"""Warped volumes: places by slabs on a coarse grid of nodes, samples by blocks, and the result of a pair.
+
+Where voxels come from, by slabs: cubic splines between exactly mapped nodes, and exact places where these err.
 
 As for pictures in `codegen.registration.coarse`, nothing is proved of the splines' errors. They are measured at all
 nodes, with those of the splines through every second one; a quarter of that is taken for the error, and what is larger
@@ -9,7 +11,9 @@ all directions as the spacing allows; only one slab of places is in memory at a 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -19,9 +23,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter
 
-from codegen.registration.coarse import HALVING, basis
-from codegen.registration.grid import Grid, mesh
+from codegen.registration.grid import Grid, mesh, slabs
+from codegen.registration.jobs import Outcome
 from codegen.registration.pairs import PointArray
+from codegen.registration.volumes.files import Volume
+from codegen.registration.warp import HALVING, ORDERS, basis, sample_band, spline_of
 
 BOUND = 5e-4
 """The largest error of a place in finest spacings: a thousandth of a voxel is promised, and fields are rounded."""
@@ -31,7 +37,7 @@ FEWEST = 6
 """Intervals along an axis, at least: every second node must determine a cubic spline."""
 CHEAP = 12
 """Half the distance makes eight times as many nodes, each of which has to be worth more than a voxel."""
-CHECKED, PORTION = 256, 32
+CHECKED, NODES_PORTION = 256, 32
 """Cells at whose centres the spline is compared with exact places, and how many of them at once."""
 
 Map: TypeAlias = Callable[[PointArray], PointArray]
@@ -105,7 +111,9 @@ class Nodes:
         if not len(centres):
             return self
         places = self.grid.to_places(centres)
-        found = np.concatenate([self._at(centres[k : k + PORTION]) for k in range(0, len(centres), PORTION)])
+        found = np.concatenate(
+            [self._at(centres[k : k + NODES_PORTION]) for k in range(0, len(centres), NODES_PORTION)]
+        )
         errors = np.linalg.norm(found - (self.function(places) - places), axis=1)
         doubtful = self.doubtful.copy()
         doubtful[tuple(chosen[inside][~(errors <= bound)].T)] = True
@@ -173,3 +181,74 @@ def _multiplied(axis: int, matrix: Any, values: NDArray[np.float64]) -> NDArray[
     first = np.moveaxis(values, axis, 0)
     made = matrix @ first.reshape(len(first), -1)
     return np.moveaxis(made.reshape(-1, *first.shape[1:]), 0, axis)
+
+
+BLOCKS_PORTION = 1 << 19
+"""Voxels whose places are in memory at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """Samples of the result, shape (slices, rows, columns), and how many of them come from outside the source.
+
+    `field`, shape (slices, rows, columns, 3), or None if it was not asked for, is what is added to the place of a voxel
+    of the result to come to that in the source at which its value is read.
+    """
+
+    samples: NDArray[Any]
+    outside: int
+    field: NDArray[np.float32] | None
+
+
+def warped(source: Volume, nodes: Nodes, interpolation: str, with_field: bool = False, fill: float = 0.0) -> Warped:
+    """The source in the grid of the nodes, whose map says where voxels come from; its dtype is kept."""
+    grid, order = nodes.grid, ORDERS[interpolation]
+    samples = np.empty(grid.shape, source.samples.dtype)
+    field = np.empty((*grid.shape, 3), np.float32) if with_field else None
+    layer, outside = spline_of(source.samples, order), 0
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for part in _parts(grid):
+            shifts = nodes.slab(part)
+            if field is not None:
+                field[part] = shifts
+            indices = _sources(source.grid, grid, part, shifts)
+
+            def one(k: int, first: int = part.start, indices: NDArray[np.float64] = indices) -> int:
+                return sample_band([layer], indices[k], source.samples.shape, order, fill, samples[first + k])
+
+            outside += sum(pool.map(one, range(len(indices))))
+    return Warped(samples, outside, field)
+
+
+def _parts(grid: Grid) -> list[slice]:
+    columns, rows, slices = grid.size
+    return list(slabs(slices, max(1, BLOCKS_PORTION // (columns * rows))))
+
+
+def _sources(source: Grid, grid: Grid, part: slice, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Indices (column, row, slice) in the source of the voxels of some slices, shape (slices, rows, columns, 3)."""
+    columns, rows, _ = grid.size
+    lines = [np.arange(float(columns)), np.arange(float(rows)), np.arange(float(part.start), float(part.stop))]
+    places = grid.to_places(mesh(lines))
+    places = places + shifts.reshape(places.shape)
+    return source.to_indices(places).reshape(shifts.shape)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VolumeResult(Outcome):
+    """What a job found of volumes, with all that a report shows."""
+
+    moving: Volume
+    fixed: Volume | None
+    inverse: bool = False
+    warped: Warped | None = None
+
+    @property
+    def source(self) -> Volume:
+        """The volume that is warped."""
+        return self.fixed if self.inverse and self.fixed is not None else self.moving
+
+    @property
+    def target(self) -> Volume | None:
+        """The volume in whose frame the result is, if there is one."""
+        return self.moving if self.inverse else self.fixed
