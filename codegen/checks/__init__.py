@@ -11,35 +11,12 @@ from pathlib import Path
 from codegen import compiler, emit, naming, schemes
 from codegen.author.data_files import recorded_files
 from codegen.author.sources import Source, settings_of, source_of
+from codegen.checks import particles
 from codegen.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
-from codegen.checks.derivation import (
-    area_preservation,
-    boundary_rank,
-    consistency,
-    discrete_equations,
-    integrals,
-    midpoint_equivalence,
-    momentum_matching,
-    noether,
-    null_controls,
-    path_modes,
-    switches,
-    symplecticity,
-)
-from codegen.checks.derivation.phases import phase_contexts
+from codegen.checks.derivation import consistency, discrete_equations, null_spaces, one_step, path_modes, phases
 from codegen.checks.evaluation import NoPointError
-from codegen.checks.module import (
-    assembly,
-    derivatives,
-    given_values,
-    layout,
-    measurements,
-    provenance,
-    sparsity,
-    tables,
-)
-from codegen.checks.particles import pairwise
-from codegen.checks.solution import delays, holonomic_drift, inner_times, optimum, second_order
+from codegen.checks.module import assembly, derivatives, given_values, layout, tables
+from codegen.checks.solution import motion, optimum
 from codegen.checks.solution import sensitivities as of_sensitivities
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.interfaces import is_of_particles
@@ -53,61 +30,65 @@ from codegen.naming import Choices
 __all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "context_of", "run"]
 
 _ROWS = (
-    Check("layout", layout.check, runs_the_module=False),
-    Check("derivatives", derivatives.check),
-    Check("sparsity", sparsity.check, without={"simulate": "a step of a simulation has a dense Jacobian"}),
+    Check("layout", layout.check_layout, runs_the_module=False),
+    Check("derivatives", derivatives.check_derivatives),
+    Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
     Check(
         "given values", given_values.check, without={"simulate": "a simulation gives no values but those of its start"}
     ),
     Check("assembly", assembly.check, without={"simulate": "a simulation solves step after step"}),
-    Check("tables", tables.check),
-    Check("measurements", measurements.check, without={"simulate": "a simulation fits nothing"}),
-    Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
-    Check("integrals", integrals.check, runs_the_module=False, of_each_phase=True),
-    Check("momentum matching", momentum_matching.check),
+    Check("tables", tables.check_tables),
+    Check("measurements", tables.check_measurements, without={"simulate": "a simulation fits nothing"}),
+    Check("discrete equations", discrete_equations.check_discrete_equations, runs_the_module=False, of_each_phase=True),
+    Check("integrals", discrete_equations.check_integrals, runs_the_module=False, of_each_phase=True),
+    Check("momentum matching", discrete_equations.check_momentum_matching),
     Check(
         "discrete Noether",
-        noether.check,
+        one_step.check_noether,
         runs_the_module=False,
         of_each_phase=True,
         without={"first-order": "a first-order system has no momenta"},
     ),
-    Check("consistency", consistency.check, runs_the_module=False),
+    Check("consistency", consistency.check_consistency, runs_the_module=False),
     Check(
         "symplecticity",
-        symplecticity.check,
+        one_step.check_symplecticity,
         runs_the_module=False,
         of_each_phase=True,
         without={"first-order": "a first-order system has no symplectic form"},
     ),
     Check(
         "area preservation",
-        area_preservation.check,
+        one_step.check_area_preservation,
         runs_the_module=False,
         of_each_phase=True,
         without={"first-order": "a first-order system has no phase plane of q and p"},
     ),
     Check(
         "midpoint equivalence",
-        midpoint_equivalence.check,
+        consistency.check_midpoint_equivalence,
         runs_the_module=False,
         of_each_phase=True,
         without={"first-order": "a first-order system has no discrete Lagrangian"},
     ),
-    Check("boundary rank", boundary_rank.check, without={"simulate": "a simulation has no boundary value problem"}),
+    Check(
+        "boundary rank",
+        null_spaces.check_boundary_rank,
+        without={"simulate": "a simulation has no boundary value problem"},
+    ),
     Check(
         "null controls",
-        null_controls.check,
+        null_spaces.check_null_controls,
         of_each_phase=True,
         without={"simulate": "a simulation has no controls to be found"},
     ),
     Check("path between nodes", path_modes.check, without={"simulate": "a simulation has no path conditions"}),
-    Check("holonomic drift", holonomic_drift.check),
-    Check("inner times", inner_times.check, without={"simulate": "a simulation has no conditions on the way"}),
-    Check("switches", switches.check),
-    Check("delays", delays.check, without={"simulate": "a simulation has no values of the past"}),
-    Check("second-order condition", second_order.check, without={"simulate": "a simulation minimises nothing"}),
-    Check("optimum", optimum.check, without={"simulate": "a simulation minimises nothing"}),
+    Check("holonomic drift", motion.check_holonomic_drift),
+    Check("inner times", motion.check_inner_times, without={"simulate": "a simulation has no conditions on the way"}),
+    Check("switches", phases.check_switches),
+    Check("delays", motion.check_delays, without={"simulate": "a simulation has no values of the past"}),
+    Check("second-order condition", optimum.check_second_order, without={"simulate": "a simulation minimises nothing"}),
+    Check("optimum", optimum.check_optimum, without={"simulate": "a simulation minimises nothing"}),
     Check("sensitivities", of_sensitivities.check, without={"simulate": "a simulation minimises nothing"}),
 )
 
@@ -141,10 +122,10 @@ def run(
             source, settings, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
         ).path
     if is_of_particles(load(module)):
-        return Findings(pairwise.findings(source, settings, choices, module))
+        return Findings(particles.particle_findings(source, settings, choices, module))
     context, text = _prepared(source, settings, choices, module)
     inputs = naming.origin_of(source, settings, choices).inputs
-    findings = list(provenance.compare(module, context.module, inputs, text))
+    findings = list(layout.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
     whole = context.model
@@ -178,18 +159,18 @@ def apply(name: str, context: Context, seconds: float = math.inf) -> list[Findin
 
 def _found(name: str, context: Context) -> Iterator[Finding]:
     check = CHECKS[name]
-    if check.runs_the_module and not all(finding.passed for finding in layout.check(context)):
+    if check.runs_the_module and not all(finding.passed for finding in layout.check_layout(context)):
         yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
         return
     for kind in (context.model.task, context.model.form):
         if kind in check.without:
             yield does_not_apply(name, check.without[kind])
             return
-    phases = phase_contexts(context) if check.of_each_phase else []
-    if len(phases) < 2:
+    parts = phases.phase_contexts(context) if check.of_each_phase else []
+    if len(parts) < 2:
         yield from _evidence(check, context)
         return
-    found = [(phase, finding) for phase, own in phases for finding in _evidence(check, own)]
+    found = [(phase, finding) for phase, own in parts for finding in _evidence(check, own)]
     if not any(finding.applies for _, finding in found):
         yield found[0][1]
         return

@@ -16,7 +16,7 @@ import sympy
 from simulation_systems import model_of, module_of
 
 from codegen import schemes
-from codegen.checks.derivation.symplecticity import has_symplectic_table
+from codegen.checks.derivation.one_step import has_symplectic_table
 from codegen.compiler import generate
 from codegen.discretise.nodes import LENGTHS, STEP
 from codegen.drivers.fsolve import simulate as fsolve

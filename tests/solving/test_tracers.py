@@ -10,7 +10,7 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen.checks.particles import tracers
+from codegen.checks import particles
 from codegen.compiler import build
 from codegen.errors import ExpressionError, ModuleError, NumericsError
 from codegen.model.from_file import load_problem
@@ -269,7 +269,7 @@ def findings(module):
     states = [0.4 * scale * generator.uniform(-1.0, 1.0, (2, 3, 2)) for scale in (1.0, 0.02)]
 
     def made_findings(**changes):
-        return list(tracers.findings(replace(model, **changes), made, states))
+        return list(particles.tracer_findings(replace(model, **changes), made, states))
 
     return made_findings
 

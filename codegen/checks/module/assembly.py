@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
 from codegen.checks.base import Context, Finding, not_measured
-from codegen.checks.evaluation import DIGITS, Function, directional, function_of, gradient
-from codegen.checks.module.agreement import Agreement
-from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import few_steps, other_symbols
+from codegen.checks.evaluation import DIGITS, Agreement, Function, directional, function_of, gradient
+from codegen.checks.module.flat_vector import FlatVector, few_steps, other_symbols
 from codegen.expressions import checks as expressions
 from codegen.model import Model
 from codegen.runtime.search import callbacks

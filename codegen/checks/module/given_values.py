@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from sympy import Expr
 
 from codegen.checks.base import Context, Finding
-from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import few_steps
+from codegen.checks.module.flat_vector import FlatVector, few_steps
 from codegen.expressions import checks as expressions
 from codegen.model import Model
 from codegen.model.definitions import prescribed

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ExtraError, ImageError
-from codegen.registration.images.header import Header
+from codegen.registration.images.kinds import Header
 
 MODES = {"L": 1, "LA": 2, "RGB": 3, "RGBA": 4}
 ORIENTATION = 0x0112

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ExtraError, ImageError
-from codegen.registration.images.header import Header
+from codegen.registration.images.kinds import Header
 
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
 DEFLATE = (8, 32946)
