@@ -13,9 +13,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import mpmath
 import sympy
+from sympy.solvers.ode.systems import matrix_exp
 
-from codegen.errors import ArgumentError, DegenerateError
+from codegen.errors import ArgumentError, BoundaryError, DegenerateError
+from codegen.expressions import checks as expressions
 from codegen.model import Boundary, Model
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.legendre import new_symbols, solve_blocks
@@ -147,3 +150,115 @@ def parameter_values(model: Model, values: Mapping[str, float] | None) -> dict[s
         if name not in known:
             raise ArgumentError(f"{model.name} has no parameter {name}", f"use one of {', '.join(known) or 'none'}")
     return model.default_values | {known[name]: float(value) for name, value in (values or {}).items()}
+
+
+_SIMPLIFY_LIMIT = 600
+
+
+@dataclass(frozen=True)
+class ExactOptimum:
+    """The optimum in closed form: the cost in the parameters, states and controls also in the time."""
+
+    model: Model
+    cost: sympy.Expr
+    states: tuple[sympy.Expr, ...]
+    controls: tuple[sympy.Expr, ...]
+
+    def cost_at(self, values: Mapping[str, float] | None = None) -> float:
+        """The cost as a number; `values` override defaults by name. Raises ArgumentError for an unknown name."""
+        numbers = parameter_values(self.model, values)
+        function = sympy.lambdify(list(numbers), self.cost, modules="mpmath", cse=True)
+        with mpmath.workdps(40):
+            # Complex conjugate eigenvalues may leave an imaginary part of rounding size behind.
+            return float(mpmath.re(function(*map(mpmath.mpf, numbers.values()))))
+
+
+def exact_optimum(model: Model) -> ExactOptimum | None:
+    """Solve the necessary conditions in closed form when they are linear with constant coefficients, else None.
+
+    None also when the eigenvalues are roots of a higher degree than radicals serve well. Raises as
+    `necessary_conditions` does, and BoundaryError when the boundary conditions do not determine the trajectory.
+
+    With z = (x, psi) the eliminated Hamiltonian is quadratic, K = z.Sz/2 + g.z + c, and z' = J dK/dz. Integrating
+    d(psi.x)/dt = psi.dK/dpsi - x.dK/dx and K = C + psi.x' gives the cost without quadrature:
+    J = (psi(0).x(0) - psi(T).x(T))/2 + integral of g.z/2 + cT, and g.z is integrated by one more linear equation.
+    """
+    conditions = necessary_conditions(model)
+    z = [*conditions.states, *conditions.costates]
+    substitution = dict(zip(model.controls, conditions.optimal_control, strict=True))
+    eliminated = conditions.hamiltonian.xreplace(substitution)
+    if _is_surely_curved(eliminated, z, model):
+        return None
+    reduced = sympy.expand(eliminated)
+    at_zero = dict.fromkeys(z, sympy.S.Zero)
+    gradient = sympy.Matrix([reduced.diff(symbol) for symbol in z])
+    hessian = gradient.jacobian(z).applyfunc(sympy.cancel)
+    if hessian.has(*z, model.time) or reduced.has(model.time):
+        return None
+    slope, half = gradient.xreplace(at_zero), len(conditions.states)
+    # Unknowns of the linear flow: z, and, when g is not zero, the constant 1 and the integral of g.z.
+    flow = sympy.zeros(2 * half + 2)
+    flow[:half, : 2 * half], flow[:half, 2 * half] = hessian[half:, :], slope[half:, :]
+    flow[half : 2 * half, : 2 * half], flow[half : 2 * half, 2 * half] = -hessian[:half, :], -slope[:half, :]
+    flow[2 * half + 1, : 2 * half] = slope.T
+    if slope.is_zero_matrix:
+        flow = flow[: 2 * half, : 2 * half]
+    solution = _linear_solution(conditions, flow)
+    if solution is None:
+        return None
+    first, last = (solution.subs(model.time, instant) for instant in (sympy.S.Zero, model.duration))
+    boundary_term = [(w[:half, :].T * w[half : 2 * half, :])[0] for w in (first, last)]
+    integral = sympy.S.Zero if slope.is_zero_matrix else last[2 * half + 1]
+    cost = (boundary_term[0] - boundary_term[1] + integral) / 2 + reduced.xreplace(at_zero) * model.duration
+    trajectory = dict(zip(z, solution[: 2 * half], strict=True))
+    return ExactOptimum(
+        model=model,
+        cost=sympy.simplify(cost) if cost.count_ops() < _SIMPLIFY_LIMIT else cost,
+        states=tuple(solution[:half]),
+        controls=tuple(u.xreplace(trajectory) for u in conditions.optimal_control),
+    )
+
+
+def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Model) -> bool:
+    """Whether third differences on some line, in 60 digits, show that a function of z is not quadratic.
+
+    To expand and cancel a long expression takes a minute, only to find the same.
+    """
+    numbers = model.default_values | {model.time: 0.37}
+    evaluate = sympy.lambdify([*z, *numbers], function, modules="mpmath", cse=True)
+    with mpmath.workdps(60):
+        first = [mpmath.mpf(3 + 2 * i) / 17 for i in range(len(z))]
+        slopes = [mpmath.mpf(5 + 7 * i % 11) / 23 for i in range(len(z))]
+        constants = [mpmath.mpf(value) for value in numbers.values()]
+        values = [evaluate(*(a + k * b for a, b in zip(first, slopes, strict=True)), *constants) for k in range(4)]
+        difference = abs(values[3] - 3 * values[2] + 3 * values[1] - values[0])
+        return bool(difference > mpmath.mpf(10) ** -40 * max(abs(value) for value in values))
+
+
+def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sympy.Matrix | None:
+    """The column w(t) with w' = flow w that meets the end equations; None when exp(flow t) has no useful formula."""
+    model, count = conditions.model, 2 * len(conditions.states)
+    eigenvalue = sympy.Dummy("s")
+    factors = sympy.factor_list(flow.charpoly().as_expr(eigenvalue), eigenvalue)[1]
+    quartic = [(factor, count) for factor, count in factors if sympy.degree(factor, eigenvalue) > 2]
+    # One simple quartic without parameters is still practical; nested radicals beyond that stall sympy.
+    if len(quartic) > 1 or any(
+        count > 1 or sympy.degree(factor, eigenvalue) > 4 or factor.free_symbols != {eigenvalue}
+        for factor, count in quartic
+    ):
+        return None
+    # Signs help sympy to write real formulas; being analytic, these hold for the other signs as well.
+    signed = {p: sympy.Dummy(p.name, positive=True) for p, v in model.default_values.items() if v > 0.0}
+    plain = {dummy: p for p, dummy in signed.items()}
+    exponential = matrix_exp(flow.xreplace(signed), model.time).xreplace(plain)
+    z = [*conditions.states, *conditions.costates]
+    initial = sympy.Matrix([*z, 1, 0][: flow.rows])
+    final = exponential.subs(model.time, model.duration) * initial
+    at_end = dict(zip(z, final[:count], strict=True))
+    equations = [*conditions.start, *(equation.xreplace(at_end) for equation in conditions.end)]
+    at_zero = dict.fromkeys(z, sympy.S.Zero)
+    matrix = sympy.Matrix(equations).jacobian(z)
+    if expressions.null_direction([expressions.values_at(matrix, model.default_values)]) is not None:
+        raise BoundaryError("the boundary conditions do not determine the optimum", "fix or free other end values")
+    found = solve_blocks(matrix, [-equation.xreplace(at_zero) for equation in equations])
+    return exponential * sympy.Matrix([*found, 1, 0][: flow.rows])

@@ -21,9 +21,9 @@ from codegen.cli.options import (
     Scheme,
     Set,
     Steps,
+    on_statuses,
     positive,
 )
-from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
@@ -207,7 +207,7 @@ def _kept_of_each(layout: Any) -> str:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
-    from codegen.engines.tally import counted, table_of
+    from codegen.engines.work import counted, table_of
     from codegen.solutions.output import as_json
 
     for line in outcome.said:

@@ -9,10 +9,9 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.horizons.controller import Controller
-from codegen.horizons.interface import number, require_count, vector
+from codegen.horizons.interface import Moving, number, require_count, vector
 from codegen.horizons.plants import PlantFailed, plant_of
 from codegen.horizons.recording import ClosedLoop, Recording
-from codegen.horizons.values import Moving
 from codegen.interfaces import Vector
 
 

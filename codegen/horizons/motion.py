@@ -1,23 +1,47 @@
 """The motion of a module's own model under inputs that are given, by the discrete equations of which plans are made.
 
 Where nothing disturbs it, the state at the end is therefore the one that a plan with these inputs has there.
+
+A controller whose inputs act later than at the time of the measurement: it begins where the state will be by then.
+
+Source: Findeisen and Allgoewer (2004), Computational delay in nonlinear model predictive control, IFAC Proceedings
+Volumes 37(1).
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.horizons.grids import Grids
-from codegen.horizons.interface import Interface
-from codegen.horizons.options import WHOLE
-from codegen.horizons.velocities import velocities_of
+from codegen.horizons.interface import WHOLE, Interface, Values, vector
 from codegen.interfaces import Grid, Indices, Vector
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
+
+VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
+"""One step is enough where kinetic energy is quadratic in velocities."""
+
+
+def velocities_of(momenta: Callable[[Vector], Vector], wanted: Vector, guess: Vector) -> Vector:
+    """The velocities (coordinates,) with the momenta `wanted`, by Newton's method from a guess.
+
+    Its matrix is that of differences over one, exact for a kinetic energy that is quadratic in velocities.
+    """
+    v = guess
+    for _ in range(VELOCITY_NEWTON_STEPS):
+        found = momenta(v)
+        missing = wanted - found
+        if not np.abs(missing).max() > VELOCITY_CLOSE * max(1.0, np.abs(wanted).max()):
+            break
+        v = v + np.linalg.solve(np.column_stack([momenta(v + unit) - found for unit in np.eye(v.size)]), missing)
+    return v
+
 
 NEWTON_STEPS, CLOSE = 20, 1e-10
 """On one interval, and the part of what is solved for that the last of them may be."""
@@ -124,3 +148,45 @@ class Motion:
             return found
 
         return velocities_of(momenta, wanted, state[self._rates])
+
+
+class Delay:
+    """The inputs of the last `samples` sampling times, which last `seconds`, and the state that they will lead to."""
+
+    def __init__(self, interface: Interface, values: Values, motion: Motion, samples: int, seconds: float) -> None:
+        self._interface, self._values, self._motion = interface, values, motion
+        self._samples, self._sample = samples, seconds
+        self.reset()
+
+    def reset(self, inputs: Any = None) -> None:
+        """Have inputs (controls,) on their way that did not come from the controller, zero unless they are given."""
+        names = self._interface.inputs
+        before = np.zeros(len(names)) if inputs is None else vector(inputs, names, "the array of inputs")
+        self._waiting = deque([before] * self._samples, self._samples)
+
+    def append(self, inputs: Vector) -> None:
+        """Send inputs (controls,) on their way; the first of the others have acted by then."""
+        self._waiting.append(inputs.copy())
+
+    def state_after(self, state: Vector, t: float, own: Mapping[str, float] | None) -> Vector | None:
+        """What the state (states,) of a time t is at the end of the delay; None where its motion cannot be followed.
+
+        Run-time values are those of the times on the way; the controller's `own` hold at all of them.
+        """
+        given = self._values.given(t, own)
+        for k, inputs in enumerate(self._waiting, 1):
+            later = self._values.given(t + k * self._sample, own)
+            found = self._motion(state, inputs, given, later)
+            if found is None:
+                return None
+            state, given = found, later
+        return state
+
+
+def delay_of(
+    module: Any, interface: Interface, values: Values, samples: int, seconds: float, intervals: float
+) -> Delay | None:
+    """The delay of a controller whose sampling time lasts so many seconds, or `intervals` of its plan; None without."""
+    if not samples:
+        return None
+    return Delay(interface, values, Motion(module, interface, seconds, intervals), samples, seconds)

@@ -13,9 +13,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.horizons.interface import Interface, module_of
-from codegen.horizons.values import Moving, Values
-from codegen.horizons.velocities import velocities_of
+from codegen.horizons.interface import Interface, Moving, Values, module_of
+from codegen.horizons.motion import velocities_of
 from codegen.interfaces import Vector, is_control, is_of_particles, is_simulation
 from codegen.solutions.given_values import parameter_arguments
 

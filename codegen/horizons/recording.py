@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.horizons.controller import Controller
-from codegen.horizons.feedback import Feedback
+from codegen.horizons.controller import Controller, Feedback
 from codegen.interfaces import Matrix, Vector
 from codegen.tasks import Home
 

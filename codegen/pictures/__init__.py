@@ -14,7 +14,7 @@ from codegen.interfaces import GeneratedModule, is_control
 from codegen.model import Model
 from codegen.pictures.scene import fine_times, scene
 from codegen.plots import animation
-from codegen.plots.segments import first_guess
+from codegen.plots.quantities import first_guess_of_segments
 from codegen.solutions.result import Result
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def figure_of(
     if isinstance(model, Model) and model.drawing:
         drawings = scene(model.authored, result, fine_times(result.t))
         if is_control(module):
-            guess = first_guess(module, result)
+            guess = first_guess_of_segments(module, result)
             drawings = plots.Drawings(drawings, scene(model.authored, guess, fine_times(guess.t)))
     return plots.figure(module, result, drawings, unit, style)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
 from codegen.runtime.search.convergence import sizes_of_terms
-from codegen.solutions.finer_grids import carried, cut
+from codegen.solutions.between_nodes import carried, cut
 
 PARTS = 8
 """In how many parts an interval is cut, and then what surrounds the largest change."""

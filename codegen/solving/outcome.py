@@ -29,9 +29,7 @@ from codegen.solutions.stages import stages_beyond
 from codegen.solving.accuracy.double_steps import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.multistart import best_of
-from codegen.solving.other_observations import with_observations
-from codegen.solving.other_tables import with_tables
-from codegen.solving.other_values import with_values
+from codegen.solving.other_values import with_observations, with_tables, with_values
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
 from codegen.solving.run import run_and_verify

@@ -13,20 +13,27 @@ from typing import Any
 import numpy as np
 
 from codegen.drivers import find
-from codegen.engines.tally import SOLVED
+from codegen.engines.work import LOST, SOLVED
 from codegen.errors import CodegenError, one_line
 from codegen.interfaces import Vector, is_connect
-from codegen.solutions.result import Outline, Run
+from codegen.solutions.result import STATUSES, Outline, Run
 from codegen.solutions.segments import segments_of
 from codegen.solving.multistart import varied as varied_guess
-from codegen.solving.other_tables import with_arguments
+from codegen.solving.other_values import with_arguments
 from codegen.solving.refinement import transferred
 from codegen.sweeping.continuation import Start
 from codegen.sweeping.layout import Shapes
-from codegen.sweeping.quantities import GUESS, STEPS, Quantity, given_to
-from codegen.sweeping.rates import CaseRates, Wanted
-from codegen.sweeping.statuses import NOT_BUILT, UNUSABLE
+from codegen.sweeping.quantities import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.tasks import task_of
+
+UNUSABLE, NOT_BUILT = "unusable", "not built"
+OF_SWEEPS = {
+    UNUSABLE: "a number of the case cannot be used, as a duration that is negative",
+    NOT_BUILT: "the module of the case could not be derived",
+    LOST: "process after process ended while it solved the case's chunk",
+}
+"""Statuses that single solves do not have: there they are errors."""
+MEANINGS = {**STATUSES, **OF_SWEEPS}
 
 
 @dataclass(frozen=True)

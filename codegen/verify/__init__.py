@@ -13,10 +13,9 @@ from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
 from codegen.verify.control import verify_control
 from codegen.verify.couplings import verify_couplings
-from codegen.verify.execution import Text
+from codegen.verify.execution import Text, verify_tables
 from codegen.verify.particles import verify_particles
 from codegen.verify.steps import verify_step
-from codegen.verify.tables import verify_tables
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:

@@ -11,9 +11,8 @@ from sympy import S, Symbol
 from codegen.lower.control.layout import parameters
 from codegen.transcribe.program import ControlProgram, Coupling
 from codegen.verify.execution import Text
-from codegen.verify.mixed import columns_of
 from codegen.verify.points import random_points
-from codegen.verify.shares import Share, ShareComparison
+from codegen.verify.shares import Share, ShareComparison, columns_of
 
 _DRAWN = 30
 _TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_INDICES")

@@ -11,8 +11,7 @@ from sympy import Expr, Symbol
 from codegen.expressions.checks import rounded_at
 from codegen.transcribe.step_program import StepProgram
 from codegen.verify.execution import Text
-from codegen.verify.judgement import complex_numbers, judge, step_of
-from codegen.verify.multiprecision import EXACT, SIZED, Sized, difference, sized
+from codegen.verify.judgement import EXACT, SIZED, Sized, complex_numbers, difference, judge, sized, step_of
 from codegen.verify.points import Values, finite_points, random_points
 from codegen.verify.tape import Arithmetic, Tape
 

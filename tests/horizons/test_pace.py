@@ -8,8 +8,7 @@ from horizon_problems import STEPS, exactly, regulator
 
 import codegen
 from codegen.horizons import judgement
-from codegen.horizons.judgement import BestIterate
-from codegen.horizons.pace import MOST, Expectation, Pace
+from codegen.horizons.judgement import MOST, BestIterate, Expectation, Pace
 from codegen.runtime.search import cascade, descent
 from codegen.runtime.search.iterates import search_on
 from codegen.runtime.search.point import evaluate

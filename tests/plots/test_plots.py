@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from codegen import plots, solving
 from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.plots import panels, purposes, style, words
-from codegen.plots.picture import Picture
+from codegen.plots import panels, purposes, style
+from codegen.plots.picture import Picture, words_of
 from codegen.plots.quantities import Inequality, Quantity
 
 
@@ -258,7 +258,7 @@ class TestStyles:
 class TestWords:
     def test_a_figure_says_what_it_shows_with_units(self, interpreted):
         result = solving.solve(interpreted("driven", DRIVEN), steps=40)
-        text = words.words_of(plots.simulation_figure(result))
+        text = words_of(plots.simulation_figure(result))
         assert text.startswith("Drive an oscillator. variational, midpoint, 40 steps. Shown: theta_1 (m) from ")
         low, high = result.q.min(), result.q.max()
         assert f"theta_1 (m) from {low:.3g} to {high:.3g}; " in text

@@ -20,7 +20,7 @@ from small_batches import batch, make
 from codegen.engines import ENGINES
 from codegen.engines.journal import journal_of
 from codegen.engines.processes import TRIES
-from codegen.engines.tally import LOST
+from codegen.engines.work import LOST
 from codegen.errors import ClusterError
 from codegen.registration.batches.lines import read_summary
 from codegen.registration.batches.pairing import Places, jobs_in_folder

@@ -16,7 +16,7 @@ from codegen.report import section, settings, study
 from codegen.report.measure import landmark_motion
 from codegen.report.sections import questions
 from codegen.report.store import Case, Store
-from codegen.solutions.intersecting_paths import intersecting_paths
+from codegen.solutions.connect import intersecting_paths
 
 
 @pytest.fixture

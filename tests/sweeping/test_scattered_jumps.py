@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from codegen.sweeping.improving import improved
+from codegen.sweeping.jumps import improved
 from codegen.sweeping.scattered import scattered
 
 SMOOTH = {

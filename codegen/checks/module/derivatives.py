@@ -47,11 +47,11 @@ from codegen.expressions.table_functions import numbers_of
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Model
 from codegen.runtime.stepping.steps import part_of_step
-from codegen.solutions.fit import plain
+from codegen.solutions.estimates import plain
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement
 from codegen.transcribe.step_program import StepProgram
-from codegen.verify.arithmetic import CONTINUED
 from codegen.verify.couplings import shared_symbols
+from codegen.verify.judgement import CONTINUED
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)
 """Parts of a step's length that are tried in turn."""

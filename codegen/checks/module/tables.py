@@ -24,7 +24,7 @@ from codegen.checks.evaluation import (
 from codegen.checks.module.flat_vector import other_symbols, parameter_vector, pattern_of
 from codegen.expressions.table_functions import tables_of
 from codegen.model import Model
-from codegen.solutions.fit import plain
+from codegen.solutions.estimates import plain
 from codegen.tables.data import TableData
 from codegen.tables.evaluation import ORDERS
 from codegen.transcribe.program import ControlProgram, SampleElement

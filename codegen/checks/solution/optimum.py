@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
-from codegen.analysis.exact_optimum import exact_optimum
-from codegen.analysis.maximum_principle import beyond_maximum_principle
+from codegen.analysis.maximum_principle import beyond_maximum_principle, exact_optimum
 from codegen.analysis.reference_optimum import reference_optimum
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.errors import CodegenError

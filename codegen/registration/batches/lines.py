@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from codegen import __version__
-from codegen.engines.tally import SOLVED, Tally
+from codegen.engines.work import SOLVED, Tally
 from codegen.errors import one_line
 from codegen.files import replacing
 from codegen.registration.fields import written_with

@@ -17,9 +17,8 @@ from typing import Any
 from codegen.engines import connected
 from codegen.engines import journal as journals
 from codegen.engines.journal import Journal, journal_of
-from codegen.engines.tally import LOST, SOLVED, Tally
 from codegen.engines.team import Progress, Team, Working, silent
-from codegen.engines.work import Done
+from codegen.engines.work import LOST, SOLVED, Done, Tally
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers
 from codegen.registration.batches.lines import COLUMNS, Line, options_digest, read_summary, tally_of, write_summary

@@ -15,8 +15,7 @@ from typing import Any
 
 from codegen import loading
 from codegen.engines.machines import Target, alone, compiled_note, target
-from codegen.engines.tally import LOST
-from codegen.engines.work import Abandoned, Done
+from codegen.engines.work import LOST, Abandoned, Done
 from codegen.errors import ClusterError, CodegenError, FileError
 from codegen.registration.batches.lines import (
     Digests,

@@ -26,7 +26,7 @@ from codegen.runtime.search.solve import corrected_cost
 from codegen.solutions.control import held_at_bounds
 from codegen.solutions.result import DiscretisationError, Result
 from codegen.solutions.segments import segments_of
-from codegen.solving.accuracy.estimate import NEGLIGIBLE, sizes_of
+from codegen.solving.accuracy.arcs import NEGLIGIBLE, sizes_of
 from codegen.solving.refinement import order_of_optima
 
 STEPS, CONTRACTION, SETTLED = 4, 0.5, 0.1
