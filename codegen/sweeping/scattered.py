@@ -85,7 +85,10 @@ class _Cloud:
         back = np.einsum("nmk,nmk->nm", self.weights[1], own[self.around[near]] - own[near][..., None])
         with np.errstate(invalid="ignore"):
             off = np.where(np.isnan(self.seconds), np.nan, np.stack([step - ahead, -step - back]))
-            usual = self._usual(np.abs(off) / self.seconds)
+            # The middle one of errors (2, n, m) about each case (n,).
+            errors = np.abs(off) / self.seconds
+            each = _middle(np.concatenate([errors[0], errors[1]], axis=1))
+            usual = _middle(np.column_stack([each, each[self.around]]))
             smooth = np.fmax(*self.seconds) * np.fmax(usual[:, None], usual[near])
             both = np.isfinite(off).all(axis=0)
             bent = np.where(both, OFF * smooth + BENT * np.abs(off[0] + off[1]), OFF_AT_ENDS * smooth)
@@ -97,11 +100,6 @@ class _Cloud:
             found = [np.argwhere(sought & (least > allowed)) for least in (up, down)]
         pairs = [(near[case, k], case) for case, k in found[0]] + [(case, near[case, k]) for case, k in found[1]]
         return iter({(int(self.own[worse]), int(self.own[better])) for worse, better in pairs})
-
-    def _usual(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The middle one of errors (2, n, m) about each case (n,)."""
-        each = _middle(np.concatenate([errors[0], errors[1]], axis=1))
-        return _middle(np.column_stack([each, each[self.around]]))
 
     def behind(self, worse: int, better: int) -> list[int]:
         """The neighbours of a case that lie away from another one."""

@@ -285,18 +285,14 @@ def resumed(path: Path, frame: Frame, digest: str) -> SweepJournal:
     if attributes.get(DIGEST) != digest:
         raise ArgumentError(f"--resume: {path} is the store of another sweep", ANOTHER)
     found = read_journal(journal_of(path), digest)
-    _require_whole(path, frame, found)
-    return found
-
-
-def _require_whole(path: Path, frame: Frame, found: SweepJournal) -> None:
-    """Refuse a store without arrays that it was laid out with, or without chunks that its journal says are whole."""
+    # Refuse a store without arrays that it was laid out with, or without chunks that its journal says are whole.
     for name, (_, values) in frame.coordinates.items():
         _require_files(path, name, [(0,)] if values.size else [])
     places = [tuple(map(int, np.unravel_index(number, found.chunks.counts))) for number in sorted(found.finished)]
     for name, (_, shape, _) in frame.variables.items():
         inner = shape[len(found.chunks.block) :]
         _require_files(path, name, [(*place, *(0 for _ in inner)) for place in places] if 0 not in inner else [])
+    return found
 
 
 def _require_files(path: Path, name: str, places: list[tuple[int, ...]]) -> None:
