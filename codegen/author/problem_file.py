@@ -98,7 +98,25 @@ def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any,
         with _blaming(path):
             exec(code, module.__dict__)
         function = _problem_function(path, module)
-        keywords = _keywords(path, function, arguments)
+        # The `--set` arguments, converted to the types that the parameters of problem() are annotated with.
+        with _blaming(path):
+            signature = inspect.signature(function, eval_str=True)
+        for parameter in signature.parameters.values():
+            if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+                raise _unusable(path, f"problem() takes {parameter}, which has no name for --set", "name each argument")
+            if parameter.default is parameter.empty:
+                raise _unusable(path, f"problem() requires {parameter.name}", f"give {parameter.name} a default value")
+        known = list(signature.parameters)
+        for name in arguments:
+            if name not in known:
+                close = difflib.get_close_matches(name, known, n=1)
+                remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
+                remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
+                if _is_parameter(function, name):
+                    given = f"{name}={arguments[name]}"
+                    remedy = f"{name} is a parameter: give solve --parameter {given}, or sweep --vary {given}; {remedy}"
+                raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
+        keywords = {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
         with _blaming(path), recorded_declarations() as declared:
             return title, function(**keywords), declared
 
@@ -259,28 +277,6 @@ def _problem_function(path: Path, module: ModuleType) -> Callable[..., Any]:
     if inspect.iscoroutinefunction(function):
         raise _unusable(path, "problem() is asynchronous", "write def instead of async def")
     return cast(Callable[..., Any], function)
-
-
-def _keywords(path: Path, function: Callable[..., Any], arguments: Mapping[str, str]) -> dict[str, Any]:
-    """The `--set` arguments, converted to the types that the parameters of problem() are annotated with."""
-    with _blaming(path):
-        signature = inspect.signature(function, eval_str=True)
-    for parameter in signature.parameters.values():
-        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
-            raise _unusable(path, f"problem() takes {parameter}, which has no name for --set", "name each argument")
-        if parameter.default is parameter.empty:
-            raise _unusable(path, f"problem() requires {parameter.name}", f"give {parameter.name} a default value")
-    known = list(signature.parameters)
-    for name in arguments:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
-            remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
-            if _is_parameter(function, name):
-                given = f"{name}={arguments[name]}"
-                remedy = f"{name} is a parameter: give solve --parameter {given}, or sweep --vary {given}; {remedy}"
-            raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
-    return {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
 
 
 def _is_parameter(function: Callable[..., Any], name: str) -> bool:

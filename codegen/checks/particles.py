@@ -40,7 +40,20 @@ def tracer_findings(model: PairwiseModel, module: Any, states: list[Any]) -> Ite
         return
     own, parameters = np.ones((states[0].shape[1], len(model.own))), np.array(model.defaults, dtype=float)
     generator = np.random.default_rng(2)
-    yield from _kernels(model, module, states, own, parameters, generator)
+    errors, slope_errors, size, block = [], [], len(model.coordinates), int(module.BLOCK)
+    for state in states:
+        positions = np.abs(state[0]).max() * generator.uniform(-0.7, 0.7, (size, block))
+        positions[:, 0] = state[0, 0] + 1e-9  # where digits are lost most easily
+        rates, gradients, alone = np.empty(size * block), np.empty(size * size * block), np.empty(size * block)
+        module.tracer_gradient(positions.ravel(), state, own, parameters, rates, gradients)
+        module.tracer_velocity(positions.ravel(), state, own, parameters, alone)
+        for m in range(min(3, block)):
+            velocity, gradient = exact_velocity(model, positions[:, m], state, own)
+            for found in (rates, alone):
+                errors.append(_error(found.reshape(size, block)[:, m], velocity))
+            slope_errors.append(_error(gradients.reshape(size * size, block)[:, m], gradient))
+    yield small_error("derivatives", "velocity of tracer points against 50 digits", max(errors), 1e-12)
+    yield small_error("derivatives", "its derivative by position against 50 digits", max(slope_errors), 1e-12)
     yield _company(module, states[0], own, parameters)
     yield from _way_back(module, states[0], own, parameters, generator)
 
@@ -60,25 +73,6 @@ def exact_velocity(model: PairwiseModel, point: Any, state: Any, own: Any) -> tu
             values = [mpmath.mpf(float(v)) for v in (*point, *state[0, j], *state[1, j], *own[j])]
             totals = [total + value for total, value in zip(totals, function(*values), strict=True)]
     return totals[:size], totals[size:]
-
-
-def _kernels(
-    model: PairwiseModel, module: Any, states: list[Any], own: Any, parameters: Any, generator: np.random.Generator
-) -> Iterator[Finding]:
-    errors, slope_errors, size, block = [], [], len(model.coordinates), int(module.BLOCK)
-    for state in states:
-        positions = np.abs(state[0]).max() * generator.uniform(-0.7, 0.7, (size, block))
-        positions[:, 0] = state[0, 0] + 1e-9  # where digits are lost most easily
-        rates, gradients, alone = np.empty(size * block), np.empty(size * size * block), np.empty(size * block)
-        module.tracer_gradient(positions.ravel(), state, own, parameters, rates, gradients)
-        module.tracer_velocity(positions.ravel(), state, own, parameters, alone)
-        for m in range(min(3, block)):
-            velocity, gradient = exact_velocity(model, positions[:, m], state, own)
-            for found in (rates, alone):
-                errors.append(_error(found.reshape(size, block)[:, m], velocity))
-            slope_errors.append(_error(gradients.reshape(size * size, block)[:, m], gradient))
-    yield small_error("derivatives", "velocity of tracer points against 50 digits", max(errors), 1e-12)
-    yield small_error("derivatives", "its derivative by position against 50 digits", max(slope_errors), 1e-12)
 
 
 def _company(module: Any, state: Any, own: Any, parameters: Any) -> Finding:
@@ -137,7 +131,21 @@ def kernel_findings(model: PairwiseModel, module: Any) -> Iterator[Finding]:
     axis, base = np.eye(size)[0], np.zeros(size)
     if not (_is_inside(model, base) and _is_inside(model, 0.999 * axis)):
         return  # of another domain than space or a ball about the origin, no places are known
-    yield _positive(model, module)
+    # Points all over the unit ball, some of them crowded, and some near its boundary.
+    generator = np.random.default_rng(4)
+    directions = generator.normal(size=(COUNT, len(model.coordinates)))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    radii = np.concatenate([np.linspace(0.05, 0.9, COUNT - 4), [0.99, 0.999, 0.301, 0.302]])
+    places = radii[:, None] * directions
+    places[-1] = places[-2] * 1.001
+    matrix = _matrix(model, module, places)
+    scale = np.sqrt(np.diag(matrix))
+    least = float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
+    symmetric = bool((matrix == matrix.T).all())
+    # What is not positive by rounding alone, as where a smooth kernel meets many points, is no evidence against it.
+    passed = symmetric and least > -COUNT * float(np.finfo(float).eps)
+    detail = f"least eigenvalue {least:.1e} of {COUNT} points, with ones in the diagonal"
+    yield Finding("kernel", "positive definite", passed, detail if symmetric else "the matrix is not symmetric")
     near = [np.stack([base, distance * axis]) for distance in CLOSE]
     yield _agreement(model, module, kernel, near, "the kernel where two points nearly meet, against 50 digits")
     if not _is_inside(model, 1.000001 * axis):
@@ -171,24 +179,6 @@ def _matrix(model: PairwiseModel, module: Any, places: NDArray[np.float64]) -> N
     state, matrix = np.stack([places, np.zeros_like(places)]), np.empty((len(places), len(places)))
     module.momentum_matrix(state, np.ones((len(places), len(model.own))), np.array(model.defaults, dtype=float), matrix)
     return matrix
-
-
-def _positive(model: PairwiseModel, module: Any) -> Finding:
-    """Points all over the unit ball, some of them crowded, and some near its boundary."""
-    generator = np.random.default_rng(4)
-    directions = generator.normal(size=(COUNT, len(model.coordinates)))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    radii = np.concatenate([np.linspace(0.05, 0.9, COUNT - 4), [0.99, 0.999, 0.301, 0.302]])
-    places = radii[:, None] * directions
-    places[-1] = places[-2] * 1.001
-    matrix = _matrix(model, module, places)
-    scale = np.sqrt(np.diag(matrix))
-    least = float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
-    symmetric = bool((matrix == matrix.T).all())
-    # What is not positive by rounding alone, as where a smooth kernel meets many points, is no evidence against it.
-    passed = symmetric and least > -COUNT * float(np.finfo(float).eps)
-    detail = f"least eigenvalue {least:.1e} of {COUNT} points, with ones in the diagonal"
-    return Finding("kernel", "positive definite", passed, detail if symmetric else "the matrix is not symmetric")
 
 
 def _agreement(
@@ -235,7 +225,12 @@ def particle_findings(
     yield from layout.compare(module_path, module, origin.inputs, text)
     generator = np.random.default_rng(1)
     states = [_state(model, generator, scale) for scale in (0.6, 0.6, 1e-2)]
-    yield _value(model, module, states)
+    own, parameters = _own(model), np.array(model.defaults, dtype=float)
+    errors = []
+    for state in states:
+        total, _ = exact(model, state, own)
+        errors.append(abs(float((mpmath.mpf(module.hamiltonian(state, own, parameters)) - total) / total)))
+    yield small_error("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
     if hasattr(module, "hamiltonian_gradient"):
         yield _gradient(model, module, states)
         yield _hessian(model, module, states[0])
@@ -292,15 +287,6 @@ def _functions(model: PairwiseModel) -> tuple[Any, Any]:
         function(single, model.self_term, model.first.moving),
         function(both, model.pair_term, (*model.first.moving, *model.second.moving)),
     )
-
-
-def _value(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:
-    own, parameters = _own(model), np.array(model.defaults, dtype=float)
-    errors = []
-    for state in states:
-        total, _ = exact(model, state, own)
-        errors.append(abs(float((mpmath.mpf(module.hamiltonian(state, own, parameters)) - total) / total)))
-    return small_error("derivatives", "the Hamiltonian against 50 digits", max(errors), 1e-12)
 
 
 def _gradient(model: PairwiseModel, module: Any, states: list[Any]) -> Finding:

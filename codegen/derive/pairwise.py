@@ -62,11 +62,18 @@ def pair_derivatives(model: PairwiseModel) -> PairDerivatives:
         for row, column, value in term.hessian
         if (row // dimension) % 2 != (column // dimension) % 2
     ]
+    # Whether every term is homogeneous of degree two in the momenta.
+    factor = Symbol("factor", positive=True)
+    scaled = {p: factor * p for p in (*model.first.p, *model.second.p)}
+
+    def is_homogeneous(term: Expr) -> bool:
+        return bool(sympy.expand(sympy.factor_terms(term.xreplace(scaled) - factor**2 * term)) == 0)
+
     return PairDerivatives(
         alone=alone,
         pair=pair,
         separable=not mixed,
-        quadratic=_is_quadratic(model),
+        quadratic=(is_homogeneous(model.self_term) and is_homogeneous(model.pair_term)),
         isotropic=_is_isotropic(alone, dimension) and _is_isotropic(pair, dimension),
     )
 
@@ -143,17 +150,6 @@ class _Differences:
             if z in (x, y):
                 total += sympy.diff(expression, d) * (1 if z == x else -1)
         return total
-
-
-def _is_quadratic(model: PairwiseModel) -> bool:
-    """Whether every term is homogeneous of degree two in the momenta."""
-    factor = Symbol("factor", positive=True)
-    scaled = {p: factor * p for p in (*model.first.p, *model.second.p)}
-
-    def is_homogeneous(term: Expr) -> bool:
-        return bool(sympy.expand(sympy.factor_terms(term.xreplace(scaled) - factor**2 * term)) == 0)
-
-    return is_homogeneous(model.self_term) and is_homogeneous(model.pair_term)
 
 
 def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:

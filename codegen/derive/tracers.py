@@ -32,27 +32,6 @@ def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> Tr
     Raises ExpressionError where a particle without momentum does not stay so, where it does not only follow the
     others, or where it would not stay with another one that it meets.
     """
-    _require_passive(model)
-    pair, size = derivatives.pair, len(model.coordinates)
-    known: dict[Symbol, Expr] = dict.fromkeys(model.first.p, sympy.S.Zero)
-    assignments: list[Assignment] = []
-    for symbol, value in (*pair.differences, *pair.scalars, *pair.slopes, *pair.curvatures):
-        reduced = value.xreplace(known)
-        if reduced.is_number:
-            known[symbol] = reduced
-        else:
-            assignments.append((symbol, reduced))
-    entries = {(row, column): value for row, column, value in pair.hessian}
-    return TracerDerivatives(
-        assignments=tuple(assignments),
-        velocity=tuple(value.xreplace(known) for value in pair.gradient[size : 2 * size]),
-        gradient=tuple(
-            entries.get((size + a, b), sympy.S.Zero).xreplace(known) for a in range(size) for b in range(size)
-        ),
-    )
-
-
-def _require_passive(model: PairwiseModel) -> None:
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     for name, term in (("pair_term", model.pair_term), ("self_term", model.self_term)):
         for q in model.first.q:
@@ -73,6 +52,23 @@ def _require_passive(model: PairwiseModel) -> None:
                 "leave out passive=True, or own parameters",
             )
     _require_company(model)
+    pair, size = derivatives.pair, len(model.coordinates)
+    known: dict[Symbol, Expr] = dict.fromkeys(model.first.p, sympy.S.Zero)
+    assignments: list[Assignment] = []
+    for symbol, value in (*pair.differences, *pair.scalars, *pair.slopes, *pair.curvatures):
+        reduced = value.xreplace(known)
+        if reduced.is_number:
+            known[symbol] = reduced
+        else:
+            assignments.append((symbol, reduced))
+    entries = {(row, column): value for row, column, value in pair.hessian}
+    return TracerDerivatives(
+        assignments=tuple(assignments),
+        velocity=tuple(value.xreplace(known) for value in pair.gradient[size : 2 * size]),
+        gradient=tuple(
+            entries.get((size + a, b), sympy.S.Zero).xreplace(known) for a in range(size) for b in range(size)
+        ),
+    )
 
 
 def _require_company(model: PairwiseModel) -> None:

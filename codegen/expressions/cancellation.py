@@ -41,7 +41,11 @@ def without_cancellation(expression: Expr) -> Expr:
     """
     logs = sorted(expression.atoms(sympy.log), key=sympy.default_sort_key)
     if not logs:
-        return _shortest(expression)
+        # The expression or its factored form, whichever has fewer operations.
+        candidates = [expression, sympy.factor_terms(expression)]
+        if not expression.has(sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max):
+            candidates.append(_rational(expression))
+        return min(candidates, key=lambda e: (e.count_ops(), len(str(e))))
     expanded = sympy.expand(expression, deep=False, mul=True, log=False, power_base=False)
     try:
         polynomial = sympy.Poly(expanded, *logs)
@@ -71,11 +75,3 @@ def _rational(expression: Expr) -> Expr:
     """
     seed(0)
     return sympy.factor(sympy.together(expression))
-
-
-def _shortest(expression: Expr) -> Expr:
-    """The expression or its factored form, whichever has fewer operations."""
-    candidates = [expression, sympy.factor_terms(expression)]
-    if not expression.has(sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max):
-        candidates.append(_rational(expression))
-    return min(candidates, key=lambda e: (e.count_ops(), len(str(e))))

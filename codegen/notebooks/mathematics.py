@@ -150,19 +150,15 @@ def _rows(part: _Part) -> Iterator[str]:
         yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
         yield from _bounds(problem, part)
     if part.number <= 1:
-        yield from _units(part)
-
-
-def _units(part: _Part) -> Iterator[str]:
-    """What has a unit, in a row: parameters with their values, others in brackets."""
-    written = []
-    for symbol in part.quantities:
-        if hasattr(symbol, "unit"):
-            unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
-            given = rf" = {symbol.value:g}\," if isinstance(symbol, Parameter) else r"\;"
-            written.append(part.print_(symbol) + given + (unit if isinstance(symbol, Parameter) else f"[{unit}]"))
-    for first in range(0, len(written), _IN_A_ROW):
-        yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(written[first : first + _IN_A_ROW])
+        # What has a unit, in a row: parameters with their values, others in brackets.
+        written = []
+        for symbol in part.quantities:
+            if hasattr(symbol, "unit"):
+                unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
+                given = rf" = {symbol.value:g}\," if isinstance(symbol, Parameter) else r"\;"
+                written.append(part.print_(symbol) + given + (unit if isinstance(symbol, Parameter) else f"[{unit}]"))
+        for first in range(0, len(written), _IN_A_ROW):
+            yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(written[first : first + _IN_A_ROW])
 
 
 def _objective(problem: Control, part: _Part) -> Iterator[str]:

@@ -240,15 +240,11 @@ def measures_of(data: Dataset) -> dict[str, NDArray[np.float64]]:
     if _has_cost(data):
         return {"cost": data["cost"].values}
     names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
-    ends = np.moveaxis(_at_end(data), -1, 0)
-    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
-
-
-def _at_end(data: Dataset) -> NDArray[np.float64]:
-    """The last values of q that are numbers: arrays of fewer steps end in NaN."""
+    # The last values of q that are numbers: arrays of fewer steps end in NaN.
     q = data["q"].transpose(..., "node", "coordinate").values
     number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
-    return np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :])
+    ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
+    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
 
 
 def is_failed(data: Dataset) -> NDArray[np.bool_]:

@@ -51,7 +51,12 @@ def pareto_figure(data: Dataset, objectives: tuple[Objective, Objective]) -> Fig
     if not solved.all():
         _failed(axes, one[~solved], other[~solved])
     for objective, values, is_first in ((objectives[0], one, True), (objectives[1], other, False)):
-        _axis(axes, objective, values, is_first)
+        # Its name, with the direction that is better, and its scale.
+        named = _named(objective.name) + (" (larger is better)" if objective.is_large else "")
+        (axes.set_xlabel if is_first else axes.set_ylabel)(named)
+        finite = values[np.isfinite(values)]
+        if finite.size > 1 and finite.min() > 0.0 and finite.max() > _WIDE * finite.min():
+            (axes.set_xscale if is_first else axes.set_yscale)("log")
     handles, names = axes.get_legend_handles_labels()
     shown = [(handle, name) for handle, name in zip(handles, names) if name != "dominated" or beside.size]
     figure.legend(*zip(*shown), loc="outside lower center", ncols=len(shown))
@@ -110,15 +115,6 @@ def _failed(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     is_seen = bool(has_x or has_y)
     name = f"{x.size} failed" if is_seen else f"{x.size} failed: no objectives"
     axes.plot([], [], **(look if is_seen else {**look, "marker": ""}), label=name)
-
-
-def _axis(axes: Any, objective: Objective, values: NDArray[np.float64], is_first: bool) -> None:
-    """Its name, with the direction that is better, and its scale."""
-    named = _named(objective.name) + (" (larger is better)" if objective.is_large else "")
-    (axes.set_xlabel if is_first else axes.set_ylabel)(named)
-    finite = values[np.isfinite(values)]
-    if finite.size > 1 and finite.min() > 0.0 and finite.max() > _WIDE * finite.min():
-        (axes.set_xscale if is_first else axes.set_yscale)("log")
 
 
 def _named(name: str) -> str:

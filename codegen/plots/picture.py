@@ -37,7 +37,12 @@ def _panel(axes: Any) -> str:
     if not name and not over:
         what = ", ".join([*filter(None, titles), *_entries(axes)])
         return f"a drawing of the system{f' ({what})' if what else ''}" if axes.has_data() or axes.artists else what
-    low, high = _range(axes)
+    # The least and the greatest value of all curves of a panel that have more than two points.
+    tables = [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines if np.size(line.get_ydata()) > 2]
+    tables += [np.asarray(step.get_data().values, dtype=float) for step in axes.patches if hasattr(step, "get_data")]
+    values = np.concatenate([np.zeros(0), *(table.ravel() for table in tables)])
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (1.0, 0.0)
     words = [name or next(filter(None, titles), "") or ", ".join(_entries(axes))]
     words += [f"from {low:.3g} to {high:.3g}"] if low <= high and name else []
     words += [f"over {over}"] if over and not over.startswith("time") else []
@@ -49,15 +54,6 @@ def _entries(axes: Any) -> list[str]:
     """The entries of a panel's legend."""
     legend = axes.get_legend() or next(iter(axes.figure.legends), None)
     return [_plain(text.get_text()) for text in legend.get_texts()] if legend is not None else []
-
-
-def _range(axes: Any) -> tuple[float, float]:
-    """The least and the greatest value of all curves of a panel that have more than two points."""
-    tables = [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines if np.size(line.get_ydata()) > 2]
-    tables += [np.asarray(step.get_data().values, dtype=float) for step in axes.patches if hasattr(step, "get_data")]
-    values = np.concatenate([np.zeros(0), *(table.ravel() for table in tables)])
-    finite = values[np.isfinite(values)]
-    return (float(finite.min()), float(finite.max())) if finite.size else (1.0, 0.0)
 
 
 def _plain(text: str) -> str:

@@ -84,7 +84,9 @@ def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None
                 for artist in _artists(item, body, shot, room, colour, alpha):
                     axes.add_artist(artist)
         if isinstance(item, Trail) and count > 1:
-            _mark_ends(axes, item)
+            x, y = item.point
+            axes.plot(x[:, 0], y[:, 0], "o", color=DARK, markersize=4, markerfacecolor="white", zorder=4)
+            axes.plot(x[:, -1], y[:, -1], "s", color="black", markersize=5, zorder=4)
     legend(axes, scene, ends=True)
 
 
@@ -109,12 +111,6 @@ def _shots(item: Item, bodies: int, shots: np.ndarray) -> list[int]:
     if bodies > 1 and not isinstance(item, Arrow):
         return [int(shots[0]), int(shots[-1])]
     return [int(shot) for shot in shots]
-
-
-def _mark_ends(axes: Any, trail: Trail) -> None:
-    x, y = trail.point
-    axes.plot(x[:, 0], y[:, 0], "o", color=DARK, markersize=4, markerfacecolor="white", zorder=4)
-    axes.plot(x[:, -1], y[:, -1], "s", color="black", markersize=5, zorder=4)
 
 
 def legend(axes: Any, scene: Scene, *, ends: bool) -> None:

@@ -79,7 +79,10 @@ def certificate_of(
         return _certified_in_slabs(registration, whole, inverse), None
     if bounds is None:
         return certify_with_positions(registration, shape, inverse=inverse)
-    points = _sparse(registration, whole, inverse)
+    # Every so-many-th pixel, the last row and column, and the pixels about landmarks, where det J is least smooth.
+    lines = [np.unique(np.append(np.arange(0, length, SPACING), length - 1)).astype(float) for length in whole.size]
+    landmarks = registration.pairs.moving if inverse else registration.pairs.fixed
+    points = np.vstack([whole.to_places(mesh(lines)), _about(landmarks, whole, NEAR)])
     _, determinants = (registration.leaving if inverse else registration.arriving)(points)
     points, determinants = _about_extremes(registration, whole, inverse, points, determinants)
     found = _certificate(registration, whole, inverse, points, determinants)
@@ -116,13 +119,6 @@ def _bounds(registration: Registration, grid: Grid) -> NDArray[np.float64] | Non
         return None
     least = NODES if grid.dimension == 3 else 0  # in space few nodes take less time than all voxels of a small volume
     return bound_of_steps(registration.flow, max(least, int(grid.count / CHEAPER)))
-
-
-def _sparse(registration: Registration, grid: Grid, inverse: bool) -> PointArray:
-    """Every so-many-th pixel, the last row and column, and the pixels about landmarks, where det J is least smooth."""
-    lines = [np.unique(np.append(np.arange(0, length, SPACING), length - 1)).astype(float) for length in grid.size]
-    landmarks = registration.pairs.moving if inverse else registration.pairs.fixed
-    return np.vstack([grid.to_places(mesh(lines)), _about(landmarks, grid, NEAR)])
 
 
 def _about(points: PointArray, grid: Grid, reach: int) -> PointArray:
@@ -215,7 +211,14 @@ def _certificate(
 
 
 def _judged(registration: Registration, grid: Grid, inverse: bool, found: _Found) -> Certificate:
-    round_trip = _round_trip(registration, grid, inverse)
+    # The farthest that a point comes back from where it was, in pixels; infinite where one does not come back.
+    there, back = registration.map_points_inverse, registration.map_points
+    landmarks = registration.pairs.fixed
+    if inverse:
+        there, back, landmarks = back, there, registration.pairs.moving
+    points = np.vstack([grid.samples(SENT[grid.dimension]), landmarks])
+    distance = float(np.linalg.norm(back(there(points)) - points, axis=1).max())
+    round_trip = distance if np.isfinite(distance) else np.inf
     return Certificate(
         found.least,
         found.largest,
@@ -242,14 +245,3 @@ def _message(registration: Registration, round_trip: float, found: _Found) -> st
     if registration.status != "solved":
         return registration.message
     return f"the map does not fold: det J is at least {found.least:.4g}"
-
-
-def _round_trip(registration: Registration, grid: Grid, inverse: bool) -> float:
-    """The farthest that a point comes back from where it was, in pixels; infinite where one does not come back."""
-    there, back = registration.map_points_inverse, registration.map_points
-    landmarks = registration.pairs.fixed
-    if inverse:
-        there, back, landmarks = back, there, registration.pairs.moving
-    points = np.vstack([grid.samples(SENT[grid.dimension]), landmarks])
-    distance = float(np.linalg.norm(back(there(points)) - points, axis=1).max())
-    return distance if np.isfinite(distance) else np.inf

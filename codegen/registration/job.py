@@ -296,7 +296,12 @@ NOTE = (
 def run_volumes(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> VolumeResult:
     """Do a job; CodegenError for wrong input, and a result that has not passed where the numerics failed."""
     seconds: dict[str, float] = {}
-    _require_volume_writable(job, options)
+    if options.flip:
+        raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
+    files.require_written(job.out)
+    if job.field is not None:
+        files.require_field(job.field)
+    require_places(job, options)
     with timed(seconds, "read"):
         moving, fixed, pairs = _read_volumes(job)
         files.require_written(job.out, (fixed if options.inverse and fixed else moving).samples.dtype)
@@ -320,15 +325,6 @@ def run_volumes(job: Job, options: Options, progress: Callable[[str], None] | No
         with timed(seconds, "write"):
             _write_volume(job, result)
     return result
-
-
-def _require_volume_writable(job: Job, options: Options) -> None:
-    if options.flip:
-        raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
-    files.require_written(job.out)
-    if job.field is not None:
-        files.require_field(job.field)
-    require_places(job, options)
 
 
 def _read_volumes(job: Job) -> tuple[Volume, Volume | None, LandmarkPairs]:

@@ -58,7 +58,12 @@ def likely_sigma(places: Array, displacements: Array) -> LikelySigma:
     blocks = [_Block.of(places[k], displacements[k]) for k in _blocks(places)]
     if max(float(np.abs(block.data).max()) for block in blocks) <= NOTHING * _radius(places):
         return LikelySigma(0.0, 0.0, 0.0, True)
-    lengths = _lengths(places)
+    # The lengths of fields that are compared, in pixels.
+    count, dimension = places.shape
+    # A square or cube with this radius has this side, and its landmarks this distance from each other.
+    distance = np.sqrt(12.0 / dimension) * _radius(places) / count ** (1.0 / dimension)
+    number = 1 + int(np.log(LONGEST * _radius(places) / distance) / np.log(STEP))
+    lengths = np.asarray(distance * STEP ** np.arange(number))
     curves = np.array([_curve(blocks, length) for length in lengths])
     sigmas, logarithms = curves[:, 0], curves[:, 1]
     weights = np.exp(logarithms - logarithms.max()) * np.gradient(sigmas, axis=1) * (lengths / lengths[0])[:, None]
@@ -116,15 +121,6 @@ def _curve(blocks: list[_Block], length: float) -> tuple[Array, Array]:
 def _radius(places: Array) -> float:
     """The root mean square distance from the middle."""
     return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
-
-
-def _lengths(places: Array) -> Array:
-    """The lengths of fields that are compared, in pixels."""
-    count, dimension = places.shape
-    # A square or cube with this radius has this side, and its landmarks this distance from each other.
-    distance = np.sqrt(12.0 / dimension) * _radius(places) / count ** (1.0 / dimension)
-    number = 1 + int(np.log(LONGEST * _radius(places) / distance) / np.log(STEP))
-    return np.asarray(distance * STEP ** np.arange(number))
 
 
 def _blocks(places: Array) -> list[NDArray[np.intp]]:

@@ -123,37 +123,12 @@ def render(result: Outcome, shown: list[Picture], note: str) -> str:
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("pair.html.j2")
     record = result.record
-    return template.render(
-        title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=_subtitle(record),
-        passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
-        pictures=shown, columns=columns(result.pairs.dimension, record["summary"].get("length_unit", "")),
-        rows=_rows(result), note=note,
-        environment=_environment(record),
-    )  # fmt: skip
-
-
-def columns(dimension: int, unit: str = "") -> tuple[str, ...]:
-    """The headings of the table of landmarks; errors have more columns in the unit that a picture carries."""
-    places = [f"{image} {axis}" for image in ("moving", "fixed") for axis in "xyz"[:dimension]]
-    lengths = (f"residual, {unit}", f"left out, {unit}") if unit else ()
-    return ("landmark", *places, "residual", "left out", *lengths, "")
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + "." if text else ""
-
-
-def _subtitle(record: dict[str, Any]) -> str:
-    """The files, by their names alone: a page may travel."""
+    # The files, by their names alone: a page may travel.
     names = [f"moving: {Path(record['moving']).name}"]
     names += [f"fixed: {Path(record['fixed']).name}"] if record["fixed"] else []
     names.append("landmarks: " + " and ".join(Path(name).name for name in record["landmarks"]))
     if record["status"] == "solved":
         names.append(f"written to: {Path(record['out']).name}")
-    return ", ".join(names)
-
-
-def _rows(result: Outcome) -> list[Row]:
     pairs = result.pairs
     residuals = result.registration.residuals if result.registration is not None else np.full(len(pairs), np.nan)
     left_out = result.left_out.errors if result.left_out is not None else np.full(len(pairs), np.nan)
@@ -169,7 +144,24 @@ def _rows(result: Outcome) -> list[Row]:
         made.append(Row(cells, k in outliers))
     if len(pairs) > MOST_ROWS:
         made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(made[0].cells) - 1)), False))
-    return made
+    return template.render(
+        title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=", ".join(names),
+        passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
+        pictures=shown, columns=columns(result.pairs.dimension, record["summary"].get("length_unit", "")),
+        rows=made, note=note,
+        environment=_environment(record),
+    )  # fmt: skip
+
+
+def columns(dimension: int, unit: str = "") -> tuple[str, ...]:
+    """The headings of the table of landmarks; errors have more columns in the unit that a picture carries."""
+    places = [f"{image} {axis}" for image in ("moving", "fixed") for axis in "xyz"[:dimension]]
+    lengths = (f"residual, {unit}", f"left out, {unit}") if unit else ()
+    return ("landmark", *places, "residual", "left out", *lengths, "")
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + "." if text else ""
 
 
 def _environment(record: dict[str, Any]) -> str:

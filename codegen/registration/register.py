@@ -119,7 +119,10 @@ class _Search:
             here, excess = float(np.log(found.matching.strength)), float(np.log(scale / target))
             sigma, unit = self.matching.sigma, self.matching.unit
             self.say(f"solve {self.solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
-            if self._is_enough(found, excess):
+            # Whether residuals are of the right size, or smaller although the alignment does nearly all.
+            aligned = found.matching.ridge >= 0.99 * ALIGNED * Linear.of(found.matching).largest
+            settled = self.loss == "linear" or self.solves > 3
+            if (abs(excess) <= CLOSE and settled) or (aligned and excess < 0.0):
                 break
             low, high = (here, high) if excess < 0.0 else (low, here)
             known.append((here, excess))
@@ -130,12 +133,6 @@ class _Search:
                 break
             found = following
         return self._finished(found)
-
-    def _is_enough(self, found: Registration, excess: float) -> bool:
-        """Whether residuals are of the right size, or smaller although the alignment does nearly all."""
-        aligned = found.matching.ridge >= 0.99 * ALIGNED * Linear.of(found.matching).largest
-        settled = self.loss == "linear" or self.solves > 3
-        return (abs(excess) <= CLOSE and settled) or (aligned and excess < 0.0)
 
     def _first(self, velocities: NDArray[np.float64] | None) -> Registration:
         """A solution with the first strength, or with a larger one where that has none."""

@@ -192,15 +192,11 @@ def _largest_gradients_in_disc(flow: Flow, nodes: int) -> NDArray[np.float64]:
     for s, state in enumerate(flow.points):
         for block in blocks:
             module.tracer_gradient(block, state, flow.case.own, flow.case.parameters, rates, gradients)
-            found[s] = max(found[s], float(_norms(gradients.reshape(4, -1)).max()))
+            # Spectral norms of matrices whose entries are rows.
+            a, b, c, d = gradients.reshape(4, -1)
+            # The larger singular value: a matrix is a similarity and a mirrored one, whose stretches add.
+            found[s] = max(found[s], float(np.asarray(0.5 * (np.hypot(a + d, c - b) + np.hypot(a - d, c + b))).max()))
     return found
-
-
-def _norms(gradients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Spectral norms of matrices whose entries are rows."""
-    a, b, c, d = gradients
-    # The larger singular value: a matrix is a similarity and a mirrored one, whose stretches add.
-    return np.asarray(0.5 * (np.hypot(a + d, c - b) + np.hypot(a - d, c + b)))
 
 
 def _blocks(nodes: int, size: int) -> Iterator[NDArray[np.float64]]:

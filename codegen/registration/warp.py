@@ -76,21 +76,24 @@ def map_grid(
     while largest > SMALLEST and 6 * largest > min(height, width):
         largest //= 2
     if spacing is None or 6 * largest > min(height, width):
-        return Positions(_exact(function, height, width))
+        # Where every pixel is mapped to, shape (h, w, 2), of which few are on their way at once.
+        places = np.empty((height * width, 2))
+        for begin in range(0, len(places), PORTION):
+            rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
+            places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
+        return Positions(places.reshape(height, width, 2))
     if spacing == "auto":
-        return _automatic(function, (height, width), singular, largest, bound)
+        # Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add.
+        grid = _Grid.exact(function, ((height, width)), largest)
+        while grid.spacing > SMALLEST:
+            doubtful = grid.doubtful(grid.errors(), singular, bound)
+            if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
+                break
+            grid = grid.refined(function)
+        return _completed(function, grid, singular, bound)
     if spacing not in (2, 4, 8, 16, 32):
         raise ArgumentError(f"the spacing is {spacing!r}", "give 2, 4, 8, 16, 32 or auto")
     return _completed(function, _Grid.exact(function, (height, width), min(spacing, largest)), singular, bound)
-
-
-def _exact(function: Map, height: int, width: int) -> NDArray[np.float64]:
-    """Where every pixel is mapped to, shape (h, w, 2), of which few are on their way at once."""
-    places = np.empty((height * width, 2))
-    for begin in range(0, len(places), PORTION):
-        rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
-        places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
-    return places.reshape(height, width, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,17 +156,6 @@ def _at_cells(errors: NDArray[np.float64]) -> NDArray[np.float64]:
 def _nodes(length: int, spacing: int) -> NDArray[np.float64]:
     cells = 2 * -(-length // (2 * spacing))
     return spacing * np.arange(cells + 1.0)
-
-
-def _automatic(function: Map, shape: tuple[int, int], singular: PointArray, largest: int, bound: float) -> Positions:
-    """Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add."""
-    grid = _Grid.exact(function, shape, largest)
-    while grid.spacing > SMALLEST:
-        doubtful = grid.doubtful(grid.errors(), singular, bound)
-        if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
-            break
-        grid = grid.refined(function)
-    return _completed(function, grid, singular, bound)
 
 
 def _completed(function: Map, grid: _Grid, singular: PointArray, bound: float) -> Positions:
@@ -292,7 +284,12 @@ def warp_reported(
 ) -> tuple[NDArray[Any], WarpReport]:
     """The same as `warp`, and a report."""
     image = np.asarray(pixels)
-    _require_image(image, interpolation)
+    if interpolation not in ORDERS:
+        raise ArgumentError(f"interpolation is {interpolation!r}", f"use {', '.join(ORDERS)}")
+    if image.ndim not in (2, 3) or image.size == 0:
+        raise ImageError(f"the image has shape {image.shape}", "give (height, width) or (height, width, channels)")
+    if image.dtype.kind not in "uif":
+        raise ImageError(f"the image's values are of type {image.dtype}", "give integers or floating-point numbers")
     default = registration.shape if inverse else registration.fixed_shape
     found = positions or sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
     warped, outside = sample(image, found.places, ORDERS[interpolation], fill)
@@ -372,12 +369,3 @@ def as_type(values: Any, dtype: np.dtype[Any]) -> Any:
         return values.astype(dtype, copy=False)
     limits = np.iinfo(dtype)
     return np.clip(np.rint(values), limits.min, limits.max).astype(dtype)
-
-
-def _require_image(image: NDArray[Any], interpolation: str) -> None:
-    if interpolation not in ORDERS:
-        raise ArgumentError(f"interpolation is {interpolation!r}", f"use {', '.join(ORDERS)}")
-    if image.ndim not in (2, 3) or image.size == 0:
-        raise ImageError(f"the image has shape {image.shape}", "give (height, width) or (height, width, channels)")
-    if image.dtype.kind not in "uif":
-        raise ImageError(f"the image's values are of type {image.dtype}", "give integers or floating-point numbers")

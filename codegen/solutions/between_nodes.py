@@ -266,7 +266,9 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
     violation = np.abs(values) if row.equality else np.maximum(values, 0.0)
     at_nodes = np.maximum(violation[:, :, :1], violation[:, :, -1:])
     beyond: NDArray[np.float64] = np.nan_to_num(violation - at_nodes, nan=0.0, posinf=0.0)[:, :, 1:-1]
-    beyond[:, ~_of_phases(row, beyond.shape[1], steps)] = 0.0
+    # Which intervals belong to the phases of a condition, without the first behind a switch.
+    phase, number = np.divmod(np.arange(beyond.shape[1]), steps)
+    beyond[:, ~np.asarray(np.isin(phase, row.phases) & ((phase == 0) | (number > 0)))] = 0.0
     if beyond.max(initial=0.0) <= 0.0:
         return None
     with np.errstate(invalid="ignore"):
@@ -282,9 +284,3 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
         time += (int(met["number"]) - 1) * (sampled.times[-1] - sampled.times[0])
     worst, own = (body, interval, part), int(body) if metadata["bodies"] > 1 else None
     return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own)
-
-
-def _of_phases(row: _Row, intervals: int, steps: int) -> NDArray[np.bool_]:
-    """Which intervals belong to the phases of a condition, without the first behind a switch."""
-    phase, number = np.divmod(np.arange(intervals), steps)
-    return np.asarray(np.isin(phase, row.phases) & ((phase == 0) | (number > 0)))

@@ -46,11 +46,7 @@ def _outcome(case: Case, seen: Measurement) -> tuple[str, str]:
         if case.h_omega > seen.stable_below:
             return "unsuitable", f"unsuitable, {_stable(case, seen)}: {seen.message}"
         return "refused", seen.message
-    return _outcome_of_solved(case, seen)
-
-
-def _outcome_of_solved(case: Case, seen: Measurement) -> tuple[str, str]:
-    """What a claim of success is worth."""
+    # What a claim of success is worth.
     if not seen.finite:
         return "not a number", "solved, with results that are infinite or no numbers"
     if not seen.residual <= seen.tolerance:
@@ -64,7 +60,12 @@ def _outcome_of_solved(case: Case, seen: Measurement) -> tuple[str, str]:
         return "bounded", f"energy within {seen.drift:.1e}{_limit(case, seen)}"
     if math.isnan(seen.drift) and math.isnan(case.drift):
         return "bounded", f"the equations hold to {seen.residual:.1e}"
-    return "unsuitable", _unsuitable(case, seen)
+    grown = f"energy changes by {seen.drift:.1e} of itself"
+    return "unsuitable", (
+        f"unsuitable at this step: {grown}"
+        if math.isnan(seen.stable_below)
+        else f"unsuitable, {_stable(case, seen)}: {grown}"
+    )
 
 
 def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
@@ -82,15 +83,6 @@ def _limit(case: Case, seen: Measurement) -> str:
     resolved = not case.h_omega > 0.5
     coarse = "" if resolved else f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})"
     return coarse + (f", stable below {seen.stable_below:.3f}" if math.isfinite(seen.stable_below) else "")
-
-
-def _unsuitable(case: Case, seen: Measurement) -> str:
-    grown = f"energy changes by {seen.drift:.1e} of itself"
-    return (
-        f"unsuitable at this step: {grown}"
-        if math.isnan(seen.stable_below)
-        else f"unsuitable, {_stable(case, seen)}: {grown}"
-    )
 
 
 def _stable(case: Case, seen: Measurement) -> str:

@@ -27,12 +27,18 @@ def measure(module: Any, case: Case) -> Measurement:
     seconds = time.perf_counter() - begin
     expected = EXPECTATIONS[result.task]
     error = REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else float("nan")
+    arrays = (result.q, result.p, result.u, result.unknowns)
+    # The error of the cost that a doubled grid shows, relative to the cost.
+    estimate = result.summary.get("cost_error_estimate", float("nan"))
     return Measurement(
         status=result.status,
         message=result.message,
-        finite=_is_finite(result),
+        finite=(
+            all(a is None or bool(np.isfinite(a).all()) for a in arrays)
+            and (result.cost is None or bool(np.isfinite(result.cost)))
+        ),
         error=error,
-        announced=_announced(result),
+        announced=(estimate / abs(result.cost) if result.cost else estimate),
         residual=result.residual if result.stationarity is None else max(result.residual, result.stationarity),
         tolerance=expected.tolerance(varied, case, result),
         textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else float("nan"),
@@ -54,7 +60,20 @@ def with_values(module: Any, case: Case) -> Any:
         if original is not None:
             setattr(varied, name, lambda *given, _call=original, **more: _call(*given, **{**values, **more}))
     if case.noise:
-        vars(varied).update(_with_poor_guess(varied, case.noise))
+        # Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one.
+        guessed, solved = varied.initial_guess, varied.solve
+
+        def initial_guess(grid: Any) -> Any:
+            free, guess = varied.primal_unknowns(grid), guessed(grid)
+            size = np.maximum(1.0, np.abs(guess[free]))
+            guess[free] += case.noise * size * np.random.default_rng(1).standard_normal(free.size)
+            return guess
+
+        def solve(steps: int, guess: Any = None, **more: Any) -> Any:
+            start = initial_guess(varied.make_grid(steps)) if guess is None else guess
+            return solved(steps=steps, guess=start, **more)
+
+        vars(varied).update({"initial_guess": initial_guess, "solve": solve})
     return varied
 
 
@@ -70,23 +89,6 @@ def as_keywords(values: Values) -> dict[str, Any]:
     return {name: plain(value) for name, value in values}
 
 
-def _with_poor_guess(module: Any, noise: float) -> dict[str, Any]:
-    """Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one."""
-    guessed, solved = module.initial_guess, module.solve
-
-    def initial_guess(grid: Any) -> Any:
-        free, guess = module.primal_unknowns(grid), guessed(grid)
-        size = np.maximum(1.0, np.abs(guess[free]))
-        guess[free] += noise * size * np.random.default_rng(1).standard_normal(free.size)
-        return guess
-
-    def solve(steps: int, guess: Any = None, **more: Any) -> Any:
-        start = initial_guess(module.make_grid(steps)) if guess is None else guess
-        return solved(steps=steps, guess=start, **more)
-
-    return {"initial_guess": initial_guess, "solve": solve}
-
-
 def _options(module: Any, case: Case) -> dict[str, Any]:
     own = task_of(module).options & {"every", "doublings"}
     return {"steps": case.steps, **{name: getattr(case, name) for name in own}}
@@ -99,19 +101,6 @@ def _points(case: Case) -> PointSet | None:
     table = np.array(case.points, dtype=float)
     half = table.shape[1] // 2
     return PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
-
-
-def _is_finite(result: Result) -> bool:
-    arrays = (result.q, result.p, result.u, result.unknowns)
-    return all(a is None or bool(np.isfinite(a).all()) for a in arrays) and (
-        result.cost is None or bool(np.isfinite(result.cost))
-    )
-
-
-def _announced(result: Result) -> float:
-    """The error of the cost that a doubled grid shows, relative to the cost."""
-    estimate = result.summary.get("cost_error_estimate", float("nan"))
-    return estimate / abs(result.cost) if result.cost else estimate
 
 
 def _drift(case: Case, result: Result, keeps_energy: bool) -> float:

@@ -175,7 +175,10 @@ def axis_of(item: str) -> tuple[str, Values]:
     """The name and the values of `--vary`: NAME=first:last:count or NAME=a,b,c; ArgumentError for anything else."""
     name, text = assigned("--vary", item, "r1=5.5:6.5:101")
     if ":" not in text:
-        return name, _listed(item, name, text)
+        words = [word.strip() for word in text.split(",")]
+        if not all(words):
+            raise ArgumentError(clause(f"--vary {item} has an empty value"), f"write --vary {name}=a,b,c")
+        return name, _column(words)
     parts = text.split(":")
     if len(parts) != 3 or not (parts[2].strip().isascii() and parts[2].strip().isdigit()):
         remedy = f"write --vary {name}=first:last:count or --vary {name}=a,b,c"
@@ -204,13 +207,6 @@ def number_of(what: str, text: str) -> float:
     if not math.isfinite(number):
         raise ArgumentError(clause(f"{what}: {text.strip()!r} is no finite number"), "give finite numbers")
     return number
-
-
-def _listed(item: str, name: str, text: str) -> Values:
-    words = [word.strip() for word in text.split(",")]
-    if not all(words):
-        raise ArgumentError(clause(f"--vary {item} has an empty value"), f"write --vary {name}=a,b,c")
-    return _column(words)
 
 
 def _column(words: Sequence[str]) -> Values:

@@ -57,7 +57,16 @@ def scattered(points: NDArray[np.float64], families: NDArray[np.intp], solved: N
         there = points[own]
         there = there[:, np.ptp(there, axis=0) > 0.0] if own.size else there
         if there.shape[1] and own.size >= LEAST * (there.shape[1] + 1):
-            clouds.append(_cloud(own, there))
+            # Cases at points (n, quantities), with their neighbours.
+            number, dimensions = there.shape
+            around = _nearest(there, min(number - 1, AROUND * dimensions + 2))
+            around = _apart_first(there, around)
+            near = around[:, : min(NEAR * dimensions, MOST_NEAR)]
+            begins = np.broadcast_to(np.arange(number)[:, None], near.shape)
+            made = [_predictions(there, around, a.ravel(), b.ravel()) for a, b in ((begins, near), (near, begins))]
+            weights = np.stack([found[0].reshape(*near.shape, -1) for found in made])
+            seconds = np.stack([found[1].reshape(near.shape) for found in made])
+            clouds.append(_Cloud(own, there, around, weights, seconds, dict(zip(own.tolist(), range(number)))))
     return Scattered(tuple(clouds))
 
 
@@ -107,19 +116,6 @@ class _Cloud:
         near = self.around[case, : self.seconds.shape[2]]
         ahead = (self.points[near] - self.points[case]) @ (self.points[case] - self.points[other])
         return [int(found) for found in self.own[near[ahead > 0.0]]]
-
-
-def _cloud(own: NDArray[np.intp], points: NDArray[np.float64]) -> _Cloud:
-    """Cases at points (n, quantities), with their neighbours."""
-    number, dimensions = points.shape
-    around = _nearest(points, min(number - 1, AROUND * dimensions + 2))
-    around = _apart_first(points, around)
-    near = around[:, : min(NEAR * dimensions, MOST_NEAR)]
-    begins = np.broadcast_to(np.arange(number)[:, None], near.shape)
-    made = [_predictions(points, around, a.ravel(), b.ravel()) for a, b in ((begins, near), (near, begins))]
-    weights = np.stack([found[0].reshape(*near.shape, -1) for found in made])
-    seconds = np.stack([found[1].reshape(near.shape) for found in made])
-    return _Cloud(own, points, around, weights, seconds, dict(zip(own.tolist(), range(number))))
 
 
 def _nearest(points: NDArray[np.float64], number: int) -> NDArray[np.intp]:

@@ -22,7 +22,9 @@ def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -
     """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
     tables = () if isinstance(program, PairwiseProgram) else tables_of(program.model)
     parts = Text(text, tables)
-    verify_tables(tables, _first_place(program), parts)
+    verify_tables(
+        tables, len(parameters(program) if isinstance(program, ControlProgram) else program.model.parameters), parts
+    )
     if isinstance(program, ControlProgram):
         verify_control(program, parts)
         verify_couplings(program, parts)
@@ -30,8 +32,3 @@ def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -
         verify_step(program, parts)
     else:
         verify_particles(program, parts)
-
-
-def _first_place(program: ControlProgram | StepProgram | PairwiseProgram) -> int:
-    """How many numbers stand before those of tables, where kernels read them."""
-    return len(parameters(program) if isinstance(program, ControlProgram) else program.model.parameters)

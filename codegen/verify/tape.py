@@ -84,21 +84,13 @@ def _value(part: Basic, given: list[Any], values: Mapping[Symbol, Any], a: Arith
     if isinstance(part, sympy.functions.elementary.piecewise.ExprCondPair):
         return tuple(given)
     if part.is_Boolean or part.is_Relational:
-        return _condition(part, given, a)
-    return _function(part, given, a)
-
-
-def _condition(part: Basic, given: list[Any], a: Arithmetic) -> Any:
-    if part.is_Relational:
-        return _RELATIONS[part.rel_op](*map(a.real, given))
-    if isinstance(part, sympy.Not):
-        return given[0] == False  # noqa: E712  # arrays are negated one by one
-    if isinstance(part, (sympy.And, sympy.Or)):
-        return reduce(operator.and_ if isinstance(part, sympy.And) else operator.or_, given)
-    return bool(part)
-
-
-def _function(part: Basic, given: list[Any], a: Arithmetic) -> Any:
+        if part.is_Relational:
+            return _RELATIONS[part.rel_op](*map(a.real, given))
+        if isinstance(part, sympy.Not):
+            return given[0] == False  # noqa: E712  # arrays are negated one by one
+        if isinstance(part, (sympy.And, sympy.Or)):
+            return reduce(operator.and_ if isinstance(part, sympy.And) else operator.or_, given)
+        return bool(part)
     if isinstance(part, TableBase):
         return derivative(part.table, part.order, given, a.real)
     name = type(part).__name__

@@ -115,17 +115,13 @@ def check_measurements(context: Context) -> Iterator[Finding]:
     """Compare numbers and kernels, where samples lie, and what the motion is at both ends of an interval."""
     model, program = context.model, context.control
     assert program.sample is not None
-    yield from _numbers(context.module, model)
-    yield _places(context.module, model)
-    yield _meets_nodes(model, program, program.sample)
-    yield from _kernels(context, program, program.sample)
-
-
-def _numbers(module: Any, model: Model) -> Iterator[Finding]:
-    for emitted, data in zip(module.OBSERVATIONS, model.measurements, strict=True):
+    for emitted, data in zip(context.module.OBSERVATIONS, model.measurements, strict=True):
         same = np.array_equal(emitted, data.array, equal_nan=True)
         detail = data.summary if same else f"others than in {data.source}"
         yield Finding(_CHECK, f"{data.source}: numbers", same, detail)
+    yield _places(context.module, model)
+    yield _meets_nodes(model, program, program.sample)
+    yield from _kernels(context, program, program.sample)
 
 
 def _places(module: Any, model: Model) -> Finding:

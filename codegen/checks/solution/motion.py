@@ -116,7 +116,20 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     nodes = _nodes(context, numbers)
     for condition in model.inner_conditions:
         yield _held(context, condition, nodes[condition.number], numbers)
-    yield _times(model, solution.t[nodes], numbers)
+    # Whether times are those that are given, or inside their windows, and in order.
+    found = solution.t[nodes]
+    slack = _MET * max(1.0, float(np.abs(found).max()))
+    wrong = []
+    for number, (inner, time) in enumerate(zip(model.inner_times, found, strict=True), start=1):
+        missed = [abs(time - _number(inner.time, numbers))] if inner.time is not None else []
+        missed += [_number(inner.earliest, numbers) - time] if inner.earliest is not None else []
+        missed += [time - _number(inner.latest, numbers)] if inner.latest is not None else []
+        if max(missed, default=0.0) > slack:
+            wrong.append(f"time {number} is {time:.6g}, which misses what is given by {max(missed):.2g}")
+    if (np.diff(found) < -slack).any():
+        wrong.append("the times are not in order")
+    listed = ", ".join(f"{time:.6g}" for time in found)
+    yield Finding(_NAME, "times", not wrong, wrong[0] if wrong else f"in order, as given: t = {listed}")
 
 
 def _nodes(context: Context, numbers: dict[sympy.Symbol, float]) -> NDArray[np.int64]:
@@ -159,22 +172,6 @@ def _rates(context: Context) -> tuple[Expr, ...]:
         return tuple(model.rates)
     used = {s for c in model.inner_conditions for s in c.expression.free_symbols}
     return legendre.velocity_of_momentum(model) if used & set(model.rates) else tuple(model.rates)
-
-
-def _times(model: Model, found: NDArray[np.float64], numbers: dict[sympy.Symbol, float]) -> Finding:
-    """Whether times are those that are given, or inside their windows, and in order."""
-    slack = _MET * max(1.0, float(np.abs(found).max()))
-    wrong = []
-    for number, (inner, time) in enumerate(zip(model.inner_times, found, strict=True), start=1):
-        missed = [abs(time - _number(inner.time, numbers))] if inner.time is not None else []
-        missed += [_number(inner.earliest, numbers) - time] if inner.earliest is not None else []
-        missed += [time - _number(inner.latest, numbers)] if inner.latest is not None else []
-        if max(missed, default=0.0) > slack:
-            wrong.append(f"time {number} is {time:.6g}, which misses what is given by {max(missed):.2g}")
-    if (np.diff(found) < -slack).any():
-        wrong.append("the times are not in order")
-    listed = ", ".join(f"{time:.6g}" for time in found)
-    return Finding(_NAME, "times", not wrong, wrong[0] if wrong else f"in order, as given: t = {listed}")
 
 
 def _number(expression: Expr | None, numbers: dict[sympy.Symbol, float]) -> float:

@@ -87,7 +87,8 @@ class Store:
         path = self._path(token)
         if path is None:
             return saved
-        self._make()
+        with suppress(OSError):  # a folder that cannot be made is named when a file is written
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if (there := self._edition(path)) and there != saved.edition:
             finding = "another codegen app has changed this work meanwhile"
             raise OtherWriterError(finding, "both states are kept, this one under a new address")
@@ -125,10 +126,6 @@ class Store:
 
     def _path(self, token: str) -> Path | None:
         return self.folder / f"{token}.json" if TOKEN.fullmatch(token) else None
-
-    def _make(self) -> None:
-        with suppress(OSError):  # a folder that cannot be made is named when a file is written
-            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def _keep(self, picture: Picture) -> None:
         path = self.folder / picture.digest

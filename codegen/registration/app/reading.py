@@ -86,7 +86,14 @@ def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> Slice:
     Raises ImageError, naming the file, for volumes, files that name others, more pixels than `limits` allow, samples
     that pictures do not have, and what is damaged; ExtraError where the library that reads it is missing.
     """
-    _require_alone(name, data, ending)
+    # Refuse headers whose samples are in another file.
+    if ending == ".mha":
+        _, *rest = data.split(b"ElementDataFile")  # of all, since a comment may hold the first
+        is_alone = all(_HERE.match(part[:100]) for part in rest)
+    else:
+        is_alone = ending != ".nrrd" or _ELSEWHERE.search(_text(data)) is None
+    if not is_alone:
+        raise ImageError(f"{name} names another file for its samples", "save it as one file: .nrrd, .mha or .nii")
     itk = library("SimpleITK")
     with tempfile.TemporaryDirectory(prefix="codegen-") as folder:
         path = Path(folder) / f"image{ending}"
@@ -106,17 +113,6 @@ def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> Slice:
     pixels = samples.reshape(height, width, *samples.shape[reader.GetDimension() :])
     spacing, edges = _spacing(data, ending, reader, axes), _edges(data, ending, reader, axes)
     return Slice(np.ascontiguousarray(pixels), _KINDS[ending], spacing, edges)
-
-
-def _require_alone(name: str, data: bytes, ending: str) -> None:
-    """Refuse headers whose samples are in another file."""
-    if ending == ".mha":
-        _, *rest = data.split(b"ElementDataFile")  # of all, since a comment may hold the first
-        is_alone = all(_HERE.match(part[:100]) for part in rest)
-    else:
-        is_alone = ending != ".nrrd" or _ELSEWHERE.search(_text(data)) is None
-    if not is_alone:
-        raise ImageError(f"{name} names another file for its samples", "save it as one file: .nrrd, .mha or .nii")
 
 
 def _text(data: bytes) -> bytes:

@@ -123,7 +123,9 @@ class Session:
             self.moving = picture
         else:
             self.fixed = picture
-        self._restart(self._within())
+        sides: tuple[Side, Side] = ("moving", "fixed")
+        gone = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
+        self._restart(self.work.without(gone))
 
     def open_alone(self, picture: Picture) -> None:
         """Show one image, whose points are dragged."""
@@ -140,11 +142,6 @@ class Session:
         self._last_identity = max((pair.identity for pair in work.pairs), default=self._last_identity)
         self.registration = None
         self.revision += 1
-
-    def _within(self) -> Work:
-        sides: tuple[Side, Side] = ("moving", "fixed")
-        gone = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
-        return self.work.without(gone)
 
     # --- pairs ------------------------------------------------------------------------------------------------------
 

@@ -214,7 +214,11 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
 
     It is taken from the copy whose pixels are as far apart as the places, or a little closer.
     """
-    level = _level(picture, x, y)
+    # The copy of a picture for places that far apart.
+    apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
+    typical = [float(np.median(distances)) for distances in apart if distances.size]
+    found = int(np.log2(max(min(typical, default=1.0), 1.0)))
+    level = min(found, len(picture.levels) - 1)
     source = picture.levels[level]
     height, width = source.shape[:2]
     u, v = (x + 0.5) / 2**level - 0.5, (y + 0.5) / 2**level - 0.5
@@ -235,14 +239,6 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
         result[:] = part[np.rint(v).astype(np.intp), np.rint(u).astype(np.intp)]
     result[~inside] = 0
     return result
-
-
-def _level(picture: Picture, x: Array, y: Array) -> int:
-    """The copy of a picture for places that far apart."""
-    apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
-    typical = [float(np.median(distances)) for distances in apart if distances.size]
-    found = int(np.log2(max(min(typical, default=1.0), 1.0)))
-    return min(found, len(picture.levels) - 1)
 
 
 def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> Lines:

@@ -72,7 +72,11 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
         raise ImageError(f"{name} has more than {limits.bytes} bytes", "give a smaller file")
     with readable(name):
         header = header_of(name, data)
-    _require_size(name, header, limits)
+    if header.width < 1 or header.height < 1:
+        raise ImageError(f"{name} has {header.width} x {header.height} pixels", "give an image")
+    if header.width * header.height > limits.pixels:
+        finding = f"{name} has {header.width} x {header.height} pixels, more than {limits.pixels}"
+        raise ImageError(finding, "give a smaller image")
     with readable(name):
         pixels, profile, orientation = _DECODERS[header.kind](name, data, header)
     if pixels.shape[:2] != (header.height, header.width):
@@ -94,14 +98,6 @@ def _contents(source: Path | str | bytes, limits: Limits, name: str) -> tuple[by
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ImageError(f"{source} cannot be read ({reason})", "give an image file") from error
-
-
-def _require_size(name: str, header: Header, limits: Limits) -> None:
-    if header.width < 1 or header.height < 1:
-        raise ImageError(f"{name} has {header.width} x {header.height} pixels", "give an image")
-    if header.width * header.height > limits.pixels:
-        finding = f"{name} has {header.width} x {header.height} pixels, more than {limits.pixels}"
-        raise ImageError(finding, "give a smaller image")
 
 
 _DECODERS: dict[str, Callable[[str, bytes, Header], tuple[Pixels, bytes | None, int]]] = {

@@ -23,7 +23,11 @@ _BARE = frozenset(range(0xD0, 0xD9)) | {0x01, 0xFF}
 def header_of(name: str, data: bytes) -> Header:
     """Read the header; ImageError when the bytes begin like no PNG, JPEG or TIFF file."""
     if data.startswith(_PNG):
-        return _png(name, data)
+        # The IHDR chunk, which comes first (PNG specification, 11.2.2).
+        if len(data) < 33 or data[12:16] != b"IHDR" or zlib.crc32(data[12:29]) != struct.unpack(">I", data[29:33])[0]:
+            raise ImageError(f"{name} has a damaged header", "give a whole PNG file")
+        width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
+        return Header("PNG", width, height, bits, _PNG_CHANNELS.get(colour, 0))
     if data.startswith(b"\xff\xd8\xff"):
         return _jpeg(name, data)
     if data.startswith(_TIFF):
@@ -32,14 +36,6 @@ def header_of(name: str, data: bytes) -> Header:
         raise ImageError(f"{name} is a volume, and this is for pictures", "give codegen warp two volumes")
     what = "is empty" if not data else "is no PNG, JPEG or TIFF file"
     raise ImageError(f"{name} {what}", "convert it to PNG, JPEG or TIFF")
-
-
-def _png(name: str, data: bytes) -> Header:
-    """The IHDR chunk, which comes first (PNG specification, 11.2.2)."""
-    if len(data) < 33 or data[12:16] != b"IHDR" or zlib.crc32(data[12:29]) != struct.unpack(">I", data[29:33])[0]:
-        raise ImageError(f"{name} has a damaged header", "give a whole PNG file")
-    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
-    return Header("PNG", width, height, bits, _PNG_CHANNELS.get(colour, 0))
 
 
 def _jpeg(name: str, data: bytes) -> Header:

@@ -169,7 +169,17 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
         reader = itk.ImageFileReader()
         reader.SetFileName(str(path))
         reader.ReadImageInformation()
-        _require_scalars(path, reader, most)
+        size = reader.GetSize()
+        said = " x ".join(map(str, size))
+        if len(size) == 4 and size[3] > 1:
+            raise ImageError(f"{path} holds {size[3]} volumes", "save the one to be registered as a file of its own")
+        if len(size) not in (3, 4) or min(size[:3]) < THINNEST:
+            raise ImageError(f"{path} is no volume: {said} voxels", "save a single slice as PNG or TIFF")
+        if int(np.prod(size, dtype=object)) > most:
+            raise ImageError(f"{path} has {said} voxels, more than {most}", "give a smaller volume")
+        if reader.GetNumberOfComponents() != 1:
+            finding = f"{path} has {reader.GetNumberOfComponents()} numbers in each voxel"
+            raise ImageError(finding, "give a volume of one number a voxel")
         require_whole(path, reader)
         if reader.GetDimension() == 4:  # of one time
             reader.SetExtractSize((*reader.GetSize()[:3], 0))
@@ -178,20 +188,6 @@ def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
     direction = np.array(image.GetDirection()).reshape(3, 3) + 0.0
     grid = Grid(image.GetSize(), image.GetOrigin(), image.GetSpacing(), tuple(map(tuple, direction.tolist())), "mm")
     return Volume(np.ascontiguousarray(samples), grid)
-
-
-def _require_scalars(path: Path, reader: Any, most: int) -> None:
-    size = reader.GetSize()
-    said = " x ".join(map(str, size))
-    if len(size) == 4 and size[3] > 1:
-        raise ImageError(f"{path} holds {size[3]} volumes", "save the one to be registered as a file of its own")
-    if len(size) not in (3, 4) or min(size[:3]) < THINNEST:
-        raise ImageError(f"{path} is no volume: {said} voxels", "save a single slice as PNG or TIFF")
-    if int(np.prod(size, dtype=object)) > most:
-        raise ImageError(f"{path} has {said} voxels, more than {most}", "give a smaller volume")
-    if reader.GetNumberOfComponents() != 1:
-        finding = f"{path} has {reader.GetNumberOfComponents()} numbers in each voxel"
-        raise ImageError(finding, "give a volume of one number a voxel")
 
 
 def require_whole(path: Path, reader: Any, name: str = "") -> None:

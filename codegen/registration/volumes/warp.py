@@ -95,7 +95,7 @@ class Nodes:
         """The spline's estimated error in each cell, the largest at its corners."""
         coarse = self.shifts[::2, ::2, ::2]
         for axis, line in enumerate(self.lines):
-            coarse = _along(axis, line[::2], coarse, line)
+            coarse = np.asarray(make_interp_spline((line[::2]), coarse, k=3, axis=axis)(line))
         errors = np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING
         return np.asarray(maximum_filter(errors, size=(2, 2, 2), origin=-1)[:-1, :-1, :-1])
 
@@ -146,7 +146,11 @@ class Nodes:
         found = self._coefficients
         indices = [np.arange(part.start, part.stop), *(np.arange(length) for length in self.grid.shape[1:])]
         for axis, (line, at) in enumerate(zip(self.lines, indices, strict=True)):
-            found = _multiplied(axis, basis(line, at), found)
+            # A sparse matrix applied along an axis.
+            matrix = basis(line, at)
+            first = np.moveaxis(found, axis, 0)
+            made = matrix @ first.reshape(len(first), -1)
+            found = np.moveaxis(made.reshape(-1, *first.shape[1:]), 0, axis)
         cells = [np.minimum(at // step, len(line) - 2) for at, step, line in zip(indices, self.steps[::-1], self.lines)]
         marked = np.nonzero(self.doubtful[np.ix_(*cells)])
         if marked[0].size:
@@ -169,18 +173,6 @@ def _steps(grid: Grid, distance: float) -> tuple[int, ...]:
 def _line(length: int, step: int) -> NDArray[np.float64]:
     """Nodes from the first sample to beyond the last, an even number of intervals."""
     return step * np.arange(max(FEWEST, 2 * -(-length // (2 * step))) + 1.0)
-
-
-def _along(axis: int, nodes: NDArray[np.float64], values: NDArray[np.float64], at: Any) -> NDArray[np.float64]:
-    """Cubic splines along an axis, from nodes to other places."""
-    return np.asarray(make_interp_spline(nodes, values, k=3, axis=axis)(at))
-
-
-def _multiplied(axis: int, matrix: Any, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A sparse matrix applied along an axis."""
-    first = np.moveaxis(values, axis, 0)
-    made = matrix @ first.reshape(len(first), -1)
-    return np.moveaxis(made.reshape(-1, *first.shape[1:]), 0, axis)
 
 
 BLOCKS_PORTION = 1 << 19
@@ -207,7 +199,8 @@ def warped(source: Volume, nodes: Nodes, interpolation: str, with_field: bool = 
     field = np.empty((*grid.shape, 3), np.float32) if with_field else None
     layer, outside = spline_of(source.samples, order), 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for part in _parts(grid):
+        columns, rows, slices = grid.size
+        for part in list(slabs(slices, max(1, BLOCKS_PORTION // (columns * rows)))):
             shifts = nodes.slab(part)
             if field is not None:
                 field[part] = shifts
@@ -218,11 +211,6 @@ def warped(source: Volume, nodes: Nodes, interpolation: str, with_field: bool = 
 
             outside += sum(pool.map(one, range(len(indices))))
     return Warped(samples, outside, field)
-
-
-def _parts(grid: Grid) -> list[slice]:
-    columns, rows, slices = grid.size
-    return list(slabs(slices, max(1, BLOCKS_PORTION // (columns * rows))))
 
 
 def _sources(source: Grid, grid: Grid, part: slice, shifts: NDArray[np.float64]) -> NDArray[np.float64]:

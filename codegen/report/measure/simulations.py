@@ -362,7 +362,9 @@ def _errors(
     states, exact = np.hstack([result.q, result.p]), np.array(reference["states"], dtype=float)
     found["trajectory"] = float((np.abs(states - exact) / component_sizes(exact)).max())
     assert result.energy is not None
-    exact_energy = _energies(euler, exact, reference["times"])
+    times = reference["times"]
+    parameters = euler.make_grid(1).parameters
+    exact_energy = np.array([euler.energy(z, t, parameters) for z, t in zip(exact, times, strict=True)])
     found["energy"] = float(np.abs(result.energy - exact_energy).max()) / reference["energy scale"]
     momenta = conserved(euler)
     drifts = [_drift(momenta[name], states) for name in reference["conserved"]]
@@ -375,8 +377,3 @@ def _drift(momentum: Any, states: Any) -> float:
     values = momentum(states)
     half = states.shape[-1] // 2
     return float(np.abs(values - values[0]).max() / (np.abs(states[:, half:]).max() or 1.0))
-
-
-def _energies(module: SimulateModule, states: Any, times: Any) -> Any:
-    parameters = module.make_grid(1).parameters
-    return np.array([module.energy(z, t, parameters) for z, t in zip(states, times, strict=True)])

@@ -272,7 +272,7 @@ def _smoothness(store: Store) -> Section:
             (
                 f"× {amplitude:g}",
                 number(found[0]["exact least area"], 3),
-                *(_steps(n) for n in steps.values()),
+                *(("> 80" if n is None else str(n)) for n in steps.values()),
                 listed([str(n) for n in folded]),
                 number(found[-1]["steepest"] * found[-1]["steps"], 3),
                 number(order, 2),
@@ -314,10 +314,6 @@ def _smoothness(store: Store) -> Section:
     return Section(
         "Question 3: how many steps does a warp of given smoothness need?", tuple(texts), (table,), (picture,)
     )
-
-
-def _steps(steps: int | None) -> str:
-    return "> 80" if steps is None else str(steps)
 
 
 def _jumps(settings: Settings, store: Store) -> Section:

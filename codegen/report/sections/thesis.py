@@ -22,10 +22,30 @@ _OURS = ("action, newton", "full, newton", "stepping, newton")
 
 def sections(settings: Settings, store: Store) -> list[Section]:
     """Everything that the thesis shows in chapter 5."""
+    texts, steps = [], max(settings.steps)
+    for count in settings.counts:
+        exact = (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
+        found = {}
+        for scheme in ("explicit-euler", "symplectic-euler", "implicit-euler"):
+            values = store.get(
+                landmark_effort.ROUTES_SECTION, landmark_effort.case_name(scheme, "stepping, newton", count, steps)
+            )
+            if values is not None and exact is not None and values["status"] == "solved":
+                found[scheme] = abs(values["cost"] - exact)
+        if len(found) > 1:
+            least, most = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
+            ratio = found[most] / max(found[least], 1e-300)
+            word = "close to each other" if ratio < 3.0 else "not close to each other"
+            errors = listed([f"{name} {number(error)}" for name, error in found.items()])
+            texts.append(f"nc = {count}, N = {steps}: errors {errors}; they are {word}, the best being {least}.")
+    picture = Picture(
+        "Errors in cost of the Euler methods, whose figures the thesis omits, and of the midpoint rule.",
+        figures.svg(partial(figures.eulers, settings, store)),
+    )
     return [
         _points(settings),
         _routes(settings, store, "explicit-euler", "5.1 Explicit Euler", "5.2–5.4", "5.5–5.7"),
-        _eulers(settings, store),
+        Section("Symplectic and implicit Euler methods", tuple(texts), (), (picture,)),
         _routes(settings, store, "midpoint", "5.2 Midpoint rule", "5.8–5.10", "5.11–5.13"),
         _best(settings, store),
         _forty(store),
@@ -169,30 +189,6 @@ def _reach(settings: Settings, store: Store, scheme: str) -> Table:
         found = [dict(figures.of_route(settings, store, scheme, name, count)) for name in names]
         rows.append((str(count), *(_time_or_reach(values, max(settings.steps)) for values in found)))
     return Table(f"Seconds with N = {max(settings.steps)}", ("nc", *names), tuple(rows))
-
-
-def _eulers(settings: Settings, store: Store) -> Section:
-    texts, steps = [], max(settings.steps)
-    for count in settings.counts:
-        exact = (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
-        found = {}
-        for scheme in ("explicit-euler", "symplectic-euler", "implicit-euler"):
-            values = store.get(
-                landmark_effort.ROUTES_SECTION, landmark_effort.case_name(scheme, "stepping, newton", count, steps)
-            )
-            if values is not None and exact is not None and values["status"] == "solved":
-                found[scheme] = abs(values["cost"] - exact)
-        if len(found) > 1:
-            least, most = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
-            ratio = found[most] / max(found[least], 1e-300)
-            word = "close to each other" if ratio < 3.0 else "not close to each other"
-            errors = listed([f"{name} {number(error)}" for name, error in found.items()])
-            texts.append(f"nc = {count}, N = {steps}: errors {errors}; they are {word}, the best being {least}.")
-    picture = Picture(
-        "Errors in cost of the Euler methods, whose figures the thesis omits, and of the midpoint rule.",
-        figures.svg(partial(figures.eulers, settings, store)),
-    )
-    return Section("Symplectic and implicit Euler methods", tuple(texts), (), (picture,))
 
 
 def _best(settings: Settings, store: Store) -> Section:

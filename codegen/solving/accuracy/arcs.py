@@ -123,7 +123,11 @@ def _all_runs(module: ControlModule, result: Result) -> Iterator[tuple[int, Vect
     grid = time_grid(module, result.steps, result.grid)
     for phase, kinds in _kinds(module, result):
         places = grid.nodes[phase * result.steps : (phase + 1) * result.steps + 1] / result.steps - phase
-        yield phase, places, _runs(kinds)
+        # First and last interval, and kind, of all runs that are no gaps.
+        ends = np.flatnonzero(np.diff(kinds)) + 1
+        runs = [(int(part[0]), int(part[-1]), int(kinds[part[0]])) for part in np.split(np.arange(kinds.size), ends)]
+        long = [run for run in runs if run[1] - run[0] + 1 >= LEAST_ARC]
+        yield phase, places, (long or [(0, kinds.size - 1, 0)])
 
 
 def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]:
@@ -154,14 +158,6 @@ def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]
 
 CLOSE = 1e-3
 """Part of the distance between two bounds within which one is active."""
-
-
-def _runs(kinds: Kinds) -> list[tuple[int, int, int]]:
-    """First and last interval, and kind, of all runs that are no gaps."""
-    ends = np.flatnonzero(np.diff(kinds)) + 1
-    runs = [(int(part[0]), int(part[-1]), int(kinds[part[0]])) for part in np.split(np.arange(kinds.size), ends)]
-    long = [run for run in runs if run[1] - run[0] + 1 >= LEAST_ARC]
-    return long or [(0, kinds.size - 1, 0)]
 
 
 NEGLIGIBLE = 1e-12

@@ -17,9 +17,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from codegen.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
+from codegen.interfaces import ControlModule, Grid, Indices, Vector, time_grid
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
@@ -54,7 +53,10 @@ def discretisation_error(module: ControlModule, result: Result, search: Search) 
     kept = _kept(result.steps, _inner(module, fine))
     phases, steps = module.metadata.get("phases", 1), kept.size - 1
     rows = np.concatenate([[0], *(phase * result.steps + kept[1:] for phase in range(phases))])
-    fractions = _merged(fine, rows, phases)
+    # Lengths of double steps, in parts of the duration (n,), or of every phase (phases, n).
+    lengths = np.diff(fine.nodes[rows]).reshape(phases, -1)
+    lengths /= lengths.sum(axis=1, keepdims=True)
+    fractions = np.asarray(lengths if phases > 1 else lengths[0])
     equal = result.grid is None and result.steps == 2 * steps
     grid = time_grid(module, steps, None if equal else fractions)
     if steps == result.steps or tuple(rows[list(_inner(module, grid))]) != _inner(module, fine):
@@ -80,13 +82,6 @@ def _kept(steps: int, inner: tuple[int, ...]) -> Indices:
         following = kept[-1] + 1
         kept.append(following if following in inner else min(following + 1, steps))
     return np.array(kept)
-
-
-def _merged(fine: Grid, rows: Indices, phases: int) -> Matrix:
-    """Lengths of double steps, in parts of the duration (n,), or of every phase (phases, n)."""
-    lengths = np.diff(fine.nodes[rows]).reshape(phases, -1)
-    lengths /= lengths.sum(axis=1, keepdims=True)
-    return np.asarray(lengths if phases > 1 else lengths[0])
 
 
 def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector) -> Vector:
@@ -115,18 +110,6 @@ def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     return np.asarray(module.with_pinned_values(grid, result))
 
 
-def _held(module: ControlModule, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector) -> NDArray[np.bool_]:
-    """Which unknowns of double steps are on bounds: those that are so at their node, or on both intervals."""
-    found = held_at_bounds(module, fine, unknowns).astype(float)
-    result = np.zeros(grid.is_multiplier.size)
-    (nodes, intervals), (new_nodes, new_intervals) = module.views(fine, found), module.views(grid, result)
-    new_nodes[:] = nodes[:, rows]
-    new_intervals[:] = np.minimum(intervals[:, rows[:-1]], intervals[:, rows[1:] - 1])
-    root = module.problem.structure.root
-    result[result.size - root :] = found[found.size - root :]
-    return result > 0.0
-
-
 def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Vector, start: Vector) -> Vector | None:
     """The optimum on double steps by Newton's method, with bounds that hold as on the finer grid.
 
@@ -136,7 +119,15 @@ def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     sizes = scaled.sizes if scaled.sizes.size else np.ones(start.size)
     held = bounded = np.zeros(start.size, dtype=bool)
     if module.metadata["inequalities"]:
-        held = _held(module, fine, grid, rows, unknowns)
+        # Which unknowns of double steps are on bounds: those that are so at their node, or on both intervals.
+        found = held_at_bounds(module, fine, unknowns).astype(float)
+        result = np.zeros(grid.is_multiplier.size)
+        (nodes, intervals), (new_nodes, new_intervals) = module.views(fine, found), module.views(grid, result)
+        new_nodes[:] = nodes[:, rows]
+        new_intervals[:] = np.minimum(intervals[:, rows[:-1]], intervals[:, rows[1:] - 1])
+        root = module.problem.structure.root
+        result[result.size - root :] = found[found.size - root :]
+        held = result > 0.0
         lower, upper = module.variable_bounds(grid)
         bounded = (np.isfinite(lower) | np.isfinite(upper)) & ~held
     diagonal = np.where(held, HELD, np.where(bounded, LOOSE, 0.0))

@@ -119,17 +119,13 @@ def _lengths(
     for gap in gaps:
         inside = (middles > gap.begin) & (middles < gap.end)
         fine[inside] = np.minimum(fine[inside], max((gap.end - gap.begin) / CUTS, narrow / 4.0))
-    return pieces, _graded(fine, middles)
-
-
-def _graded(wanted: Vector, middles: Vector) -> Vector:
-    """Lengths, no longer than those that are wanted, that change no faster than GRADE times the distance."""
-    out, distance = wanted.copy(), GRADE * np.diff(middles)
+    # Lengths, no longer than those that are wanted, that change no faster than GRADE times the distance.
+    out, distance = fine.copy(), GRADE * np.diff(middles)
     for k in range(1, out.size):
         out[k] = min(out[k], out[k - 1] + distance[k - 1])
     for k in range(out.size - 2, -1, -1):
         out[k] = min(out[k], out[k + 1] + distance[k])
-    return out
+    return pieces, out
 
 
 def _placed(pieces: Vector, wanted: Vector, steps: int, switches: Sequence[float | None]) -> Vector:

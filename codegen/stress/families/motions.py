@@ -38,7 +38,18 @@ def stiff_cases() -> Iterator[Case]:
         yield from oscillator(scheme)
     for scheme in STIFF_SCHEMES:
         yield from spring_pendulum(scheme)
-        yield from _swing(scheme)
+        # The swing alone, without vibration, with steps a hundred times too long for the spring.
+        h, steps = 0.01, 300
+        implicit = math.isinf(limit(registered(scheme)))
+        yield Case(
+            "spring pendulum, k = 1e+08, swing alone", "stiff", setup("spring_pendulum", scheme),
+            "accurate" if implicit else "unsuitable",
+            "an implicit scheme may step over a vibration that is not there; the limit is a rigid rod" if implicit else
+            "stable only for steps that resolve a vibration, though it is not there",
+            steps, (("k", 1e8), ("duration", h * steps)), reference="rigid_pendulum",
+            bound=promised(scheme, h, h * steps) if implicit else math.nan, drift=1.0, h_omega=h * 1e4, limit=True,
+            allowed=spurious_outcomes(scheme, h * 1e4),
+        )  # fmt: skip
     for scheme in STIFF_SCHEMES[2:]:
         yield from _chain(scheme)
 
@@ -109,21 +120,6 @@ def spring_pendulum(scheme: SchemeOf) -> Iterator[Case]:
             )  # fmt: skip
 
 
-def _swing(scheme: SchemeOf) -> Iterator[Case]:
-    """The swing alone, without vibration, with steps a hundred times too long for the spring."""
-    h, steps = 0.01, 300
-    implicit = math.isinf(limit(registered(scheme)))
-    yield Case(
-        "spring pendulum, k = 1e+08, swing alone", "stiff", setup("spring_pendulum", scheme),
-        "accurate" if implicit else "unsuitable",
-        "an implicit scheme may step over a vibration that is not there; the limit is a rigid rod" if implicit else
-        "stable only for steps that resolve a vibration, though it is not there",
-        steps, (("k", 1e8), ("duration", h * steps)), reference="rigid_pendulum",
-        bound=promised(scheme, h, h * steps) if implicit else math.nan, drift=1.0, h_omega=h * 1e4, limit=True,
-        allowed=spurious_outcomes(scheme, h * 1e4),
-    )  # fmt: skip
-
-
 def _chain(scheme: SchemeOf) -> Iterator[Case]:
     made = setup("fput", scheme)
     for omega in (50.0, 1e4, 1e6):
@@ -160,13 +156,9 @@ def orbits_cases() -> Iterator[Case]:
     """All cases of this family."""
     for scheme in KEPLER_SCHEMES:
         for e in (0.5, 0.9, 0.99, 0.999999):
-            for steps in _steps(scheme, e):
+            resolved = math.ceil(2.0 * math.pi * pericentre_rate(e) / (0.02 if registered(scheme).order > 1 else 0.005))
+            for steps in (1000, resolved) if resolved <= 2_000_000 else (1000, 1_000_000):
                 yield ellipse(scheme, e, steps)
-
-
-def _steps(scheme: SchemeOf, e: float) -> tuple[int, ...]:
-    resolved = math.ceil(2.0 * math.pi * pericentre_rate(e) / (0.02 if registered(scheme).order > 1 else 0.005))
-    return (1000, resolved) if resolved <= 2_000_000 else (1000, 1_000_000)
 
 
 def ellipse(scheme: SchemeOf, e: float, steps: int) -> Case:
@@ -367,7 +359,23 @@ def inputs_cases() -> Iterator[Case]:
     for scheme in INPUT_SCHEMES:
         yield from _scaled(scheme)
         yield from _unusable(scheme)
-        yield from _singular(scheme)
+        made = setup("kepler", scheme)
+        rest = (("px", 0.0), ("py", 0.0))
+        yield Case(
+            "Kepler, start at the centre", "inputs", made, "refused", "the force is infinite", 100,
+            (("start", (("x", 0.0), ("y", 0.0), *rest)), ("duration", 1.0)),
+        )  # fmt: skip
+        yield Case(
+            "Kepler, fall into the centre", "inputs", made, "unsuitable",
+            "an energy without limit within one step", 1000,
+            (("start", (("x", 1.0), ("y", 0.0), *rest)), ("duration", 5.0)), h_omega=math.inf, allowed=("refused",),
+        )  # fmt: skip
+        for distance in (1e-150, 1e-100, 1e100, 1e150):
+            yield Case(
+                f"Kepler at distance {distance:g}", "inputs", made, "refused",
+                "cubes of the distance leave the range of numbers; far away the body moves straight on", 100,
+                (("start", (("x", distance), ("y", 0.0), *rest)), ("duration", 1.0)), allowed=("bounded", "unsuitable"),
+            )  # fmt: skip
 
 
 def _scaled(scheme: SchemeOf) -> Iterator[Case]:
@@ -420,23 +428,3 @@ def _unusable(scheme: SchemeOf) -> Iterator[Case]:
     )  # fmt: skip
     for steps in (0, 10**15):
         yield Case(f"oscillator, {steps:g} steps", "inputs", made, "refused", "no steps, or more than fit", steps)
-
-
-def _singular(scheme: SchemeOf) -> Iterator[Case]:
-    made = setup("kepler", scheme)
-    rest = (("px", 0.0), ("py", 0.0))
-    yield Case(
-        "Kepler, start at the centre", "inputs", made, "refused", "the force is infinite", 100,
-        (("start", (("x", 0.0), ("y", 0.0), *rest)), ("duration", 1.0)),
-    )  # fmt: skip
-    yield Case(
-        "Kepler, fall into the centre", "inputs", made, "unsuitable",
-        "an energy without limit within one step", 1000,
-        (("start", (("x", 1.0), ("y", 0.0), *rest)), ("duration", 5.0)), h_omega=math.inf, allowed=("refused",),
-    )  # fmt: skip
-    for distance in (1e-150, 1e-100, 1e100, 1e150):
-        yield Case(
-            f"Kepler at distance {distance:g}", "inputs", made, "refused",
-            "cubes of the distance leave the range of numbers; far away the body moves straight on", 100,
-            (("start", (("x", distance), ("y", 0.0), *rest)), ("duration", 1.0)), allowed=("bounded", "unsuitable"),
-        )  # fmt: skip
