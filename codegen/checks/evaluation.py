@@ -53,11 +53,6 @@ def range_of(symbol: Symbol, ranges: Mapping[str, Range]) -> Range | None:
     return ranges.get(symbol.name) or ranges.get(_AT.sub("", symbol.name))
 
 
-def drawn_from(generator: np.random.Generator, own: Range) -> float:
-    """A number within a range."""
-    return float(generator.uniform(*own))
-
-
 def _extended(least: float, greatest: float) -> Range:
     alone, both = _BESIDE
     more = both * (greatest - least) or alone * abs(least)
@@ -124,7 +119,7 @@ def random_points(
             points.append({symbol: point[symbol] for symbol in symbols})
     for _ in range(_ATTEMPTS):
         drawn = {symbol: float(generator.uniform(0.4, 1.6)) for symbol in symbols}
-        drawn |= {s: drawn_from(generator, own) for s in elsewhere if (own := range_of(s, ranges)) is not None}
+        drawn |= {s: float(generator.uniform(*own)) for s in elsewhere if (own := range_of(s, ranges)) is not None}
         drawn |= {symbol: value * drawn[symbol] for symbol, value in defaults.items() if symbol in drawn and value}
         drawn |= {length: 0.25 * drawn[length] for length in (STEP, *LENGTHS) if length in drawn}
         if _has_value(function, [drawn[symbol] for symbol in symbols]):

@@ -47,7 +47,18 @@ def general_form(
     program = transcribe(general_model(model), scheme, method, controls)
     if isinstance(program, ControlProgram):
         return program, general_derivatives(program, control_derivatives(program))
-    program = general_step(program)
+    # A step whose inner stages and right node are all unknowns of Newton's method, which starts from the left node.
+    unknowns = (*program.stage_symbols, *program.right_symbols)
+    program = replace(
+        program,
+        before=(),
+        unknowns=unknowns,
+        guess=tuple(_explicit_guess(program, y) for y in unknowns),
+        residual=tuple(equation for _, equation in program.equations),
+        after=(),
+        linear=False,
+        velocities=(),
+    )
     return program, step_derivatives(program)
 
 
@@ -59,21 +70,6 @@ def general_model(model: Model) -> Model:
     free = FreeParameter(idle, sympy.S.Zero, -sympy.S.One, sympy.S.One)
     return replace(
         model, free_parameters=(*model.free_parameters, free), terminal_cost=model.terminal_cost + idle**2 / 2
-    )
-
-
-def general_step(program: StepProgram) -> StepProgram:
-    """A step whose inner stages and right node are all unknowns of Newton's method, which starts from the left node."""
-    unknowns = (*program.stage_symbols, *program.right_symbols)
-    return replace(
-        program,
-        before=(),
-        unknowns=unknowns,
-        guess=tuple(_explicit_guess(program, y) for y in unknowns),
-        residual=tuple(equation for _, equation in program.equations),
-        after=(),
-        linear=False,
-        velocities=(),
     )
 
 

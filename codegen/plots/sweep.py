@@ -27,22 +27,6 @@ _DASH = 8.0
 """The length of a dash, in widths of the line."""
 
 
-def coinciding_groups(rows: NDArray[np.float64], is_log: bool = False) -> list[list[int]]:
-    """Which of the lines (lines, n) coincide, each with those it does, in their order; NaN is nowhere."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        heights = np.log(rows) if is_log else rows
-    finite = heights[np.isfinite(heights)]
-    close = _SAME * float(np.ptp(finite)) if finite.size else 0.0
-    found: list[list[int]] = []
-    for line in range(len(rows)):
-        own = next((group for group in found if _coincide(heights[line], heights[group[0]], close)), None)
-        if own is None:
-            found.append([line])
-        else:
-            own.append(line)
-    return found
-
-
 def _coincide(one: NDArray[np.float64], other: NDArray[np.float64], close: float) -> bool:
     both = np.isfinite(one) & np.isfinite(other)
     number = int(both.sum())
@@ -227,7 +211,19 @@ def _measure(
     scale(axes, rows)
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
-    same = coinciding_groups(rows, axes.get_yscale() == "log")
+    # Which of the lines (lines, n) coincide, each with those it does, in their order; NaN is nowhere.
+    is_log = axes.get_yscale() == "log"
+    with np.errstate(invalid="ignore", divide="ignore"):
+        heights = np.log(rows) if is_log else rows
+    finite = heights[np.isfinite(heights)]
+    close = _SAME * float(np.ptp(finite)) if finite.size else 0.0
+    same: list[list[int]] = []
+    for line in range(len(rows)):
+        own = next((group for group in same if _coincide(heights[line], heights[group[0]], close)), None)
+        if own is None:
+            same.append([line])
+        else:
+            own.append(line)
     looks = looks_of(same)
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
         name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None

@@ -74,27 +74,6 @@ def _by_rows(array: Any, nodes: int, dim: str) -> tuple[tuple[str, ...], Any]:
     return ("interval", "stage", dim), array.reshape(nodes - 1, stages, array.shape[1])
 
 
-def as_frame(result: Any) -> Any:
-    """See `Result.to_frame`."""
-    _require("pandas", "a data frame")
-    import pandas
-
-    if result.q.ndim != 2:
-        raise ArgumentError(f"{result.problem} is about particles, whose path has no columns", "take its arrays")
-    columns = {name: result.q[:, i] for i, name in enumerate(result.names["q"])}
-    columns |= {name: result.p[:, i] for i, name in enumerate(result.names["p"])}
-    if result.u is not None and result.names["u"]:
-        controls = result.controls_at(result.t)
-        if not result.stage_abscissae and len(result.u) < result.t.size:
-            controls = np.vstack([result.u, result.u[-1:]])  # each from its node on
-        columns |= {name: controls[:, i] for i, name in enumerate(result.names["u"])}
-    if result.energy is not None:
-        columns["energy"] = result.energy
-    frame = pandas.DataFrame(columns, index=pandas.Index(result.t, name="t"))
-    frame.attrs["units"] = {name: unit for name, unit in result.units.items() if name == "t" or name in columns}
-    return frame
-
-
 _TIMED = ("steps_per_second",)
 """Entries of a summary that say how long something took."""
 
@@ -206,7 +185,25 @@ class Display:
         last interval. In the units of the problem, which `attrs["units"]` names where its author gave them. Raises
         ExtraError without pandas, and ArgumentError for particles.
         """
-        return as_frame(cast(Any, self))
+        # See `Result.to_frame`.
+        result = cast(Any, self)
+        _require("pandas", "a data frame")
+        import pandas
+
+        if result.q.ndim != 2:
+            raise ArgumentError(f"{result.problem} is about particles, whose path has no columns", "take its arrays")
+        columns = {name: result.q[:, i] for i, name in enumerate(result.names["q"])}
+        columns |= {name: result.p[:, i] for i, name in enumerate(result.names["p"])}
+        if result.u is not None and result.names["u"]:
+            controls = result.controls_at(result.t)
+            if not result.stage_abscissae and len(result.u) < result.t.size:
+                controls = np.vstack([result.u, result.u[-1:]])  # each from its node on
+            columns |= {name: controls[:, i] for i, name in enumerate(result.names["u"])}
+        if result.energy is not None:
+            columns["energy"] = result.energy
+        frame = pandas.DataFrame(columns, index=pandas.Index(result.t, name="t"))
+        frame.attrs["units"] = {name: unit for name, unit in result.units.items() if name == "t" or name in columns}
+        return frame
 
     def plot(self, path: Path | str | None = None, *, style: str = "page") -> Picture:
         """The figure of `codegen solve --plot`, which a notebook shows, written to `path` as well if that is given.

@@ -67,16 +67,6 @@ class Texts:
             return False
 
 
-def texts_of(variants: Mapping[tuple[str, ...], Variant]) -> Texts:
-    """The texts of what is in files."""
-    texts = {
-        key: variant.path.read_text(encoding="utf-8")
-        for key, variant in variants.items()
-        if variant.path is not None and variant.shapes is not None
-    }
-    return Texts(texts, target())
-
-
 def _place(name: str, text: str, here: Target) -> Path:
     """Where this machine keeps a module; several may share a disk."""
     machine = f"{platform.node()}-{here.processor}-{here.features}-numba-{here.numba}-python-{here.python}"
@@ -145,7 +135,14 @@ class Work:
             remedy = "build it, and give its path"
             raise ArgumentError("a module that is in no file cannot be sent to a cluster", remedy)
         bare = replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
-        return Parcel(bare, texts_of(self.variants), () if self.sink is None else self.sink.mark())
+        # The texts of what is in files.
+        variants = self.variants
+        texts = {
+            key: variant.path.read_text(encoding="utf-8")
+            for key, variant in variants.items()
+            if variant.path is not None and variant.shapes is not None
+        }
+        return Parcel(bare, Texts(texts, target()), () if self.sink is None else self.sink.mark())
 
     def returned(self, number: int, done: Done) -> Done:
         """Write the rows of a worker who does not see the sink."""

@@ -57,32 +57,6 @@ _SHORTER = (1.0, 0.1, 0.01, 1e-3)
 """Parts of a step's length that are tried in turn."""
 
 
-def check_step(context: Context, program: StepProgram) -> Iterator[Finding]:
-    """The scheme's equations and the energy as written; the elimination by the equations that a step makes vanish."""
-    interval = [*program.stage_symbols, *program.right_symbols]
-    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
-    equations = function_of([*base, *interval], [value for _, value in program.equations])
-    energy = function_of(base, [program.energy], program.state_assignments)
-    written, height = Agreement(), Agreement()
-    names = [name for name, _ in program.equations]
-    module, size = context.module, len(interval)
-    points = random_points([v for _, v in program.equations], [*base, *interval], program.model)
-    for point in points:
-        arguments = _step_arguments(point, program)
-        after = np.array([point[symbol] for symbol in interval], dtype=float)
-        emitted = np.empty(size)
-        module.step_equations(arguments[0], after, *arguments[1:], emitted)
-        numbers = [mpmath.mpf(point[symbol]) for symbol in base]
-        with mpmath.workdps(DIGITS):
-            written.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, after)))
-            height.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
-    yield written.finding("step_equations", "the scheme's equations")
-    yield height.finding("energy", "the Hamiltonian")
-    yield _closed(context, program, points, equations)
-    if program.unknowns:
-        yield from _implicit(context, program)
-
-
 def _closed(context: Context, program: StepProgram, points: Sequence[Point], equations: Function) -> Finding:
     """The equations after a step of the module."""
     names, found = [f"{name} after a step" for name, _ in program.equations], Agreement()
@@ -218,7 +192,29 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
     """Compare all kernels of the module with what was derived."""
     program = context.program
     if not isinstance(program, ControlProgram):
-        yield from check_step(context, program)
+        # The scheme's equations and the energy as written.
+        interval = [*program.stage_symbols, *program.right_symbols]
+        base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+        equations = function_of([*base, *interval], [value for _, value in program.equations])
+        energy = function_of(base, [program.energy], program.state_assignments)
+        written, height = Agreement(), Agreement()
+        names = [name for name, _ in program.equations]
+        module, size = context.module, len(interval)
+        points = random_points([v for _, v in program.equations], [*base, *interval], program.model)
+        for point in points:
+            arguments = _step_arguments(point, program)
+            after = np.array([point[symbol] for symbol in interval], dtype=float)
+            emitted = np.empty(size)
+            module.step_equations(arguments[0], after, *arguments[1:], emitted)
+            numbers = [mpmath.mpf(point[symbol]) for symbol in base]
+            with mpmath.workdps(DIGITS):
+                written.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, after)))
+                height.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
+        yield written.finding("step_equations", "the scheme's equations")
+        yield height.finding("energy", "the Hamiltonian")
+        yield _closed(context, program, points, equations)
+        if program.unknowns:
+            yield from _implicit(context, program)
         return
     for stem, share in zip(kernel_stems(program), program.interval_elements, strict=True):
         yield from _interval(context, program, stem, share)

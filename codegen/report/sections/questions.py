@@ -15,11 +15,6 @@ from codegen.report.store import Store
 _COMPARED = ("explicit-euler", "midpoint", "dop853")
 
 
-def effort_sections(settings: Settings, store: Store) -> list[Section]:
-    """Questions 5 and 6, then the particle ansatz."""
-    return [_midpoint(settings, store), _orders(store), _ansatz(store)]
-
-
 def _midpoint(settings: Settings, store: Store) -> Section:
     texts, rows = [], []
     for count in (*settings.counts, 40):
@@ -165,7 +160,7 @@ def sections(settings: Settings, store: Store) -> list[Section]:
         _dimension(store),
         _smoothness(store),
         _jumps(settings, store),
-        *effort_sections(settings, store),
+        *[_midpoint(settings, store), _orders(store), _ansatz(store)],
     ]
 
 
