@@ -42,12 +42,6 @@ class LeaveOneOut:
         """Errors of landmarks that were left out, in pixels of the fixed image, shape (n,)."""
         return np.asarray(np.linalg.norm(self.misses, axis=1))
 
-    @property
-    def root_mean_square(self) -> float:
-        """Of all errors, in pixels; NaN if there is none."""
-        known = self.errors[np.isfinite(self.errors)]
-        return float(np.sqrt((known**2).mean())) if known.size else np.nan
-
 
 def leave_one_out(
     pairs: LandmarkPairs,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from codegen.errors import ExtraError, ImageError
 from codegen.registration.images.kinds import Header
 
-MODES = {"L": 1, "LA": 2, "RGB": 3, "RGBA": 4}
 ORIENTATION = 0x0112
 
 

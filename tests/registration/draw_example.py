@@ -2,7 +2,7 @@
 
 After D'Arcy Thompson, On Growth and Form (1917), chapter 17, where the sunfish Orthagoriscus is the porcupine fish
 Diodon on a grid of hyperbolas and circles. Drawn afresh from formulas; both pictures are dedicated to the public domain
-(CC0 1.0). `python -m codegen.registration.app.example.draw FOLDER` writes them again.
+(CC0 1.0). `python tests/registration/draw_example.py FOLDER` writes them again.
 """
 
 from __future__ import annotations
