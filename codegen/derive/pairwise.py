@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.expressions.cancellation import without_cancellation
-from codegen.expressions.invariants import Invariants
+from codegen.expressions.invariants import Invariants, without_cancellation
 from codegen.model.pairwise import PairwiseModel
 
 Assignment = tuple[Symbol, Expr]

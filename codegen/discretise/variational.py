@@ -12,6 +12,7 @@ from codegen.discretise.dense_output import FRACTION, observed_at
 from codegen.discretise.nodes import (
     STEP,
     PathValue,
+    PolynomialMotion,
     Sites,
     StateValue,
     at_nodes,
@@ -20,7 +21,6 @@ from codegen.discretise.nodes import (
     strictly_inside,
     substitute,
 )
-from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
 from codegen.schemes import Scheme

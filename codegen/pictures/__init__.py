@@ -13,7 +13,7 @@ from codegen.errors import ArgumentError
 from codegen.interfaces import GeneratedModule, is_control
 from codegen.model import Model
 from codegen.pictures.scene import fine_times, scene
-from codegen.plots import animation
+from codegen.plots import shapes
 from codegen.plots.quantities import first_guess_of_segments
 from codegen.solutions.result import Result
 
@@ -50,7 +50,7 @@ def save_film(
         finding = f"{result.problem} says nothing about how to draw it"
         raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
-    animation.save(scene(model.authored, result, animation.scene_times(result.t)), title, path, progress)
+    shapes.save(scene(model.authored, result, shapes.scene_times(result.t)), title, path, progress)
 
 
 def unit_of(source: Source) -> str:

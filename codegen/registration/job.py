@@ -32,8 +32,7 @@ from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.linear import chosen_alignment
 from codegen.registration.maps import Registration
 from codegen.registration.matching import Matching
-from codegen.registration.noise import estimate_sigma
-from codegen.registration.outliers import Outliers, outliers_of
+from codegen.registration.noise import Outliers, estimate_sigma, outliers_of
 from codegen.registration.pair_report import RESIDUALS, write_page, write_report
 from codegen.registration.pairs import LandmarkPairs, PointArray, flipped
 from codegen.registration.pixels import in_pixels, in_squares, square_grid

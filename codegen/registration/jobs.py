@@ -14,7 +14,7 @@ from codegen.registration.fields import read_with, written_with
 from codegen.registration.images import Image
 from codegen.registration.leave_one_out import LeaveOneOut
 from codegen.registration.maps import Registration
-from codegen.registration.outliers import Loss, Outliers
+from codegen.registration.noise import Loss, Outliers
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
 from codegen.registration.warp import Interpolation, Positions

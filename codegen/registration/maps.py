@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
-from codegen.registration.flow import Flow
 from codegen.registration.grid import Frame, Grid, coarse_grid, place_text, short
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.solver import Flow
 
 TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""

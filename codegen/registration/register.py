@@ -23,8 +23,7 @@ from codegen.registration.grid import Extent
 from codegen.registration.linear import Freedom, Linear, chosen_alignment
 from codegen.registration.maps import TOLERANCE, Registration, in_steps, refined, solved
 from codegen.registration.matching import IN_ORDER, Matching, said_of_partners
-from codegen.registration.noise import choose_sigma
-from codegen.registration.outliers import Loss, outliers_of, scale_of, weights_of
+from codegen.registration.noise import Loss, choose_sigma, outliers_of, scale_of, weights_of
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
 

@@ -28,12 +28,11 @@ from codegen.solutions.sensitivities import require_sensitive, with_sensitivitie
 from codegen.solutions.stages import stages_beyond
 from codegen.solving.accuracy.double_steps import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
-from codegen.solving.multistart import best_of
 from codegen.solving.other_values import with_observations, with_tables, with_values
 from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
 from codegen.solving.run import run_and_verify
-from codegen.solving.warm_start import start_of
+from codegen.solving.warm_start import best_of, start_of
 from codegen.tasks import task_of
 
 LEAST_TIME = 1e-9

@@ -28,14 +28,12 @@ from codegen.files import write_text
 from codegen.machine_code import ahead_of_time
 from codegen.solutions.result import Run
 from codegen.solutions.sensitivities import UNSOLVED
-from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
+from codegen.sweeping.case import Attempt, Continuation, Start, Variant, Varied, not_built, solve_case
 from codegen.sweeping.cases import Cases, rows_of
 from codegen.sweeping.chunks import Chunks, Piece, nearest_chain, serpentine
-from codegen.sweeping.continuation import Continuation, Start
-from codegen.sweeping.jumps import Grid, Neighbours, along_dimensions, improved, is_better
+from codegen.sweeping.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
 from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
 from codegen.sweeping.quantities import GUESS, CaseRates, Quantity, Wanted, as_argument
-from codegen.sweeping.scattered import scattered
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,11 +15,10 @@ from codegen.errors import VerificationError
 from codegen.lower.control.layout import parameters
 from codegen.lower.control.phases import named_elements
 from codegen.transcribe.program import ControlProgram
-from codegen.verify.execution import Text
+from codegen.verify.execution import Tape, Text
 from codegen.verify.judgement import complex_numbers
 from codegen.verify.points import GuessedPoints, Values, random_points, with_time
 from codegen.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
-from codegen.verify.tape import Tape
 
 _DRAWN = 30
 _ROUNDING = 1e-8

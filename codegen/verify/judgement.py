@@ -24,7 +24,7 @@ from sympy import Symbol
 
 from codegen.errors import VerificationError
 from codegen.expressions.special_functions import STEMS, by_name
-from codegen.verify.tape import Arithmetic
+from codegen.verify.execution import Arithmetic
 
 DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")

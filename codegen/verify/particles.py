@@ -15,9 +15,8 @@ from sympy import Symbol
 from codegen.errors import VerificationError
 from codegen.model.pairwise import PairwiseModel
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.verify.execution import Text
+from codegen.verify.execution import Tape, Text
 from codegen.verify.judgement import complex_numbers, step_of
-from codegen.verify.tape import Tape
 
 _PARTICLES = 3
 _SCALES = (0.6, 0.05)

@@ -16,10 +16,9 @@ from sympy import Expr, S, Symbol
 
 from codegen.derive.mixed import data_of
 from codegen.transcribe.program import ControlProgram
-from codegen.verify.execution import Text
+from codegen.verify.execution import Tape, Text
 from codegen.verify.judgement import EXACT, SIZED, Sized, complex_numbers, difference, judge, sized, step_of
 from codegen.verify.points import Values, finite_points
-from codegen.verify.tape import Tape
 
 Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
 """Calls a kernel with values of symbols and a list to fill."""

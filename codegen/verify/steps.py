@@ -10,10 +10,9 @@ from sympy import Expr, Symbol
 
 from codegen.expressions.checks import rounded_at
 from codegen.transcribe.step_program import StepProgram
-from codegen.verify.execution import Text
+from codegen.verify.execution import Arithmetic, Tape, Text
 from codegen.verify.judgement import EXACT, SIZED, Sized, complex_numbers, difference, judge, sized, step_of
 from codegen.verify.points import Values, finite_points, random_points
-from codegen.verify.tape import Arithmetic, Tape
 
 _DRAWN = 30
 Assignment = tuple[Symbol, Expr]

@@ -11,9 +11,8 @@ import codegen
 from codegen.errors import ArgumentError
 from codegen.plots.objectives import is_dominated
 from codegen.solutions.result import Outline
-from codegen.sweeping.case import Attempt, _unknowns
+from codegen.sweeping.case import Attempt, Start, _unknowns
 from codegen.sweeping.cases import grid
-from codegen.sweeping.continuation import Start
 from codegen.sweeping.layout import Shapes, layout_of
 from codegen.sweeping.quantities import CaseRates, Quantity, Tangent
 from codegen.sweeping.store import Frame

@@ -25,7 +25,7 @@ from codegen.checks.base import Context, Finding, does_not_apply
 from codegen.checks.derivation.one_step import StepEquations, generic_model, jacobians, solved_step, step_equations
 from codegen.checks.evaluation import Function, function_of, vanishing
 from codegen.discretise import STEP, at_nodes, one_step_interval, variational_interval
-from codegen.discretise.polynomials import between
+from codegen.discretise.nodes import between
 from codegen.errors import DegenerateError
 from codegen.model import Model, legendre
 from codegen.schemes import Scheme

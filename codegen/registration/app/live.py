@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from codegen.errors import CodegenError, RegistrationError
-from codegen.registration.app import messages, preparing, solving
+from codegen.registration.app import messages, solving, worker
 from codegen.registration.app.autosave import TOKEN, Keeper, Saved, Store, new_token
 from codegen.registration.app.messages import Line, Tab
 from codegen.registration.app.operations import operate
@@ -221,7 +221,7 @@ class LiveWork:
         """Whether the solver of the present scheme is at hand, if one is needed; otherwise all is drawn when it is."""
         if not self.session.work.active:
             return True
-        solver = preparing.prepared(self.session.work.settings.scheme)
+        solver = worker.prepared(self.session.work.settings.scheme)
         if not solver.done() and self._awaited is not solver:
             self._awaited = solver
             solver.add_done_callback(lambda _: delivered(self.deliver, self._arrived))
@@ -281,7 +281,7 @@ class LiveWork:
     # --- what is said -----------------------------------------------------------------------------------------------
 
     def _tell_status(self, doing: str) -> None:
-        self.tell({"type": "status", "doing": preparing.COMPILING if self._awaited is not None else doing})
+        self.tell({"type": "status", "doing": worker.COMPILING if self._awaited is not None else doing})
 
     def _say(self, text: str, wrong: bool = True) -> None:
         if text or self.message:

@@ -19,8 +19,7 @@ from codegen.registration.grid import coarse_grid
 from codegen.registration.jobs import out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration
-from codegen.registration.noise import SigmaEstimate, estimate_sigma
-from codegen.registration.outliers import Outliers, outliers_of
+from codegen.registration.noise import Outliers, SigmaEstimate, estimate_sigma, outliers_of
 from codegen.registration.pixels import in_pixels, in_squares, square_grid
 from codegen.registration.register import register
 

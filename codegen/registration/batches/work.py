@@ -28,10 +28,9 @@ from codegen.registration.batches.lines import (
     tally_of,
     written_by,
 )  # fmt: skip
-from codegen.registration.flow import threads_at_most
 from codegen.registration.job import run
 from codegen.registration.jobs import Job, Options
-from codegen.registration.solver import is_compiled, registration_module
+from codegen.registration.solver import is_compiled, registration_module, threads_at_most
 
 
 @dataclass(frozen=True)
