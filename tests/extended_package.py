@@ -217,7 +217,7 @@ REGISTRIES = {
         ("from codegen", "from codegen.transcribe.conditions.balance import balances\nfrom codegen"),
         ("    inner = ", "    nodal += balances(model, names)\n    inner = "),
     ],
-    "sweeping/samples.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
+    "sweeping/cases.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }
 """A row and its import for each; of a condition the argument, of a sampling method the function beside the row.
 

@@ -1,19 +1,5 @@
 """The certificate of a registration: that it does not fold, that its inverse is one, and how well landmarks are met.
 
-A proof that a flow in space does not fold anywhere, by the steps of `codegen.registration.step_bounds`.
-
-With s = |x - q|^2, t = |1 - x q*|^2, u = (|q|^2 x - q)/sqrt(t), e the unit vector from q to x and r = sqrt(s/t) <= 1,
-
-    gradient = (1 - r) ((1 + r) u - 2 e),   whose norm is at most 2 + |q|, since |u| = |q|;
-    second derivative = ((1 - r^2)(|q|^2 I - u u^T) + 2 (e - r u)(e - r u)^T)/sqrt(t) - 2 (1 - r)(I - e e^T)/sqrt(s),
-
-two parts that are not negative, together at most 2 (1 + |q|)^2/sqrt(t), and one that is not positive, at least
--2/sqrt(s). So a gradient jumps at a landmark, by no more than twice its bound, and changes by little elsewhere.
-
-L_s is the largest bound of the gradient on the cells of a grid: its size in a cell's middle, and what it can change by
-on the way to any place of the cell. Cells whose bounds are well above the largest gradient seen are divided, again and
-again, so that they are small only where that decides. Beyond the rim nothing moves, and gradients are zero.
-
 A proof that a flow does not fold anywhere: every step differs from the identity by less than the identity.
 
 A step Phi of an explicit Runge-Kutta method has a derivative with |D Phi - I| <= h sum_s b_s L_s d_s, where L_s bounds
@@ -29,7 +15,19 @@ The second derivative of the Green's function is
 
 so its norm is at most the larger of log(4/s) and |q|^2 + 2 (1 + |q|)^2 <= 9. On a way of length r that is worst if q
 lies in its middle, which gives the integral in `_change`. Rounding, some 1e-15 of these sums, is left out of account.
-What holds in space is in `codegen.registration.space_bounds`.
+In space, by the same bounds of steps:
+
+With s = |x - q|^2, t = |1 - x q*|^2, u = (|q|^2 x - q)/sqrt(t), e the unit vector from q to x and r = sqrt(s/t) <= 1,
+
+    gradient = (1 - r) ((1 + r) u - 2 e),   whose norm is at most 2 + |q|, since |u| = |q|;
+    second derivative = ((1 - r^2)(|q|^2 I - u u^T) + 2 (e - r u)(e - r u)^T)/sqrt(t) - 2 (1 - r)(I - e e^T)/sqrt(s),
+
+two parts that are not negative, together at most 2 (1 + |q|)^2/sqrt(t), and one that is not positive, at least
+-2/sqrt(s). So a gradient jumps at a landmark, by no more than twice its bound, and changes by little elsewhere.
+
+L_s is the largest bound of the gradient on the cells of a grid: its size in a cell's middle, and what it can change by
+on the way to any place of the cell. Cells whose bounds are well above the largest gradient seen are divided, again and
+again, so that they are small only where that decides. Beyond the rim nothing moves, and gradients are zero.
 """
 
 from __future__ import annotations

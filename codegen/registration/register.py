@@ -4,7 +4,7 @@ From a sigma to a map: how strongly roughness counts, so that landmarks are miss
 
 A cost of misfit and roughness has a free factor, the strength of the latter. It is found by the discrepancy principle
 (Morozov 1966): the map is as smooth as residuals of the stated size allow, less what the fit follows of the errors
-(`codegen.registration.freedom`). Residuals grow with the strength, so few solves suffice, each from the one before; the
+(`codegen.registration.linear`). Residuals grow with the strength, so few solves suffice, each from the one before; the
 linear theory says where to begin.
 """
 
