@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from sympy import Rational, S
 
 from codegen.schemes.base import FIRST_ORDER, Scheme
-from codegen.schemes.step import FieldPoint, Step, Update
+from codegen.schemes.base import FieldPoint, Step, Update
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,10 @@ from codegen.author.data_files import recorded_files
 from codegen.author.sources import Source, settings_of, source_of
 from codegen.checks import particles
 from codegen.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
-from codegen.checks.derivation import consistency, discrete_equations, null_spaces, one_step, path_modes, phases
+from codegen.checks.derivation import consistency, discrete_equations, null_spaces, one_step, phases
 from codegen.checks.evaluation import NoPointError
-from codegen.checks.module import assembly, derivatives, given_values, layout, tables
+from codegen.checks.module import assembly, derivatives, layout, tables
 from codegen.checks.solution import motion, optimum
-from codegen.checks.solution import sensitivities as of_sensitivities
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.interfaces import is_of_particles
 from codegen.loading import load
@@ -34,9 +33,11 @@ _ROWS = (
     Check("derivatives", derivatives.check_derivatives),
     Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
     Check(
-        "given values", given_values.check, without={"simulate": "a simulation gives no values but those of its start"}
+        "given values",
+        assembly.check_given_values,
+        without={"simulate": "a simulation gives no values but those of its start"},
     ),
-    Check("assembly", assembly.check, without={"simulate": "a simulation solves step after step"}),
+    Check("assembly", assembly.check_assembly, without={"simulate": "a simulation solves step after step"}),
     Check("tables", tables.check_tables),
     Check("measurements", tables.check_measurements, without={"simulate": "a simulation fits nothing"}),
     Check("discrete equations", discrete_equations.check_discrete_equations, runs_the_module=False, of_each_phase=True),
@@ -82,14 +83,16 @@ _ROWS = (
         of_each_phase=True,
         without={"simulate": "a simulation has no controls to be found"},
     ),
-    Check("path between nodes", path_modes.check, without={"simulate": "a simulation has no path conditions"}),
+    Check(
+        "path between nodes", null_spaces.check_path_modes, without={"simulate": "a simulation has no path conditions"}
+    ),
     Check("holonomic drift", motion.check_holonomic_drift),
     Check("inner times", motion.check_inner_times, without={"simulate": "a simulation has no conditions on the way"}),
     Check("switches", phases.check_switches),
     Check("delays", motion.check_delays, without={"simulate": "a simulation has no values of the past"}),
     Check("second-order condition", optimum.check_second_order, without={"simulate": "a simulation minimises nothing"}),
     Check("optimum", optimum.check_optimum, without={"simulate": "a simulation minimises nothing"}),
-    Check("sensitivities", of_sensitivities.check, without={"simulate": "a simulation minimises nothing"}),
+    Check("sensitivities", optimum.check_sensitivities, without={"simulate": "a simulation minimises nothing"}),
 )
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}

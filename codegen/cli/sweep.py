@@ -125,7 +125,7 @@ def sweep(
 
     # Refuse, before anything else, what cannot be written.
     from codegen.cli.pictures import PLOTS
-    from codegen.plots.objectives import objectives_of
+    from codegen.plots.pareto import objectives_of
     from codegen.solutions.output import require_writable
     from codegen.sweeping.cases import assigned, axis_of
     from codegen.sweeping.outcome import outcome_of
@@ -163,7 +163,7 @@ def sweep(
 def _require_front(pareto: str | None, outlined: Any) -> None:
     """Refuse objectives that the sweep will not have."""
     if pareto is not None:
-        from codegen.plots.objectives import objectives_of, require_objectives
+        from codegen.plots.pareto import objectives_of, require_objectives
 
         require_objectives(objectives_of(pareto), outlined)
 

@@ -200,7 +200,7 @@ def _many(
     report: Path | None, options: Options, json: bool, who: Who,
 ) -> None:  # fmt: skip
     from codegen.engines.team import team_size
-    from codegen.registration.batches import lines, page, pairing
+    from codegen.registration.batches import page, pairing, work
     from codegen.registration.batches.outcome import BatchRequest, outcome_of
     from codegen.solutions import output
 
@@ -220,7 +220,7 @@ def _many(
     for option, folder in (("--out", out), ("--field", field), ("--report", report)):
         if folder is not None:
             output.require_folder(folder, option, may_be_made=True)
-    summary = (out / lines.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
+    summary = (out / work.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
         pairing.require_free(jobs, report / page.NAME)
     request = BatchRequest(jobs, options, places, summary, workers, who.cluster, who.resume)

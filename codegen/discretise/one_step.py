@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.dense_output import continued, observed_at
 from codegen.discretise.nodes import (
     STEP,
     PathValue,
     Sites,
     StateValue,
     at_nodes,
+    continued,
     distinct,
+    observed_at,
     sites,
     strictly_inside,
     substitute,

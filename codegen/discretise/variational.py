@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.dense_output import FRACTION, observed_at
 from codegen.discretise.nodes import (
+    FRACTION,
     STEP,
     PathValue,
     PolynomialMotion,
@@ -17,6 +17,7 @@ from codegen.discretise.nodes import (
     StateValue,
     at_nodes,
     distinct,
+    observed_at,
     sites,
     strictly_inside,
     substitute,

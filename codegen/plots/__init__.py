@@ -12,8 +12,7 @@ from codegen.drawing import Scene
 from codegen.interfaces import GeneratedModule, is_connect, is_control
 from codegen.plots.closed_loop import closed_loop_figure
 from codegen.plots.control import Drawings, control_figure
-from codegen.plots.objectives import Objective, objectives_of, require_objectives
-from codegen.plots.pareto import pareto_figure
+from codegen.plots.pareto import Objective, objectives_of, pareto_figure, require_objectives
 from codegen.plots.picture import write
 from codegen.plots.purposes import finished, using
 from codegen.plots.simulation import connect_figure, simulation_figure

@@ -21,12 +21,11 @@ from codegen.machine_code.processes import Compilers, compilers
 from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
-from codegen.solutions.poles import poles
+from codegen.solutions.poles import poles, stages_beyond
 from codegen.solutions.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
 from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
-from codegen.solutions.stages import stages_beyond
-from codegen.solving.accuracy.double_steps import discretisation_error
+from codegen.solving.accuracy.arcs import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.other_values import with_observations, with_tables, with_values
 from codegen.solving.refinement import refine, transferred

@@ -12,9 +12,9 @@ from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
 from codegen.verify.control import verify_control
-from codegen.verify.couplings import verify_couplings
 from codegen.verify.execution import Text, verify_tables
 from codegen.verify.particles import verify_particles
+from codegen.verify.shares import verify_couplings
 from codegen.verify.steps import verify_step
 
 

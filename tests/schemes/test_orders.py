@@ -22,8 +22,8 @@ from codegen.discretise.nodes import LENGTHS, STEP
 from codegen.drivers.fsolve import simulate as fsolve
 from codegen.errors import ArgumentError, SchemeError
 from codegen.naming import Choices
+from codegen.schemes.base import Tableau
 from codegen.schemes.particles import PARTICLE_SCHEMES
-from codegen.schemes.step import Tableau
 from codegen.solutions.result import Run
 from codegen.transcribe import transcribe
 

@@ -9,7 +9,7 @@ import pytest
 
 import codegen
 from codegen.errors import ArgumentError
-from codegen.plots.objectives import is_dominated
+from codegen.plots.pareto import is_dominated
 from codegen.solutions.result import Outline
 from codegen.sweeping.case import Attempt, Start, _unknowns
 from codegen.sweeping.cases import grid

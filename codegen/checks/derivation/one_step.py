@@ -36,7 +36,7 @@ from codegen.errors import DegenerateError, NumericsError
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Model, legendre, normalise
 from codegen.schemes import METHODS, Scheme
-from codegen.schemes.step import Tableau
+from codegen.schemes.base import Tableau
 
 _MOST_ITERATIONS = 60
 

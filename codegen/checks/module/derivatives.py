@@ -50,8 +50,8 @@ from codegen.runtime.stepping.steps import part_of_step
 from codegen.solutions.estimates import plain
 from codegen.transcribe.program import ControlProgram, EndElement, IntervalElement
 from codegen.transcribe.step_program import StepProgram
-from codegen.verify.couplings import shared_symbols
 from codegen.verify.judgement import CONTINUED
+from codegen.verify.shares import shared_symbols
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)
 """Parts of a step's length that are tried in turn."""

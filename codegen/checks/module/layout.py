@@ -24,7 +24,7 @@ from codegen.expressions.table_functions import numbers_of
 from codegen.runtime.search.grid import free_unknowns
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
-from codegen.verify.couplings import shared_symbols
+from codegen.verify.shares import shared_symbols
 
 _STEPS = 2
 

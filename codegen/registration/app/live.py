@@ -17,8 +17,7 @@ from typing import Any
 from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import messages, solving, worker
 from codegen.registration.app.autosave import TOKEN, Keeper, Saved, Store, new_token
-from codegen.registration.app.messages import Line, Tab
-from codegen.registration.app.operations import operate
+from codegen.registration.app.messages import Line, Tab, operate
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Look, Shown, Wanted
 from codegen.registration.app.state import Work

@@ -24,12 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ImageError, PointsError
-from codegen.registration.app.picture import NAME_LENGTH, Picture
 from codegen.registration.app.session import Session
-from codegen.registration.app.state import Work, pairs_of
+from codegen.registration.app.state import NAME_LENGTH, Picture, Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.images import Limits, read_image
-from codegen.registration.images.by_tifffile import SAMPLES
+from codegen.registration.images.codecs import SAMPLES
 from codegen.registration.images.spacing import Spacing, meant, named
 from codegen.registration.volumes.files import library, require_whole, silent, telling
 

@@ -22,10 +22,9 @@ from tornado.web import Application, HTTPError, RequestHandler, stream_request_b
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from codegen.errors import ArgumentError, CodegenError
-from codegen.registration.app import exports
+from codegen.registration.app import solving
 from codegen.registration.app.autosave import Store, default_folder
 from codegen.registration.app.live import LiveWork, Works, parsed
-from codegen.registration.app.picture import tile
 from codegen.registration.app.reading import (
     LIMITS,
     MOST_LANDMARK_BYTES,
@@ -36,6 +35,7 @@ from codegen.registration.app.reading import (
     session_of,
 )
 from codegen.registration.app.session import Session
+from codegen.registration.app.state import tile
 from codegen.registration.formats import FORMATS, Frames, parse_landmarks
 
 HOSTS = ("localhost", "127.0.0.1", "[::1]")
@@ -318,8 +318,8 @@ class Export(OfWork):
         if form not in FORMATS or part not in ("0", "1"):
             raise HTTPError(400)
         jobs: dict[str, Callable[[], Any]] = {
-            "image": partial(exports.warped_image, task), "field": partial(exports.field, task),
-            "landmarks": lambda: exports.landmarks(task, form), "animation": partial(exports.animation, task, grid),
+            "image": partial(solving.warped_image, task), "field": partial(solving.field, task),
+            "landmarks": lambda: solving.landmarks(task, form), "animation": partial(solving.animation, task, grid),
         }  # fmt: skip
         try:
             if kind != "landmarks":

@@ -9,8 +9,18 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from codegen.errors import LandmarkError
-from codegen.registration.app.picture import Picture
-from codegen.registration.app.state import MOST_NAME, MOST_PAIRS, Pair, Place, Settings, Side, Work, other, pairs_of
+from codegen.registration.app.state import (
+    MOST_NAME,
+    MOST_PAIRS,
+    Pair,
+    Picture,
+    Place,
+    Settings,
+    Side,
+    Work,
+    other,
+    pairs_of,
+)
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
 

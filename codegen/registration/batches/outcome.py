@@ -21,9 +21,19 @@ from codegen.engines.team import Progress, Team, Working, silent
 from codegen.engines.work import LOST, SOLVED, Done, Tally
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers
-from codegen.registration.batches.lines import COLUMNS, Line, options_digest, read_summary, tally_of, write_summary
 from codegen.registration.batches.pairing import Places, make_folders
-from codegen.registration.batches.work import BatchWork, Pair, Place, Tried
+from codegen.registration.batches.work import (
+    COLUMNS,
+    BatchWork,
+    Line,
+    Pair,
+    Place,
+    Tried,
+    options_digest,
+    read_summary,
+    tally_of,
+    write_summary,
+)
 from codegen.registration.job import dimension_of, run
 from codegen.registration.jobs import Job, Options
 from codegen.registration.solver import registration_module

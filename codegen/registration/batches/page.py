@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 
 from codegen.files import replacing
-from codegen.registration.batches.lines import Line
 from codegen.registration.batches.outcome import Batch
+from codegen.registration.batches.work import Line
 from codegen.registration.pair_report import number, rows
 
 if TYPE_CHECKING:

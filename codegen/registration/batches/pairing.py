@@ -10,7 +10,7 @@ from typing import get_args
 
 from codegen.errors import ArgumentError, one_line
 from codegen.files import refused
-from codegen.registration.images.kinds import KINDS
+from codegen.registration.images.codecs import KINDS
 from codegen.registration.jobs import Job
 from codegen.registration.volumes.files import READ, ending, is_volume
 from codegen.registration.warp import Interpolation

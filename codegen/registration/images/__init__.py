@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from codegen.errors import ImageError
 from codegen.files import replacing
-from codegen.registration.images import by_pillow, by_tifffile
+from codegen.registration.images import codecs
+from codegen.registration.images.codecs import KINDS, Header, readable
 from codegen.registration.images.header import header_of
-from codegen.registration.images.kinds import KINDS, Header, readable
 from codegen.registration.images.spacing import Spacing, spacing_of
 
 Pixels: TypeAlias = NDArray[Any]
@@ -101,9 +101,9 @@ def _contents(source: Path | str | bytes, limits: Limits, name: str) -> tuple[by
 
 
 _DECODERS: dict[str, Callable[[str, bytes, Header], tuple[Pixels, bytes | None, int]]] = {
-    "PNG": by_pillow.decode,
-    "JPEG": by_pillow.decode,
-    "TIFF": by_tifffile.decode,
+    "PNG": codecs.decode,
+    "JPEG": codecs.decode,
+    "TIFF": codecs.decode_tiff,
 }
 
 # EXIF 2.32, tag 0x0112: where the first row and the first column of the stored array are to be seen.
@@ -129,7 +129,7 @@ def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> Non
     path = Path(path)
     require_fitting(path, pixels)
     kind = require_kind(path)
-    encode = by_tifffile.encode if kind == "TIFF" else by_pillow.encode
+    encode = codecs.encode_tiff if kind == "TIFF" else codecs.encode
     with replacing(path) as temporary:
         encode(path, temporary, kind, pixels, profile)
 
@@ -139,7 +139,7 @@ def require_fitting(path: Path, pixels: Pixels) -> None:
     kind = require_kind(path)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (2, 3, 4)) or not pixels.size:
         raise ImageError(f"{path}: an array of shape {pixels.shape} is no image", "give (h, w) or (h, w, 2 to 4)")
-    check = by_tifffile.require_fitting if kind == "TIFF" else by_pillow.require_fitting
+    check = codecs.require_fitting_tiff if kind == "TIFF" else codecs.require_fitting
     check(path, kind, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 1)
 
 

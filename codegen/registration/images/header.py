@@ -6,8 +6,8 @@ import struct
 import zlib
 
 from codegen.errors import ImageError
-from codegen.registration.images import by_tifffile
-from codegen.registration.images.kinds import Header
+from codegen.registration.images import codecs
+from codegen.registration.images.codecs import Header
 
 VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr")
 """What `codegen.registration.volumes` reads."""
@@ -31,7 +31,7 @@ def header_of(name: str, data: bytes) -> Header:
     if data.startswith(b"\xff\xd8\xff"):
         return _jpeg(name, data)
     if data.startswith(_TIFF):
-        return by_tifffile.header(name, data)
+        return codecs.tiff_header(name, data)
     if name.lower().endswith(VOLUMES):
         raise ImageError(f"{name} is a volume, and this is for pictures", "give codegen warp two volumes")
     what = "is empty" if not data else "is no PNG, JPEG or TIFF file"

@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates
 
 from codegen.plots.style import AMBER, BLUE, RED
 from codegen.registration.grid import Grid, mesh
-from codegen.registration.pair_pictures import Picture
+from codegen.registration.pair_report import Picture
 from codegen.registration.pairs import PointArray
 from codegen.registration.volumes.warp import VolumeResult
 

@@ -1,18 +1,131 @@
-"""TIFF files of one page, by tifffile; by Pillow where they are compressed otherwise than with Deflate."""
+"""Kinds of image files, decoded and encoded by Pillow and tifffile."""
 
 from __future__ import annotations
 
 import io
 import logging
+import tempfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.errors import ExtraError, ImageError
-from codegen.registration.images.kinds import Header
+from codegen.errors import CodegenError, ExtraError, ImageError
+
+KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
+
+
+@dataclass(frozen=True)
+class Header:
+    """Kind of file, size in pixels, bits of a sample and stored samples of a pixel."""
+
+    kind: str
+    width: int
+    height: int
+    bits: int
+    samples: int
+
+
+@contextmanager
+def readable(name: str) -> Iterator[None]:
+    """Errors of decoders, of which there are many kinds for damaged files, as one ImageError."""
+    try:
+        yield
+    except CodegenError:
+        raise
+    except MemoryError as error:
+        raise ImageError(f"{name} does not fit into memory", "give a smaller image") from error
+    except Exception as error:  # decoders raise nearly everything for damaged files
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise ImageError(f"{name} is damaged or no image ({reason})", "give a whole PNG, JPEG or TIFF file") from error
+
+
+ORIENTATION = 0x0112
+
+
+def decode(name: str, data: bytes, header: Header) -> tuple[NDArray[Any], bytes | None, int]:
+    """Pixels, colour profile and EXIF orientation."""
+    from PIL import Image
+
+    if header.bits == 16 and header.samples > 1:
+        return _decode_deep(name, data, header), None, 1
+    with Image.open(io.BytesIO(data), formats=(header.kind,)) as picture:
+        picture.load()
+        profile = picture.info.get("icc_profile")
+        orientation = int(picture.getexif().get(ORIENTATION, 1))
+        if picture.mode in ("CMYK", "YCCK"):
+            raise ImageError(f"{name} holds printing inks (CMYK)", "convert it to RGB")
+        pixels = np.asarray(plain(picture))
+    if header.bits == 16 and pixels.dtype != np.uint16:
+        pixels = pixels.astype(np.uint16)  # Pillow hands some 16-bit grey images over as 32-bit integers
+    return pixels, profile, orientation
+
+
+def plain(picture: Any) -> Any:
+    """Palettes, single bits and one transparent colour as the channels they stand for; all else as it is."""
+    transparent = "transparency" in picture.info
+    if picture.mode == "P":
+        return picture.convert("RGBA" if transparent else "RGB")
+    if picture.mode == "1":
+        return picture.convert("L")
+    if transparent and picture.mode in ("L", "RGB"):
+        return picture.convert("LA" if picture.mode == "L" else "RGBA")
+    return picture
+
+
+def _decode_deep(name: str, data: bytes, header: Header) -> NDArray[Any]:
+    itk = _itk(name)
+    if header.samples == 2:
+        raise ImageError(f"{name} holds 16-bit grey with opacity", "save it as TIFF, or as RGB with opacity")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "image.png"
+        path.write_bytes(data)
+        try:
+            return np.asarray(itk.GetArrayFromImage(itk.ReadImage(str(path), imageIO="PNGImageIO")))
+        except RuntimeError as error:  # its message names files of the library
+            raise ImageError(f"{name} is damaged or cut off", "give a whole PNG file") from error
+
+
+def _itk(name: str) -> Any:
+    try:
+        import SimpleITK
+    except ImportError as error:
+        finding = f"{name}: PNG with several channels of 16 bits takes SimpleITK, which is not installed"
+        raise ExtraError(finding, "pip install variational-codegen[images], or use TIFF") from error
+    return SimpleITK
+
+
+def require_fitting(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
+    """Refuse samples that a PNG or JPEG file cannot hold; ImageError names the file."""
+    if kind == "JPEG" and (dtype != np.uint8 or channels not in (1, 3)):
+        finding = f"{path}: JPEG holds 8-bit grey or RGB, and this is {dtype} with {channels} channels"
+        raise ImageError(finding, "write PNG or TIFF")
+    if dtype not in (np.uint8, np.uint16):
+        raise ImageError(f"{path}: PNG holds 8-bit or 16-bit samples, and these are {dtype}", "write TIFF")
+    if dtype == np.uint16 and channels == 2:
+        raise ImageError(f"{path}: 16-bit grey with opacity cannot be written as PNG", "write TIFF")
+    if dtype == np.uint16 and channels > 2:
+        _itk(str(path))
+
+
+def encode(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
+    """Write a file of the given kind, into which the samples fit, to `temporary`."""
+    from PIL import Image
+
+    if pixels.dtype == np.uint16 and pixels.ndim == 3:
+        itk = _itk(str(path))
+        itk.WriteImage(itk.GetImageFromArray(pixels, isVector=True), str(temporary), imageIO="PNGImageIO")
+        return
+    options: dict[str, Any] = {"icc_profile": profile} if profile else {}
+    if kind == "JPEG":
+        options |= {"quality": 95, "subsampling": 0}
+    Image.fromarray(pixels).save(temporary, format=kind, **options)
+
 
 SAMPLES = frozenset(np.dtype(name) for name in ("u1", "u2", "i2", "u4", "i4", "f4", "f8"))
 DEFLATE = (8, 32946)
@@ -29,7 +142,7 @@ def _tifffile() -> Any:
     return tifffile
 
 
-def header(name: str, data: bytes) -> Header:
+def tiff_header(name: str, data: bytes) -> Header:
     """Size and samples of the first page; ImageError for what this package does not read, by its name."""
     with _tifffile().TiffFile(io.BytesIO(data)) as file:
         page: Any = file.pages[0]
@@ -58,7 +171,7 @@ def _require_one_page(name: str, file: Any) -> None:
             )
 
 
-def decode(name: str, data: bytes, header: Header) -> tuple[NDArray[Any], bytes | None, int]:
+def decode_tiff(name: str, data: bytes, header: Header) -> tuple[NDArray[Any], bytes | None, int]:
     """Pixels, colour profile and orientation."""
     with _tifffile().TiffFile(io.BytesIO(data)) as file:
         page: Any = file.pages[0]
@@ -96,8 +209,6 @@ def _by_pillow(name: str, data: bytes, page: Any) -> NDArray[Any]:
     """Pixels of what tifffile alone does not decode; ImageError where Pillow would change the samples."""
     from PIL import Image
 
-    from codegen.registration.images.by_pillow import plain
-
     with Image.open(io.BytesIO(data), formats=("TIFF",)) as picture:
         stored = None if page.photometric.name == "PALETTE" or page.bitspersample == 1 else np.dtype(page.dtype)
         pixels = np.asarray(plain(picture))
@@ -112,14 +223,14 @@ def _native(pixels: NDArray[Any]) -> NDArray[Any]:
     return pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
 
 
-def require_fitting(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
+def require_fitting_tiff(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
     """Refuse samples that are not written; ImageError names the file."""
     if dtype not in SAMPLES:
         raise ImageError(f"{path}: samples of {dtype} cannot be written", "convert them to 32-bit floats")
     _tifffile()
 
 
-def encode(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
+def encode_tiff(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
     """Write one page, compressed without loss, to `temporary`."""
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     _tifffile().imwrite(
