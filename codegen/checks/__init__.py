@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 from codegen import compiler, emit, naming, schemes
 from codegen.author.data_files import recorded_files
@@ -26,73 +27,49 @@ from codegen.model.from_file import load_problem
 from codegen.model.segments import in_names_of_the_whole
 from codegen.naming import Choices
 
+Finder: TypeAlias = Callable[[Context], Iterable[Finding]]
+
 __all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "context_of", "run"]
+
+
+def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
+    """A check of the expressions of each phase; `without` says what a system of first order lacks."""
+    return Check(
+        name, findings, False, True, {"first-order": f"a first-order system has no {without}"} if without else {}
+    )
+
+
+def _of_problems(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
+    """A check of problems with something to find, for a `reason` why a simulation has nothing."""
+    return Check(name, findings, of_each_phase=of_each_phase, without={"simulate": f"a simulation {reason}"})
+
 
 _ROWS = (
     Check("layout", layout.check_layout, runs_the_module=False),
     Check("derivatives", derivatives.check_derivatives),
     Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
-    Check(
-        "given values",
-        assembly.check_given_values,
-        without={"simulate": "a simulation gives no values but those of its start"},
-    ),
-    Check("assembly", assembly.check_assembly, without={"simulate": "a simulation solves step after step"}),
+    _of_problems("given values", assembly.check_given_values, "gives no values but those of its start"),
+    _of_problems("assembly", assembly.check_assembly, "solves step after step"),
     Check("tables", tables.check_tables),
-    Check("measurements", tables.check_measurements, without={"simulate": "a simulation fits nothing"}),
-    Check("discrete equations", discrete_equations.check_discrete_equations, runs_the_module=False, of_each_phase=True),
-    Check("integrals", discrete_equations.check_integrals, runs_the_module=False, of_each_phase=True),
+    _of_problems("measurements", tables.check_measurements, "fits nothing"),
+    _of_equations("discrete equations", discrete_equations.check_discrete_equations),
+    _of_equations("integrals", discrete_equations.check_integrals),
     Check("momentum matching", discrete_equations.check_momentum_matching),
-    Check(
-        "discrete Noether",
-        one_step.check_noether,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no momenta"},
-    ),
+    _of_equations("discrete Noether", one_step.check_noether, without="momenta"),
     Check("consistency", consistency.check_consistency, runs_the_module=False),
-    Check(
-        "symplecticity",
-        one_step.check_symplecticity,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no symplectic form"},
-    ),
-    Check(
-        "area preservation",
-        one_step.check_area_preservation,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no phase plane of q and p"},
-    ),
-    Check(
-        "midpoint equivalence",
-        consistency.check_midpoint_equivalence,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no discrete Lagrangian"},
-    ),
-    Check(
-        "boundary rank",
-        null_spaces.check_boundary_rank,
-        without={"simulate": "a simulation has no boundary value problem"},
-    ),
-    Check(
-        "null controls",
-        null_spaces.check_null_controls,
-        of_each_phase=True,
-        without={"simulate": "a simulation has no controls to be found"},
-    ),
-    Check(
-        "path between nodes", null_spaces.check_path_modes, without={"simulate": "a simulation has no path conditions"}
-    ),
+    _of_equations("symplecticity", one_step.check_symplecticity, without="symplectic form"),
+    _of_equations("area preservation", one_step.check_area_preservation, without="phase plane of q and p"),
+    _of_equations("midpoint equivalence", consistency.check_midpoint_equivalence, without="discrete Lagrangian"),
+    _of_problems("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
+    _of_problems("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
+    _of_problems("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
     Check("holonomic drift", motion.check_holonomic_drift),
-    Check("inner times", motion.check_inner_times, without={"simulate": "a simulation has no conditions on the way"}),
+    _of_problems("inner times", motion.check_inner_times, "has no conditions on the way"),
     Check("switches", phases.check_switches),
-    Check("delays", motion.check_delays, without={"simulate": "a simulation has no values of the past"}),
-    Check("second-order condition", optimum.check_second_order, without={"simulate": "a simulation minimises nothing"}),
-    Check("optimum", optimum.check_optimum, without={"simulate": "a simulation minimises nothing"}),
-    Check("sensitivities", optimum.check_sensitivities, without={"simulate": "a simulation minimises nothing"}),
+    _of_problems("delays", motion.check_delays, "has no values of the past"),
+    _of_problems("second-order condition", optimum.check_second_order, "minimises nothing"),
+    _of_problems("optimum", optimum.check_optimum, "minimises nothing"),
+    _of_problems("sensitivities", optimum.check_sensitivities, "minimises nothing"),
 )
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
