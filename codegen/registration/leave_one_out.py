@@ -17,7 +17,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.grid import Extent
 from codegen.registration.maps import Registration, in_steps
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import registered
+from codegen.registration.register import register
 
 ENOUGH = 0.1
 """Error of a map, in pixels, below which its steps are many enough to predict landmarks with."""
@@ -60,7 +60,7 @@ def leave_one_out(
     count = len(pairs)
     misses = np.full((count, pairs.dimension), np.nan)
     if count > 1:
-        full = registered(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
+        full = register(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
         velocities = full.velocities
     for k in range(count if count > 1 else 0):
         try:

@@ -27,7 +27,7 @@ from codegen.registration.alignment import align
 from codegen.registration.formats.base import Source
 from codegen.registration.formats.tps import specimens_of
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.register import registered
+from codegen.registration.register import register
 from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
 COLUMNS = ("specimen", "x", "y")
@@ -250,7 +250,7 @@ class DistanceWork:
         lengths, said = [], ""
         for one, other in ((i, j), (j, i)):
             try:
-                found = registered(LandmarkPairs(self.shapes[one], self.shapes[other]), (SIDE, SIDE), align="none")
+                found = register(LandmarkPairs(self.shapes[one], self.shapes[other]), (SIDE, SIDE), align="none")
             except CodegenError as error:
                 said = self._said(one, other, str(error))
                 continue
