@@ -52,7 +52,7 @@ MARQUARDT = '''"""The method of Levenberg and Marquardt on the KKT equations, wh
 import numpy as np
 from scipy.optimize import root
 
-from codegen.drivers.scaled import ScaledProblem
+from codegen.drivers.shared import ScaledProblem
 from codegen.solutions.result import ControlAttempt
 
 

@@ -36,7 +36,6 @@ def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
 
 
 def _without_factor(angle: Expr) -> Expr:
-    """The angle over the common factor of the numerators of its coefficients."""
     numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
     return sympy.expand(angle / sympy.igcd(0, *numerators))
 

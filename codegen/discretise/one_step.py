@@ -114,7 +114,6 @@ def _vector_field(model: Model) -> tuple[Expr, ...]:
 
 
 def _integrands(model: Model) -> tuple[Expr, ...]:
-    """What is integrated beside the motion: the cost, and what conditions on integrals are on."""
     return (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
 
 

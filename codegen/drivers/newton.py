@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.interfaces import ConnectModule, ControlModule, SimulateModule, Vector, is_of_particles
 from codegen.solutions.connect import case_of

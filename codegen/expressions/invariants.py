@@ -165,7 +165,6 @@ class Invariants:
 
     @property
     def _meeting(self) -> dict[Symbol, Symbol]:
-        """The substitution that puts the second particle where the first is."""
         half = len(self.first) // 2
         return dict(zip(self.second[:half], self.first[:half], strict=True))
 

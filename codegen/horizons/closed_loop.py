@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from codegen.plots.picture import Picture
 
 
-_PICTURE, _HTML = Home("notebooks.closed_loop", "picture"), Home("notebooks.closed_loop", "html")
+_PICTURE, _HTML = Home("notebooks.solution", "loop_picture"), Home("notebooks.solution", "loop_html")
 
 
 @dataclass(frozen=True, eq=False)

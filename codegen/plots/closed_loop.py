@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from codegen.interfaces import Matrix, Vector
-from codegen.plots.purposes import letter_size, letters_across, new_figure
+from codegen.plots.picture import letter_size, letters_across, new_figure
 from codegen.plots.style import AMBER, BLUE, CRIMSON, GREY, RED, label
 
 MOST_STATES, MOST_INPUTS = 12, 8

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from codegen.drawing import Scene
 from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
 from codegen.plots import panels, shapes
-from codegen.plots.purposes import letter_size, new_figure
+from codegen.plots.picture import letter_size, new_figure
 from codegen.plots.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
 from codegen.plots.style import (
     AMBER,

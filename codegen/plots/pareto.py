@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.plots.purposes import new_figure
+from codegen.plots.picture import new_figure
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, body_map, heading, label, quantity, statuses
 
 if TYPE_CHECKING:

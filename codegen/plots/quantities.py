@@ -194,12 +194,10 @@ def _finite(table: Matrix) -> Matrix:
 
 
 def _spread(values: Matrix) -> Vector:
-    """Greatest less smallest value of every column, as far as they are numbers."""
     return np.asarray(np.fmax.reduce(values, axis=0) - np.fmin.reduce(values, axis=0))
 
 
 def _by_body(table: Matrix, bodies: int) -> Matrix:
-    """Columns that stand body by body, as (times, bodies, quantities)."""
     return table.reshape(len(table), bodies, -1)
 
 

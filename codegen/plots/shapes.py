@@ -23,7 +23,7 @@ from PIL import Image
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.plots.purposes import STYLE, letter_size
+from codegen.plots.picture import STYLE, letter_size
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
 
 SHOTS, MANY_SHOTS = 9, 7

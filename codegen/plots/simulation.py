@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 from codegen.drawing import Scene
 from codegen.interfaces import ConnectModule, Vector
 from codegen.plots import panels, shapes
-from codegen.plots.purposes import new_figure
+from codegen.plots.picture import new_figure
 from codegen.plots.style import AMBER, BLUE, DARK, GREY, RED, Units, title
 from codegen.solutions.result import Result
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen import lettering
-from codegen.plots.purposes import letter_size, letters_across
+from codegen.plots.picture import letter_size, letters_across
 from codegen.solutions.result import Result
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from codegen.plots import fans
 from codegen.plots.fans import FAILED, JUMP, has_jump, is_failed, is_wide, measures_of, no_room, prediction, scale
-from codegen.plots.purposes import letter_size, new_figure
+from codegen.plots.picture import letter_size, new_figure
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, body_colours, body_map, heading, quantity
 
 if TYPE_CHECKING:
@@ -105,7 +105,6 @@ def _dense(line: NDArray[np.float64], letter: float) -> NDArray[np.float64]:
 
 
 def _frame(box: Any, letter: float) -> NDArray[np.float64]:
-    """The edges of a panel as a closed line of points."""
     corners = np.array([(box.x0, box.y0), (box.x1, box.y0), (box.x1, box.y1), (box.x0, box.y1), (box.x0, box.y0)])
     return _dense(corners, letter)
 
@@ -282,7 +281,6 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
 
 
 def _columns(panels: int) -> int:
-    """How many panels stand in a row."""
     return {0: 1, 4: 2}.get(panels, min(panels, 3))
 
 
@@ -322,7 +320,6 @@ def _map(
 
 
 def _crowd(cells: int) -> float:
-    """How large marks are where there are many cells."""
     return min(1.0, math.sqrt(900.0 / cells))
 
 

@@ -28,7 +28,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.grid import MARGINS, Extent, Frame, Grid, corners, grid_of, place_text

@@ -246,7 +246,6 @@ def _curve(blocks: list[_Block], length: float) -> tuple[Array, Array]:
 
 
 def _radius(places: Array) -> float:
-    """The root mean square distance from the middle."""
     return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 

@@ -255,7 +255,6 @@ def _range(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _grey(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Luminance (ITU-R BT.601) of samples from 0 to 1."""
     return values @ np.array([0.299, 0.587, 0.114]) if values.ndim == 3 else values
 
 

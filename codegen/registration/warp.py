@@ -149,7 +149,6 @@ class _Grid:
 
 
 def _at_cells(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The largest error at a corner of each cell."""
     return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
 
 

@@ -91,7 +91,6 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
 
 
 def _next_to(own: int | None, steps: Sequence[int]) -> int:
-    """The index of the number of steps that is closest to the problem's own."""
     return min(range(len(steps)), key=lambda i: abs(steps[i] - (own or 0)), default=0)
 
 

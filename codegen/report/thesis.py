@@ -446,7 +446,6 @@ def _path(workshop: Workshop, variant: Variant, h: float, start: tuple[float, fl
 
 
 def _slope(t: Any, energy: Any) -> float:
-    """Least-squares slope of the energy over the second half of a run, in energy per unit of time."""
     half = t.size // 2
     return float(np.polyfit(t[half:], energy[half:], 1)[0])
 

@@ -42,7 +42,6 @@ class RungeKutta(Scheme):
 
 
 def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:
-    """Rows of fractions, separated by blanks."""
     return tuple(tuple(Rational(entry) for entry in row.split()) for row in rows)
 
 

@@ -254,7 +254,6 @@ def _switch(model: Model, number: int) -> Block:
 
 
 def _side(model: Model, method: str) -> Model:
-    """The model on the side of mechanics where the method works, without boundaries."""
     transform = legendre.lagrangian_form if method == "variational" else legendre.hamiltonian_form
     return transform(model.with_free_ends)
 

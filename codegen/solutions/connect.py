@@ -40,7 +40,6 @@ def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:
 
 
 def _side(a: Vector, b: Vector, c: Vector) -> Vector:
-    """On which side of the line from a to b a point c lies: twice the signed area of the triangle."""
     left: Vector = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1])
     return left - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
 

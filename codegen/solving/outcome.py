@@ -28,9 +28,8 @@ from codegen.solutions.sensitivities import require_sensitive, with_sensitivitie
 from codegen.solving.accuracy.arcs import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
 from codegen.solving.other_values import with_observations, with_tables, with_values
-from codegen.solving.refinement import refine, transferred
 from codegen.solving.request import Request
-from codegen.solving.run import run_and_verify
+from codegen.solving.run import refine, run_and_verify, transferred
 from codegen.solving.warm_start import best_of, start_of
 from codegen.tasks import task_of
 
@@ -221,7 +220,6 @@ _TOO_TIGHT = ("inaccurate", "stalled")
 
 
 def _looser(run: Run) -> float:
-    """A larger tolerance, unless it is as large as any."""
     return min(LARGEST_TOLERANCE, 100.0 * (run.tolerance or LARGEST_TOLERANCE))
 
 

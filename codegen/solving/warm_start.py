@@ -21,7 +21,7 @@ from codegen.errors import ArgumentError, NumericsError
 from codegen.interfaces import ControlModule, GeneratedModule, Vector
 from codegen.solutions.result import Result, component_names
 from codegen.solutions.segments import segments_of
-from codegen.solving.refinement import source_steps
+from codegen.solving.run import source_steps
 
 _REMEDY = "give a file that --save wrote when this problem was solved"
 

@@ -137,7 +137,6 @@ def _largest(*arrays: Any) -> float:
 
 
 def _once(result: Result) -> int:
-    """What ends at its first failure."""
     return int(not result.solved)
 
 

@@ -19,12 +19,11 @@ from scipy.integrate import solve_ivp
 from codegen import solving
 from codegen.author.points import PointSet
 from codegen.solutions.result import Result
-from codegen.stress import stability
+from codegen.stress import systems
 from codegen.stress.cases import Case, Measurement, Values
 from codegen.stress.classify import EXPECTATIONS
 from codegen.stress.families.common import registered
-from codegen.stress.stability import stable_limit
-from codegen.stress.systems import DEFAULTS, FORCES, chain_acceleration, plate_gradient, textbook_errors
+from codegen.stress.systems import DEFAULTS, FORCES, chain_acceleration, plate_gradient, stable_limit, textbook_errors
 from codegen.tasks import task_of
 
 Vector = Any
@@ -58,7 +57,7 @@ def oscillator(module: Any, case: Case, result: Result) -> float:
 
 def stable_step(module: Any, case: Case, result: Result) -> float:
     """The largest stable step by the scheme's table, against the one that bisection finds."""
-    measured, exact = stable_limit(module, case), stability.limit(registered((result.method, result.scheme)))
+    measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
     if measured == exact:
         return 0.0
     return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
@@ -67,7 +66,7 @@ def stable_step(module: Any, case: Case, result: Result) -> float:
 def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
     """The scheme's own closed form, from its table."""
     h = result.t[-1] / result.steps
-    theta, lean = stability.turn(registered((result.method, result.scheme)), h * of_case(case).get("omega", 1.0))
+    theta, lean = systems.turn(registered((result.method, result.scheme)), h * of_case(case).get("omega", 1.0))
     k = np.round(result.t / h)
     exact = np.cos(k * theta) + lean * np.sin(k * theta)
     return float(np.abs(result.q[:, 0] / result.q[0, 0] - exact).max())

@@ -28,7 +28,7 @@ from codegen.interfaces import Matrix, Vector, is_connect
 from codegen.solutions.result import STATUSES, Outline, Run
 from codegen.solutions.segments import segments_of
 from codegen.solving.other_values import with_arguments
-from codegen.solving.refinement import transferred
+from codegen.solving.run import transferred
 from codegen.solving.warm_start import varied as varied_guess
 from codegen.sweeping.layout import Shapes
 from codegen.sweeping.quantities import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
@@ -281,7 +281,6 @@ def solve_case(varied: Varied, values: Mapping[Quantity, float], start: Start[At
 
 
 def _told(values: Mapping[Quantity, float]) -> str:
-    """What varies, with the values of a case."""
     return ", ".join(f"{quantity.name} = {value:g}" for quantity, value in values.items())
 
 

@@ -320,7 +320,6 @@ def _laid_out(folder: Path, frame: Frame, chunks: Chunks, digest: str) -> None:
 
 
 def _named(frame: Frame) -> dict[str, str]:
-    """The attribute by which readers tell coordinates that are not called like their dimension from variables."""
     beside = [name for name, (dims, _) in frame.coordinates.items() if dims != (name,)]
     return {"coordinates": " ".join(beside)} if beside else {}
 

@@ -221,6 +221,5 @@ def _ends(program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPo
 
 
 def _pattern(module: Mapping[str, Any], prefix: str) -> tuple[tuple[int, int], ...]:
-    """Rows and columns of an emitted Hessian; none where there is no kernel."""
     rows, columns = (module.get(f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))

@@ -204,7 +204,6 @@ class Text:
 
 
 def _looked_up(table: TableData, a: Arithmetic) -> Callable[..., Any]:
-    """What an emitted look-up returns, of the table itself and in an arithmetic."""
     orders = ORDERS[len(table.shape.inputs)]
     return lambda parameters, *at: tuple(derivative(table, order, at, a.real) for order in orders)
 

@@ -173,5 +173,4 @@ class _Kernels:
 
 
 def _columns(values: Sequence[Any], count: int) -> Any:
-    """Values of entries, each for all points or one for all, as an array (points, entries)."""
     return np.stack([np.broadcast_to(np.asarray(value).real, count) for value in values], axis=1)

@@ -15,8 +15,7 @@ from codegen.stress.classify import classify
 from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
 from codegen.stress.families.common import VERLET, oscillation
 from codegen.stress.measure import measure
-from codegen.stress.stability import spectral_radius
-from codegen.stress.systems import FORCES, frequency, plate_gradient
+from codegen.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
 
 
 @pytest.fixture(scope="module")

@@ -281,7 +281,6 @@ def _interval(program: ControlProgram, u: Symbol) -> Finding:
 
 
 def _is_penalised(program: ControlProgram, u: Symbol) -> bool:
-    """Whether the continuous cost depends on the control at all, beyond the way in which it is written."""
     return program.model.cost is not None and not vanishing(program.model.cost.diff(u))
 
 

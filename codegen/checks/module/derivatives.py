@@ -366,6 +366,5 @@ def _compared(
 
 
 def _is_zero(scalars: Sequence[Expr], unknowns: Sequence[Symbol], pair: Pair) -> bool:
-    """Whether a second derivative of every share is proved to be zero."""
     row, column = pair
     return all(identically_zero(scalar.diff(unknowns[column]).diff(unknowns[row])) for scalar in scalars)

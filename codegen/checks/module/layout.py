@@ -99,7 +99,6 @@ def _differing_structure(module: Any, program: ControlProgram) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A number, or an array as a list."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

@@ -65,7 +65,6 @@ def _difference(table: TableData, function: Any, parameters: Any) -> float:
 
 
 def _looked_up(function: Any, parameters: Any, at: Sequence[Any]) -> Any:
-    """All derivatives at some points, (points, derivatives), by the module's look-up."""
     return np.array([function(parameters, *map(float, point)) for point in zip(*at, strict=True)])
 
 

@@ -160,7 +160,6 @@ def _held(context: Context, condition: InnerCondition, node: int, numbers: dict[
 
 
 def _momenta(context: Context) -> tuple[sympy.Symbol, ...]:
-    """The symbols of what a solution has beside coordinates."""
     model = context.model
     return model.rates if model.form == "hamiltonian" or not model.rates else legendre.conjugate_symbols(model)
 
@@ -258,7 +257,6 @@ class _Motion:
         return np.asarray(self.result.controls_at(np.array([inside]))[0])
 
     def _values(self, k: int, time: float) -> list[float]:
-        """The values of the past at a time in interval k."""
         return [self._value(k - back, time - lag, kind, i, before) for back, kind, i, before, lag in self.past]
 
     def _value(self, k: int, time: float, kind: str, i: int, before: Callable[[float], float]) -> float:

@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
-from codegen.analysis.maximum_principle import beyond_maximum_principle, exact_optimum
-from codegen.analysis.reference_optimum import reference_optimum
+from codegen.analysis.maximum_principle import beyond_maximum_principle, exact_optimum, reference_optimum
 from codegen.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.errors import CodegenError
 from codegen.runtime.search import callbacks
@@ -104,7 +103,6 @@ def _convergence(context: Context, optimum: float, source: str) -> Finding:
 
 
 def _rate(errors: list[tuple[int, float]]) -> float:
-    """The observed order from the two finest grids."""
     (_, coarse), (_, fine) = errors[-2:]
     return math.log2(coarse / fine) if coarse > 0.0 and fine > 0.0 else math.inf
 
@@ -351,7 +349,6 @@ def _can_change(module: Any, steps: int, solution: Any, direction: _Direction, w
 
 
 def _part(direction: _Direction, which: Any) -> _Direction:
-    """A direction in which only some of the quantities change; the others keep their values by themselves."""
     return replace(direction, changes=np.where(which, direction.changes, 0.0))
 
 

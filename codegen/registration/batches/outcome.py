@@ -133,7 +133,6 @@ def _journal(path: Path, digest: str) -> Journal:
 
 
 def _noted(journal: Journal) -> list[Line]:
-    """The lines of a journal."""
     texts = (record for record in journal.records if set(record) == set(COLUMNS))
     return [{name: str(record[name]) for name in COLUMNS} for record in texts]
 
@@ -192,10 +191,8 @@ class _Way:
         self.journal.add(own.line for own in done.rows if own.is_new)
 
     def _solved(self) -> list[float]:
-        """Seconds of the pairs that are solved."""
         lines = (own.line for own in self.tried.values())
         return [float(line["seconds"]) for line in lines if line["status"] == SOLVED]
 
     def _of_a_second(self) -> int:
-        """How many pairs are about a second of work."""
         return max(1, min(MOST, int(1.0 / max(1e-3, max(self._solved(), default=0.1)))))

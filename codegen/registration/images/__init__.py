@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from codegen.errors import ImageError
 from codegen.files import replacing
 from codegen.registration.images import codecs
-from codegen.registration.images.codecs import KINDS, Header, readable
-from codegen.registration.images.header import header_of
+from codegen.registration.images.codecs import KINDS, Header, header_of, readable
 from codegen.registration.images.spacing import Spacing, spacing_of
 
 Pixels: TypeAlias = NDArray[Any]

@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, CodegenError, ExtraError, ImageError
 from codegen.registration.fields import replacing_volume
 from codegen.registration.grid import Grid
-from codegen.registration.images.codecs import SAMPLES
-from codegen.registration.images.header import VOLUMES
+from codegen.registration.images.codecs import SAMPLES, VOLUMES
 
 SUFFIXES = (".tif", ".tiff")
 _IMAGEJ = frozenset(np.dtype(name) for name in ("u1", "u2", "f4"))

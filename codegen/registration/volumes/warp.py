@@ -171,7 +171,6 @@ def _steps(grid: Grid, distance: float) -> tuple[int, ...]:
 
 
 def _line(length: int, step: int) -> NDArray[np.float64]:
-    """Nodes from the first sample to beyond the last, an even number of intervals."""
     return step * np.arange(max(FEWEST, 2 * -(-length // (2 * step))) + 1.0)
 
 

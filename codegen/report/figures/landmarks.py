@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from codegen.drivers import DRIVERS
-from codegen.plots.purposes import STYLE
+from codegen.plots.picture import STYLE
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.report.figures.problems import colour_of
 from codegen.report.measure import landmark_effort, landmark_motion

@@ -22,7 +22,7 @@ from scipy.optimize import fsolve
 from codegen import solving
 from codegen.author.points import PointSet
 from codegen.drivers import DRIVERS
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread
 from codegen.interfaces import ConnectModule, Vector
 from codegen.report.settings import Settings, few_landmarks, smooth_pair
 from codegen.report.store import Case, Store, Values

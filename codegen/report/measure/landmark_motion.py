@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 
 from codegen import solving
 from codegen.author.points import PointSet
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread
 from codegen.interfaces import ConnectModule, Matrix, Vector
 from codegen.report.measure.landmark_effort import points_of
 from codegen.report.settings import Settings, few_landmarks, smooth_pair

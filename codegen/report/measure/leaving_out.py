@@ -149,5 +149,4 @@ def _ratio(one: float | None, other: float | None) -> str:
 
 
 def _operations(made: Values) -> int:
-    """Operations of one evaluation of every kernel, after common subexpressions are shared."""
     return sum(pair[1] for pair in made["operations"].values())

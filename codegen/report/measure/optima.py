@@ -44,7 +44,7 @@ from codegen.report.store import Case, Store, Values
 from codegen.runtime.search import callbacks
 from codegen.solutions.control import bound_distances
 from codegen.solutions.result import Result
-from codegen.solving.refinement import order_of_optima
+from codegen.solving.run import order_of_optima
 
 FAR = 0.2
 """Costs that differ by more than this part belong to optima that have nothing in common."""

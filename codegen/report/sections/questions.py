@@ -407,7 +407,6 @@ def _verdict(settings: Settings, store: Store, count: int) -> list[str]:
 
 
 def _span(numbers: Sequence[Any], between: str) -> str:
-    """The least and the largest of some numbers, or the only one."""
     least, largest = min(numbers), max(numbers)
     return f"{least}" if least == largest else f"{least}{between}{largest}"
 

@@ -39,7 +39,7 @@ from codegen.runtime.search.solve import corrected_cost
 from codegen.solutions.control import bound_distances, held_at_bounds
 from codegen.solutions.result import DiscretisationError, Result
 from codegen.solutions.segments import segments_of
-from codegen.solving.refinement import order_of_optima
+from codegen.solving.run import order_of_optima
 
 LEAST_ARC = 4
 """Intervals of an arc; what is shorter is part of a gap."""
@@ -114,7 +114,6 @@ def _switching_time(result: Result, grid: Grid, gap: Gap) -> float | None:
 
 
 def _line(times: Vector, values: Vector) -> Vector:
-    """Coefficients, the highest power first, of the straight line through two points."""
     slope = (values[1] - values[0]) / (times[1] - times[0])
     return np.array([slope, values[0] - slope * times[0]])
 
@@ -339,7 +338,6 @@ def discretisation_error(module: ControlModule, result: Result, search: Search) 
 
 
 def _inner(module: ControlModule, grid: Grid) -> tuple[int, ...]:
-    """The nodes of a grid at inner times."""
     return tuple(map(int, grid.inner)) if module.metadata.get("inner_times", 0) else ()
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from codegen.interfaces import ControlModule, Matrix, Vector, few_steps, inner_places
 from codegen.solutions.result import Accuracy, GridLevel, Result
 from codegen.solving.accuracy.arcs import FAR, Estimate, Gap, around, compared, gaps, interval_errors
-from codegen.solving.refinement import order_of_optima, transferred
+from codegen.solving.run import order_of_optima, transferred
 
 LEAST_DENSITY = 0.1
 """Of the mean density of nodes, where nothing happens."""

@@ -26,8 +26,7 @@ from codegen.stress.families.common import (
     registered,
     setup,
 )
-from codegen.stress.stability import limit
-from codegen.stress.systems import TEXTBOOK
+from codegen.stress.systems import TEXTBOOK, limit
 
 EPS = 2.0**-52
 

@@ -1,4 +1,6 @@
-"""The optimal-control problem as scipy wants it: free unknowns only, equations of comparable size.
+"""What drivers share: scaled optimal control, particles, warnings and threads.
+
+The optimal-control problem as scipy wants it: free unknowns only, equations of comparable size.
 
 Each equation is divided by the largest entry of its row of the Jacobian at the initial guess, and the cost by its
 largest derivative there if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not
@@ -7,8 +9,12 @@ scaled. With the multipliers nu of the scaled problem, lambda = r nu / f belongs
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -16,10 +22,12 @@ import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, lsq_linear
+from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.interfaces import ControlModule, NonlinearProgram, Vector, time_grid
-from codegen.solutions.result import ControlAttempt, Run, max_norm
+from codegen.interfaces import ConnectModule, ControlModule, NonlinearProgram, Vector, time_grid
+from codegen.solutions.connect import case_of
+from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
 _DENSE_LIMIT = 1500
@@ -161,3 +169,112 @@ class ScaledProblem:
         if not np.isfinite(nu).all():
             nu = np.linalg.lstsq(jacobian.T.toarray(), -gradient, rcond=None)[0]
         return np.asarray(nu, dtype=float)
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Libraries with threads of their own; looking for them takes longer than many a solve."""
+    return ThreadpoolController()
+
+
+@contextmanager
+def _of_the_process() -> Iterator[None]:
+    """One BLAS thread, and no warnings: settings of the whole process."""
+    with _libraries().limit(limits=1), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+class _Shared:
+    """A context that several threads may be in at once: the first enters it, and the last leaves it."""
+
+    def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
+        self.make, self.lock, self.inside = make, Lock(), 0
+
+    def __enter__(self) -> None:
+        with self.lock:
+            if not self.inside:
+                self.context = self.make()
+                self.context.__enter__()
+            self.inside += 1
+
+    def __exit__(self, *error: object) -> None:
+        with self.lock:
+            self.inside -= 1
+            if not self.inside:
+                self.context.__exit__(None, None, None)
+
+
+_QUIET = _Shared(_of_the_process)
+
+
+@contextmanager
+def quiet_single_thread() -> Iterator[None]:
+    """One BLAS thread, because more only wait for each other on small matrices, and no warnings.
+
+    What would be warned of, a singular matrix or an overflow, shows in the status and in the residuals.
+    """
+    with _QUIET, np.errstate(all="ignore"):
+        yield
+
+
+DENSE_LIMIT = 3000
+"""Unknowns and equations of a dense method at most."""
+
+
+def minimised(
+    module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Any, Vector], Any]
+) -> ConnectAttempt:
+    """The motion of least discrete action, by an optimiser of scipy; ArgumentError for what it cannot take."""
+    require_method(module, driver, ("action",))
+    case = case_of(module, run)
+    if case.sigma.any():
+        raise ArgumentError(f"driver {driver} meets targets exactly, and there is a sigma", "use newton")
+    start = module.action_start(case)
+    require_at_most(start.size + case.steps * case.start.size, DENSE_LIMIT, driver)
+    with quiet_single_thread():
+        found = minimise(module, case, start)
+    return verdict(module, driver, case, module.action_path(case, found.x), int(found.nit), 1e-6, str(found.message))
+
+
+def verdict(
+    module: ConnectModule, driver: str, case: Any, path: Any, iterations: int, tolerance: float, reason: str
+) -> ConnectAttempt:
+    """Solved is what satisfies the equations, whatever the driver says about itself."""
+    error = largest_error(module, case, path)
+    if error <= tolerance:
+        text = f"{driver} connects the points with residual {error:.1e} after {iterations} iterations"
+        return ConnectAttempt("solved", text, iterations, path, tolerance)
+    said = " ".join(str(reason).split())
+    text = f"stalled: {driver} stopped with residual {error:.1e} ({said}); try driver newton, or more steps"
+    return ConnectAttempt("stalled", text, iterations, path, tolerance)
+
+
+def largest_error(module: ConnectModule, case: Any, path: Any) -> float:
+    """The largest error of the equations on a path, and of its end."""
+    errors, end = module.path_errors(case, path)
+    return max(max_norm(errors.ravel()), max_norm(end))
+
+
+def finite(values: Any) -> Any:
+    """What is no number becomes large, so that a root finder turns back."""
+    return np.nan_to_num(values, nan=1e3, posinf=1e3, neginf=-1e3)
+
+
+def require_method(module: ConnectModule, driver: str, methods: tuple[str, ...]) -> None:
+    """Refuse modules of another method, and of an integrator that chooses its own steps."""
+    method = module.metadata["method"]
+    if method not in methods:
+        raise ArgumentError(f"driver {driver} does not solve method {method}", f"use --method {' or '.join(methods)}")
+    if module.metadata["adaptive"]:
+        raise ArgumentError(
+            f"driver {driver} needs steps, and {module.metadata['scheme']} chooses its own", "use newton"
+        )
+
+
+def require_at_most(size: int, limit: int, driver: str) -> None:
+    """Refuse problems that are too large for a driver."""
+    if size > limit:
+        raise ArgumentError(
+            f"driver {driver} would have {size} unknowns and equations", f"take at most {limit}, or use newton"
+        )

@@ -1,20 +1,37 @@
-"""A problem's drawing along a solution: expressions become arrays of numbers.
+"""Pictures of a solution with what its problem's drawing shows: a figure of everything about it, and a film.
+
+A problem's drawing along a solution: expressions become arrays of numbers.
 
 This is the one place beside the build that evaluates sympy expressions, so it is imported for pictures only.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import ast
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy
 from numpy.typing import NDArray
 
+from codegen import plots
+from codegen.author.sources import ProblemFile, Source
 from codegen.drawing import Item, Scene
+from codegen.errors import ArgumentError
 from codegen.expressions.special_functions import NUMPY
+from codegen.interfaces import GeneratedModule, is_control
 from codegen.model import Model
+from codegen.plots import shapes
+from codegen.plots.quantities import first_guess_of_segments
 from codegen.solutions.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from codegen.model.pairwise import PairwiseModel
+
 
 Array = NDArray[np.float64]
 
@@ -61,15 +78,51 @@ def _values(model: Model, result: Result, times: Array) -> dict[sympy.Symbol, An
 
 
 def _columns(values: Array, bodies: int, t: Array, times: Array) -> Array:
-    """The quantities (n, bodies, times) of columns that stand body by body, linear between nodes."""
     return _by_body(np.column_stack([np.interp(times, t, column) for column in values.T]), bodies)
 
 
 def _by_body(rows: Array, bodies: int) -> Array:
-    """The quantities (n, bodies, times) of rows over time, whose columns stand body by body."""
     return rows.T.reshape(bodies, rows.shape[1] // bodies, len(rows)).swapaxes(0, 1)
 
 
 def _array(value: Any) -> Array:
     array = np.asarray(value, dtype=float)
     return array if array.ndim == 2 else array.reshape(1, 1)
+
+
+def figure_of(
+    module: GeneratedModule, model: Model | PairwiseModel | None, result: Result, unit: str = "", style: str = "page"
+) -> Figure:
+    """The figure of a result, with the drawing of its model, if there are any; `unit` is that of the time."""
+    drawings: Any = None
+    if isinstance(model, Model) and model.drawing:
+        drawings = scene(model.authored, result, fine_times(result.t))
+        if is_control(module):
+            guess = first_guess_of_segments(module, result)
+            drawings = plots.Drawings(drawings, scene(model.authored, guess, fine_times(guess.t)))
+    return plots.figure(module, result, drawings, unit, style)
+
+
+def save_film(
+    model: Model | PairwiseModel | None,
+    result: Result,
+    path: Path,
+    progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda frames, count: frames,
+) -> None:
+    """Film the drawing of a model along a result into a file, .gif or .mp4.
+
+    Raises ArgumentError where there is no drawing, and as `animation.save` does.
+    """
+    if not (isinstance(model, Model) and model.drawing):
+        finding = f"{result.problem} says nothing about how to draw it"
+        raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
+    title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
+    shapes.save(scene(model.authored, result, shapes.scene_times(result.t)), title, path, progress)
+
+
+def unit_of(source: Source) -> str:
+    """What the docstring of a problem file says about units, as far as it can be told: all quantities have none."""
+    if not isinstance(source, ProblemFile):
+        return ""
+    docstring = ast.get_docstring(ast.parse(source.path.read_bytes())) or ""
+    return "nondimensional" if "quantities are nondimensional" in " ".join(docstring.split()) else ""
