@@ -115,7 +115,11 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     parameters are constants. Raises ExpressionError where a function has no expansion, SchemeError where the equations
     of a step are not of a known kind, and what the Legendre transforms raise.
     """
-    model = _bare(model)
+    # The model without what an expansion does not see, its angles gathered: cos(a - b) for cos a cos b + sin a sin b.
+    #
+    # Sums of products of sines and cosines in denominators would have no normal form.
+    function, dynamics = _gathered(model.function), tuple(map(_gathered, model.dynamics))
+    model = replace(model.with_free_ends, cost=None, path=(), function=function, dynamics=dynamics)
     phase = legendre.hamiltonian_form(model)
     step = _Variational(model, phase, scheme) if scheme.variational else _OneStep(phase, scheme)
     expand = step.expanded
@@ -128,15 +132,6 @@ def flow_series(model: Model, scheme: Scheme, order: int) -> FlowSeries:
     if not step.is_solved(ring):
         raise SchemeError(f"scheme {scheme.name!r} has equations that h = 0 does not solve", "use another scheme")
     return expand(ring, order)
-
-
-def _bare(model: Model) -> Model:
-    """The model without what an expansion does not see, its angles gathered: cos(a - b) for cos a cos b + sin a sin b.
-
-    Sums of products of sines and cosines in denominators would have no normal form.
-    """
-    function, dynamics = _gathered(model.function), tuple(map(_gathered, model.dynamics))
-    return replace(model.with_free_ends, cost=None, path=(), function=function, dynamics=dynamics)
 
 
 def _gathered(function: Expr) -> Expr:

@@ -294,9 +294,6 @@ class ModulePlant:
             raise NumericsError(str(error), "correct the plant's numbers") from error
         if found.status != "solved":
             raise PlantFailed(found.message)
-        return self._end_of(found, given)
-
-    def _end_of(self, found: Any, given: Mapping[str, Any]) -> Vector:
         values = dict(zip(self.module.metadata["coordinates"], found.q[-1].tolist(), strict=True))
         if self._rates:
             rates = self._velocities(found, given) if self._has_velocities else found.p[-1]

@@ -116,7 +116,9 @@ def _largest_gradient(flow: Flow, state: Array, close: float, most_cells: int) -
         reach = gradients + _changes(state, middles, width)
         is_open = (reach > close * least) & (width > 1.0 / FINEST_CELLS)
         bound = max(bound, float(reach[~is_open].max(initial=0.0)))
-        middles, width = _divided(middles[is_open], width), 0.5 * width
+        # The middles of the cells of half the width that fill cells.
+        offsets = mesh([np.array([-0.25, 0.25]) * width] * 3)
+        middles, width = (middles[is_open][:, None] + offsets).reshape(-1, 3), 0.5 * width
     return bound
 
 
@@ -126,12 +128,6 @@ def _cells() -> Array:
     points = mesh([np.arange(-COARSEST_CELLS, COARSEST_CELLS + 1) / COARSEST_CELLS] * 3)
     reach = 1.0 + np.sqrt(0.75) / COARSEST_CELLS
     return np.asarray(points[(points**2).sum(axis=1) < reach**2])
-
-
-def _divided(middles: Array, width: float) -> Array:
-    """The middles of the cells of half the width that fill cells."""
-    offsets = mesh([np.array([-0.25, 0.25]) * width] * 3)
-    return (middles[:, None] + offsets).reshape(-1, 3)
 
 
 def _gradients(flow: Flow, state: Array, points: Array) -> Array:

@@ -169,11 +169,7 @@ class _Looked:
     def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
         self.module, self.cuts, self.grid = module, cuts, cut(module, coarse, cuts)
         self._unknowns = carried(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
-        self._give_stages()
-        self._gradient = module.evaluate(self.grid, self._unknowns).gradient
-
-    def _give_stages(self) -> None:
-        """Have stages lie between the nodes of the finer grid."""
+        # Have stages lie between the nodes of the finer grid.
         nodes, intervals = self.module.views(self.grid, self._unknowns)
         names = list(self.module.metadata["node"])
         for place, name in enumerate(self.module.metadata["interval"]):
@@ -181,6 +177,7 @@ class _Looked:
             if met and met["name"] in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
                 state = nodes[:, :, names.index(met["name"])]
                 intervals[:, :, place] = 0.5 * (state[:, :-1] + state[:, 1:])
+        self._gradient = module.evaluate(self.grid, self._unknowns).gradient
 
     def changes(self, equation: _Equation) -> Matrix:
         """How much what an equation gives changes from part to part of intervals: (bodies, intervals, parts - 1).

@@ -73,14 +73,10 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
         runs.append(np.array(states))
     error = float((np.abs(runs[1] - runs[0]) / component_sizes(runs[1])).max())
     how = f"DOP853 at relative tolerance {TIGHT:g} through the explicit Euler module's own field"
-    return Motion(times, runs[1], error, _energy_scale(field, times, runs[1]), how)
-
-
-def _energy_scale(field: Callable[[float, Vector], Vector], times: Vector, states: Any) -> float:
-    """The largest sum of |p_i dq_i/dt|, twice the kinetic energy where there is one, to compare errors of H with."""
-    half = states.shape[1] // 2
-    works = [np.abs(z[half:] * field(t, z)[:half]).sum() for t, z in zip(times, states, strict=True)]
-    return float(max(works)) or 1.0
+    # The largest sum of |p_i dq_i/dt|, twice the kinetic energy where there is one, to compare errors of H with.
+    half = runs[1].shape[1] // 2
+    works = [np.abs(z[half:] * field(t, z)[:half]).sum() for t, z in zip(times, runs[1], strict=True)]
+    return Motion(times, runs[1], error, (float(max(works)) or 1.0), how)
 
 
 def component_sizes(states: Any) -> Vector:

@@ -191,20 +191,16 @@ class Estimate:
 
 def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[str, ...]]:
     """Coordinates, momenta and the cost so far at all nodes, (nodes, quantities), in parts of sizes; their names."""
-    table = np.column_stack([result.q, result.p, _cost_so_far(module, result)])
-    names = [*result.names["q"], *result.names["p"], "the cost"]
-    kept = [i for i in range(table.shape[1]) if np.isfinite(table[:, i]).all()]
-    return table[:, kept], tuple(names[i] for i in kept)
-
-
-def _cost_so_far(module: ControlModule, result: Result) -> Vector:
-    """The discrete cost up to each node, of all bodies together, without ends, and without samples, where it jumps."""
+    # The discrete cost up to each node, of all bodies together, without ends, and without samples, where it jumps.
     grid: Any = time_grid(module, result.steps, result.grid)
     if "observations" in module.metadata:
         first = module.problem.structure.first_sample
         grid = grid._replace(parameters=np.ascontiguousarray(grid.parameters[:, :first]))
     costs = interval_parts(grid, result.unknowns)[..., -1]
-    return np.concatenate([[0.0], np.cumsum(costs.sum(axis=0))])
+    table = np.column_stack([result.q, result.p, np.concatenate([[0.0], np.cumsum(costs.sum(axis=0))])])
+    names = [*result.names["q"], *result.names["p"], "the cost"]
+    kept = [i for i in range(table.shape[1]) if np.isfinite(table[:, i]).all()]
+    return table[:, kept], tuple(names[i] for i in kept)
 
 
 def sizes_of(table: Matrix) -> Vector:
