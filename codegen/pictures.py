@@ -1,8 +1,7 @@
 """Pictures of a solution with what its problem's drawing shows: a figure of everything about it, and a film.
 
-A problem's drawing along a solution: expressions become arrays of numbers.
-
-This is the one place beside the build that evaluates sympy expressions, so it is imported for pictures only.
+A problem's drawing along a solution: expressions become arrays of numbers. This is the one place beside the build that
+evaluates sympy expressions, so it is imported for pictures only.
 """
 
 from __future__ import annotations

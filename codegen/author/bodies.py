@@ -1,10 +1,9 @@
 """Several different bodies in one problem: the problems of each, and what ties them together.
 
-Identical bodies that meet on the way, written out as so many different ones.
-
-The numerics loop over identical bodies whose motions only conditions at the end tie together. A path condition between
-bodies, such as a least distance, ties them at every time: then each body gets coordinates and controls of its own,
-`x_0`, `x_1`, ..., and all move in one chain. The module, and the time to build it, grow with the number of bodies.
+Identical bodies that meet on the way, written out as so many different ones. The numerics loop over identical bodies
+whose motions only conditions at the end tie together. A path condition between bodies, such as a least distance, ties
+them at every time: then each body gets coordinates and controls of its own, `x_0`, `x_1`, ..., and all move in one
+chain. The module, and the time to build it, grow with the number of bodies.
 """
 
 from __future__ import annotations

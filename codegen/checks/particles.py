@@ -1,7 +1,6 @@
 """Evidence for particles with pairwise interaction: kernels, gradients, tracers.
 
 Evidence about kernels: H = 1/2 sum p_i . p_j G(q_i, q_j) with G positive definite, also where points nearly meet.
-
 Points that nearly meet, and points near the boundary of the domain, are where digits are lost. There the emitted matrix
 of G is compared with the author's expression in 50 digits, at distances down to 1e-150 from each other.
 """

@@ -4,7 +4,6 @@ Data are what is given when a problem is solved: parameters, boundary values, co
 interval is in time.
 
 The general form of a module: nothing is left out that the problem does not need, to measure what leaving out saves.
-
 This is for measurements only, and no command offers it. A general step keeps all its unknowns for Newton's method,
 though some of them, or all, could be had explicitly, or by one linear solve. A general optimal-control problem has one
 free parameter more, which nothing reads, which is bounded, and whose square is part of the cost: it is zero at the

@@ -1,13 +1,11 @@
 """The two nodes of an interval: symbols and values there, controls between them, values at points inside.
 
-The motion inside an interval, at any fraction of it, as the scheme continues it there.
-
-For a scheme in states that is the polynomial with their values, and as many derivatives as the scheme says, at both
-nodes. Without derivatives it is a straight line, of order two, the collocation polynomial of the midpoint rule; with
-first ones a cubic, of order four, that of Hermite-Simpson and, where it is a parabola, of the trapezoidal rule; with
-second ones too it has order six. A discrete Lagrangian has a polynomial of its own
-(`codegen.discretise.polynomials`). Source: Hairer, Norsett and Wanner (1993), Solving ordinary differential equations
-I, II.6.
+The motion inside an interval, at any fraction of it, as the scheme continues it there. For a scheme in states that is
+the polynomial with their values, and as many derivatives as the scheme says, at both nodes. Without derivatives it is a
+straight line, of order two, the collocation polynomial of the midpoint rule; with first ones a cubic, of order four,
+that of Hermite-Simpson and, where it is a parabola, of the trapezoidal rule; with second ones too it has order six. A
+discrete Lagrangian has a polynomial of its own (`codegen.discretise.polynomials`). Source: Hairer, Norsett and Wanner
+(1993), Solving ordinary differential equations I, II.6.
 """
 
 from __future__ import annotations

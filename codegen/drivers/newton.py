@@ -1,9 +1,8 @@
 """The generated solver: structured Newton on the KKT system, or step after step of a simulation.
 
-Shooting through scipy's adaptive integrators, with Newton's matrix from the module's own fixed steps.
-
-The matrix differs from the exact one by the error of the fixed steps only, so that the iteration converges by about
-that factor each time and costs one adaptive trajectory for each iteration.
+Shooting through scipy's adaptive integrators, with Newton's matrix from the module's own fixed steps. The matrix
+differs from the exact one by the error of the fixed steps only, so that the iteration converges by about that factor
+each time and costs one adaptive trajectory for each iteration.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """What drivers share: scaled optimal control, particles, warnings and threads.
 
-The optimal-control problem as scipy wants it: free unknowns only, equations of comparable size.
-
-Each equation is divided by the largest entry of its row of the Jacobian at the initial guess, and the cost by its
-largest derivative there if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not
-scaled. With the multipliers nu of the scaled problem, lambda = r nu / f belongs to the original one.
+The optimal-control problem as scipy wants it: free unknowns only, equations of comparable size. Each equation is
+divided by the largest entry of its row of the Jacobian at the initial guess, and the cost by its largest derivative
+there if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not scaled. With the
+multipliers nu of the scaled problem, lambda = r nu / f belongs to the original one.
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@ The scalars are polynomials in the coordinates and momenta of two particles, so 
 exact; what is left is a function of three or four variables. Digits are lost neither where points nearly meet nor
 near a boundary, because each part is differentiated by itself: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k.
 
-Two functions of which the difference that defines them would lose all digits, and where they occur.
-
-For small x, both x - log(1 + x) and log(1 + x) - x/(1 + x) are about x^2/2. Kernels of plates, among others, are made
-of them, and so are their derivatives.
+Two functions of which the difference that defines them would lose all digits, and where they occur. For small x, both x
+- log(1 + x) and log(1 + x) - x/(1 + x) are about x^2/2. Kernels of plates, among others, are made of them, and so are
+their derivatives.
 """
 
 from __future__ import annotations

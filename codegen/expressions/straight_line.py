@@ -1,10 +1,8 @@
 """A graph as a straight-line program: short assignments in order, and values in terms of them.
 
-Common parts of sums and products: what occurs together more than once is computed once.
-
-The pair of factors, or of terms, that most products, or sums, have in common becomes a node of its own, and so on
-until no pair occurs twice. Source: Breuer (1969), Generation of optimal code for expressions via factorization,
-Communications of the ACM 12.
+Common parts of sums and products: what occurs together more than once is computed once. The pair of factors, or of
+terms, that most products, or sums, have in common becomes a node of its own, and so on until no pair occurs twice.
+Source: Breuer (1969), Generation of optimal code for expressions via factorization, Communications of the ACM 12.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ A value counts as zero only where that is proved, in exact arithmetic (`residues
 digits become smaller as fast as digits grow, at points of many magnitudes. How small a value is never matters.
 
 Expressions evaluated in finite fields, where a value is zero only if the expression is, but for a chance of 1e-15.
-
 Symbols are drawn at random; sums, products and fractions are exact. A function becomes a random map with its algebraic
 laws: exp(a) is the power of a random element whose order is a prime s, with `a` evaluated modulo s, so that exp(a + b)
 is exp(a) exp(b) and exp(a/2)^2 is exp(a); sines and cosines are made of such powers with the square root of -1, and

@@ -1,11 +1,10 @@
 """The grids of sampling times: what stays from one to the next, bounds and a solver's storage, is made once.
 
-The shifted solution: what a plan says of the time that follows, as the start of the next solve.
-
-By a whole number of intervals values move to earlier nodes and intervals; by another, they are interpolated, linearly
-between nodes, and in the mean where controls are constant. Beyond the end nodes follow the last interval's straight
-line, and controls stay. Source: Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear
-optimization in optimal feedback control, SIAM J. Control Optim. 43.
+The shifted solution: what a plan says of the time that follows, as the start of the next solve. By a whole number of
+intervals values move to earlier nodes and intervals; by another, they are interpolated, linearly between nodes, and in
+the mean where controls are constant. Beyond the end nodes follow the last interval's straight line, and controls stay.
+Source: Diehl, Bock and Schloeder (2005), A real-time iteration scheme for nonlinear optimization in optimal feedback
+control, SIAM J. Control Optim. 43.
 """
 
 from __future__ import annotations

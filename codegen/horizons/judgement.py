@@ -1,9 +1,8 @@
 """What a solve is worth within a sampling time: its equations evaluated again, and which of two plans is applied.
 
-What the parts of a sampling time take, learned from those that were measured, so that deadlines are kept.
-
-A search that a deadline ends asks at every iterate whether there is time for what comes next: an iteration, and the
-verdict on what it leads to. What that takes differs from problem to problem, and from hour to hour on a busy machine.
+What the parts of a sampling time take, learned from those that were measured, so that deadlines are kept. A search that
+a deadline ends asks at every iterate whether there is time for what comes next: an iteration, and the verdict on what
+it leads to. What that takes differs from problem to problem, and from hour to hour on a busy machine.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
 """The motion of a module's own model under inputs that are given, by the discrete equations of which plans are made.
 
-Where nothing disturbs it, the state at the end is therefore the one that a plan with these inputs has there.
-
-A controller whose inputs act later than at the time of the measurement: it begins where the state will be by then.
+Where nothing disturbs it, the state at the end is therefore the one that a plan with these inputs has there. A
+controller whose inputs act later than at the time of the measurement: it begins where the state will be by then.
 
 Source: Findeisen and Allgoewer (2004), Computational delay in nonlinear model predictive control, IFAC Proceedings
 Volumes 37(1).
 
-What a controller acts upon: a function of the state, or a generated module that follows the motion for a while.
-
-A module may be a simulation, whose velocities are found from its momenta, or an optimisation in which nothing is left
-to be chosen, as for systems of first order. Inputs and disturbances are parameters of it.
+What a controller acts upon: a function of the state, or a generated module that follows the motion for a while. A
+module may be a simulation, whose velocities are found from its momenta, or an optimisation in which nothing is left to
+be chosen, as for systems of first order. Inputs and disturbances are parameters of it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Many trajectories in one panel: graded by a quantity, or as quantiles over time; and distributions of numbers.
 
-What sensitivities of one case predict of all samples, to first order: means, and standard deviations.
-
-The case is the one that is nearest to the mean of what varies. Its slopes times the deviations of quantities that are
-sampled independently of each other add up by squares; those of a table may follow each other, so that their
-covariances take part. Source: JCGM 100 (2008), Guide to the expression of uncertainty in measurement, section 5.
+What sensitivities of one case predict of all samples, to first order: means, and standard deviations. The case is the
+one that is nearest to the mean of what varies. Its slopes times the deviations of quantities that are sampled
+independently of each other add up by squares; those of a table may follow each other, so that their covariances take
+part. Source: JCGM 100 (2008), Guide to the expression of uncertainty in measurement, section 5.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The Pareto front of a sweep: two numbers of each case, and the cases than which no other one is better in both.
 
-Numbers of each case by which cases are compared, by name: what a data set records, or what follows from its arrays.
-
-A Pareto front is the cases of which no other one is better in one objective and at least as good in the other.
+Numbers of each case by which cases are compared, by name: what a data set records, or what follows from its arrays. A
+Pareto front is the cases of which no other one is better in one objective and at least as good in the other.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """The certificate of a registration: that it does not fold, that its inverse is one, and how well landmarks are met.
 
-A proof that a flow does not fold anywhere: every step differs from the identity by less than the identity.
-
-A step Phi of an explicit Runge-Kutta method has a derivative with |D Phi - I| <= h sum_s b_s L_s d_s, where L_s bounds
-the velocity's gradient at stage s, and d_s = 1 + h sum_r |a_sr| L_r d_r that of the stage. Below 1, the determinant of
-D Phi is positive at every point of the disc or ball, not at pixels alone, and so is that of all steps one after the
+A proof that a flow does not fold anywhere: every step differs from the identity by less than the identity. A step Phi
+of an explicit Runge-Kutta method has a derivative with |D Phi - I| <= h sum_s b_s L_s d_s, where L_s bounds the
+velocity's gradient at stage s, and d_s = 1 + h sum_r |a_sr| L_r d_r that of the stage. Below 1, the determinant of D
+Phi is positive at every point of the disc or ball, not at pixels alone, and so is that of all steps one after the
 other.
 
 L_s is the largest gradient at the nodes of a grid, plus what gradients can change by on the way to the nearest node.

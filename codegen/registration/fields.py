@@ -5,9 +5,8 @@ of a fixed pixel, it gives the place in the moving image at which to look. NIfTI
 pixel, of size 1, with the origin at the centre of the top-left pixel, and vectors (x, y) in pixels; axes are ITK's,
 that is x to the left of the patient and y to the back, so that no sign changes between the array and ITK.
 
-MetaImage in two files: a header, `.mhd`, and beside it the samples that it names.
-
-What is written names `stem.raw`, which holds bare numbers, not compressed, so that any program can read them.
+MetaImage in two files: a header, `.mhd`, and beside it the samples that it names. What is written names `stem.raw`,
+which holds bare numbers, not compressed, so that any program can read them.
 """
 
 from __future__ import annotations

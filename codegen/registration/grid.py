@@ -5,14 +5,13 @@ slices) whose coordinates are those of their file, LPS in millimetres as a rule,
 
     place = origin + direction (spacing * index).
 
-The frame: from pixels of the fixed image to the unit disc in which the flow moves points, and back.
-
-For volumes it is the unit ball, and pixels are units of the volumes' coordinates. The disc contains both images whole,
-corners and all, with a margin. A disc about the landmarks alone would be smaller, but its rim, beyond which nothing
-moves, would then lie within the picture, as a circle at which the deformation is forced to end whatever the landmarks
-say; and moving one landmark at the edge would change what the others do. Images whose landmarks are crowded in a corner
-pay nothing for the larger disc, because distances between points and from the rim enter the Green's function without
-differences of nearly equal numbers.
+The frame: from pixels of the fixed image to the unit disc in which the flow moves points, and back. For volumes it is
+the unit ball, and pixels are units of the volumes' coordinates. The disc contains both images whole, corners and all,
+with a margin. A disc about the landmarks alone would be smaller, but its rim, beyond which nothing moves, would then
+lie within the picture, as a circle at which the deformation is forced to end whatever the landmarks say; and moving one
+landmark at the edge would change what the others do. Images whose landmarks are crowded in a corner pay nothing for the
+larger disc, because distances between points and from the rim enter the Green's function without differences of nearly
+equal numbers.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 Whatever could be wrong with the input is found before anything is solved, and the warped image is written last, so that
 where it stands everything stands. A map that folds, or that misses its round trip, writes no image.
 
-One registration of volumes from files to files: volumes and landmarks in; warped volume, field, report, record out.
-
-As with pictures, whatever could be wrong with the input is found before anything is solved, and the warped volume is
+One registration of volumes from files to files: volumes and landmarks in; warped volume, field, report, record out. As
+with pictures, whatever could be wrong with the input is found before anything is solved, and the warped volume is
 written last. A map that folds, or that misses its round trip, writes no volume.
 """
 

@@ -5,17 +5,15 @@ function at the landmarks, and errors of one variance. Then smoothing is ridge r
 one decomposition into eigenvectors: Wahba (1990), Spline Models for Observational Data, chapters 1 and 4. A "ridge" is
 what is added to the diagonal of the covariance, in units of the disc: sigma^2 times the strength, see `Matching`.
 
-Which alignment comes before the flow: the one after which landmarks that are left out are predicted best.
+Which alignment comes before the flow: the one after which landmarks that are left out are predicted best. An affine map
+takes more out of the flow than a similarity, which is less for the flow to do, but it has more to be fitted, and
+follows the errors of few landmarks. Leaving out each landmark in turn decides, by the linear theory, in which the
+prediction of one by all others needs no solve.
 
-An affine map takes more out of the flow than a similarity, which is less for the flow to do, but it has more to be
-fitted, and follows the errors of few landmarks. Leaving out each landmark in turn decides, by the linear theory, in
-which the prediction of one by all others needs no solve.
-
-Degrees of freedom: residuals are smaller than the errors of landmarks, because the fit follows errors, too.
-
-By the linear theory what landmarks are missed by is a matrix I - A times where they are, A for the alignment and the
-smoothing after it. Of n landmarks with d coordinates tr(I - A) coordinates are left, so that errors of a standard
-deviation sigma leave residuals of about
+Degrees of freedom: residuals are smaller than the errors of landmarks, because the fit follows errors, too. By the
+linear theory what landmarks are missed by is a matrix I - A times where they are, A for the alignment and the smoothing
+after it. Of n landmarks with d coordinates tr(I - A) coordinates are left, so that errors of a standard deviation sigma
+leave residuals of about
 
     sigma sqrt(tr(I - A) / (n d)),
 

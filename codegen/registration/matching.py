@@ -1,15 +1,13 @@
 """What is to be matched, whatever the number of steps: landmarks, their alignment, the frame; and its solution.
 
-Landmarks that are given twice: pairs that are one to within what nobody can see, which are carried as one.
+Landmarks that are given twice: pairs that are one to within what nobody can see, which are carried as one. Two points
+so close have nearly the same rows in the Green's function; below some 1e-5 pixels rounding makes their momenta
+arbitrary, and no motion is found although there is an obvious one.
 
-Two points so close have nearly the same rows in the Green's function; below some 1e-5 pixels rounding makes their
-momenta arbitrary, and no motion is found although there is an obvious one.
-
-Landmarks in another order: whether they fit much better if some change their partners.
-
-Two files whose rows do not correspond are what most often makes a registration impossible, and then no pair is to blame
-more than others. Partners are found as the iterative closest point method does (Besl and McKay 1992, IEEE Trans.
-Pattern Anal. Mach. Intell. 14(2)), but one to one (the assignment problem), from several alignments.
+Landmarks in another order: whether they fit much better if some change their partners. Two files whose rows do not
+correspond are what most often makes a registration impossible, and then no pair is to blame more than others. Partners
+are found as the iterative closest point method does (Besl and McKay 1992, IEEE Trans. Pattern Anal. Mach. Intell.
+14(2)), but one to one (the assignment problem), from several alignments.
 """
 
 from __future__ import annotations

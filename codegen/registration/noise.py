@@ -1,22 +1,20 @@
 """How large the errors of landmarks are, by their restricted likelihood, and whether that is plausible.
 
-How large the errors of landmarks are, by their restricted likelihood: what near landmarks do not share.
-
-Displacements are taken for an affine trend, a smooth Gaussian field and errors of one variance. What is left without
-the trend has a likelihood (Patterson and Thompson 1971, Biometrika 58(3)) in which the field's variance is eliminated.
-With few landmarks its maximum is often at no errors; therefore the estimate is the mean variance, when all standard
-deviations of errors (Gelman 2006, Bayesian Analysis 1(3)) and all lengths of the field are equally likely before.
+How large the errors of landmarks are, by their restricted likelihood: what near landmarks do not share. Displacements
+are taken for an affine trend, a smooth Gaussian field and errors of one variance. What is left without the trend has a
+likelihood (Patterson and Thompson 1971, Biometrika 58(3)) in which the field's variance is eliminated. With few
+landmarks its maximum is often at no errors; therefore the estimate is the mean variance, when all standard deviations
+of errors (Gelman 2006, Bayesian Analysis 1(3)) and all lengths of the field are equally likely before.
 
 The field's covariance is 1/(1 + r^2/(2 l^2)), a mixture of Gaussian ones of all lengths about l (Rasmussen and Williams
 2006, Gaussian Processes for Machine Learning, equation 4.19). The Green's function of the maps is rougher than what
 deforms most images, and takes part of the deformation for errors. Lengths l are at least the distance of landmarks: of
 what changes from each landmark to the next nobody can tell whether it is an error.
 
-Landmarks out of place: which of them the others, by what is smooth about them, do not predict.
-
-Each landmark is predicted by the linear theory from those that are trusted; one whose error is far above what its
-neighbours' errors and its distance from them explain is an outlier, and no longer predicts others. This goes on until
-nothing changes. It needs no solve of a flow, and masks are rare because nothing is trusted that stood out.
+Landmarks out of place: which of them the others, by what is smooth about them, do not predict. Each landmark is
+predicted by the linear theory from those that are trusted; one whose error is far above what its neighbours' errors and
+its distance from them explain is an outlier, and no longer predicts others. This goes on until nothing changes. It
+needs no solve of a flow, and masks are rare because nothing is trusted that stood out.
 """
 
 from __future__ import annotations

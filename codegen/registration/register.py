@@ -1,9 +1,8 @@
 """Registration: from pairs of landmarks to a map that carries each where it belongs, and to the map's inverse.
 
-From a sigma to a map: how strongly roughness counts, so that landmarks are missed by about their standard error.
-
-A cost of misfit and roughness has a free factor, the strength of the latter. It is found by the discrepancy principle
-(Morozov 1966): the map is as smooth as residuals of the stated size allow, less what the fit follows of the errors
+From a sigma to a map: how strongly roughness counts, so that landmarks are missed by about their standard error. A cost
+of misfit and roughness has a free factor, the strength of the latter. It is found by the discrepancy principle (Morozov
+1966): the map is as smooth as residuals of the stated size allow, less what the fit follows of the errors
 (`codegen.registration.linear`). Residuals grow with the strength, so few solves suffice, each from the one before; the
 linear theory says where to begin.
 """

@@ -4,11 +4,10 @@ The problem file is in `problems/` of a checkout, and beside this file where the
 module that is derived from it goes to the build cache ($CODEGEN_CACHE_DIR, or a folder in the user's cache directory),
 and its machine code beside it, so that only the first registration on a machine has to wait for either.
 
-The flow: the generated solver that moves landmarks, and its kernels that carry any other point along.
-
-A point x without momentum moves by x' = sum_j G(x, q_j) p_j and disturbs no landmark, so the motion of the landmarks,
-once solved for, carries any number of points, forwards and backwards. They make the steps that the landmarks make, and
-on the way back the exact inverses of these steps.
+The flow: the generated solver that moves landmarks, and its kernels that carry any other point along. A point x without
+momentum moves by x' = sum_j G(x, q_j) p_j and disturbs no landmark, so the motion of the landmarks, once solved for,
+carries any number of points, forwards and backwards. They make the steps that the landmarks make, and on the way back
+the exact inverses of these steps.
 
 Many points are divided among threads. Generated kernels hold no lock while they run; and threads that live for one call
 alone are safe in a server with several sessions, and in a process that forks, as a pool that numba keeps would not be.

@@ -1,11 +1,10 @@
 """Warped images: every pixel of the result is looked up where the inverse map says that it comes from.
 
-Positions of all pixels from a coarse grid: cubic splines between exactly mapped points, with a measured error.
-
-The map is smooth except at landmarks, where its second derivative grows like a logarithm. So it is mapped exactly at
-every `spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells in
-which the spline was found to err too much, about landmarks a quarter of that, and their neighbours are mapped exactly,
-pixel by pixel.
+Positions of all pixels from a coarse grid: cubic splines between exactly mapped points, with a measured error. The map
+is smooth except at landmarks, where its second derivative grows like a logarithm. So it is mapped exactly at every
+`spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells in which the
+spline was found to err too much, about landmarks a quarter of that, and their neighbours are mapped exactly, pixel by
+pixel.
 
 What is proved and what is sampled: nothing is proved. The error of the spline through every second node in each
 direction is measured at all nodes, and a quarter of it is taken for the error of the spline through all of them, since

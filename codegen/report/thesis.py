@@ -1,10 +1,9 @@
 """Experiments of the thesis on some problems of the gallery: further modules, cases and sections.
 
-Figures 3.3 to 3.9 of the thesis: the orbital transfer by midpoint and Euler, checked by a Runge-Kutta code.
-
-The method R-K interpolates the optimal force of the midpoint rule by a cubic spline and integrates the forced equations
-with it; where that motion ends, it should meet the target orbit. Its miss distance is an error that no part of the
-generated code had a hand in.
+Figures 3.3 to 3.9 of the thesis: the orbital transfer by midpoint and Euler, checked by a Runge-Kutta code. The method
+R-K interpolates the optimal force of the midpoint rule by a cubic spline and integrates the forced equations with it;
+where that motion ends, it should meet the target orbit. Its miss distance is an error that no part of the generated
+code had a hand in.
 """
 
 from __future__ import annotations

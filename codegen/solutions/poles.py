@@ -5,10 +5,9 @@ and no motion goes on beyond the pole. Where the solution is a straight line bet
 its states is read off the gradient of the Lagrangian on a finer grid, and looked at ever more closely around its
 largest change. Near a pole that grows without end; a smooth right-hand side, however steep, comes to rest.
 
-Stages of explicit schemes beyond the bounds of states, where the dynamics were evaluated all the same.
-
-A stage of an explicit scheme follows from the node before it less accurately than the step does, so that no bound is
-imposed on it. Kinetics that change their sign beyond a bound lead to a motion that does not exist.
+Stages of explicit schemes beyond the bounds of states, where the dynamics were evaluated all the same. A stage of an
+explicit scheme follows from the node before it less accurately than the step does, so that no bound is imposed on it.
+Kinetics that change their sign beyond a bound lead to a motion that does not exist.
 """
 
 from __future__ import annotations

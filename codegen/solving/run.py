@@ -1,7 +1,6 @@
 """Running a driver: machine code first, then the timed runs, then the residuals that no driver can embellish.
 
 Solutions carried from one time grid to another: warm starts, and mesh sequences N, 2N, 4N with an error estimate.
-
 Sources: Betts (2010), Practical methods for optimal control, section 4.7, for mesh refinement; Richardson (1911) for
 the extrapolation.
 """

@@ -1,7 +1,6 @@
 """Saved results to start from: reading a file of `--save`, and refusing one that belongs to another problem.
 
 Several first guesses: a nonlinear problem has local optima, and points near which its equations cannot be satisfied.
-
 The first guess is the problem's own. To each further one smooth curves are added, sums of a few sines that vanish at
 both ends with random amplitudes, one curve for each quantity. They are seeded: the same call gives the same guesses.
 """

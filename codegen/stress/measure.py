@@ -1,8 +1,7 @@
 """One case on a loaded module: solve by the driver, evaluate the equations again, compare, find the stable limit.
 
-What answers are compared with: closed forms, and scipy's adaptive codes where there is none.
-
-Every reference is a function (module, case, result) -> error, relative to the natural size of what is compared.
+What answers are compared with: closed forms, and scipy's adaptive codes where there is none. Every reference is a
+function (module, case, result) -> error, relative to the natural size of what is compared.
 """
 
 from __future__ import annotations

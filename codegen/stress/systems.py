@@ -4,15 +4,13 @@ Forces are written for arrays of any floating type, so that they serve scipy in 
 extended precision.
 
 The equations of a step in their textbook form and extended precision, evaluated on the states that a module returns.
-
 For H = |p|^2/2 + V(q) with f = -V_q. Nothing of the generated code takes part. Source of all forms: Hairer, Lubich and
 Wanner (2006), Geometric numerical integration, I.1 and VI.3; variational schemes are taken on their Hamiltonian side,
 Marsden and West (2001), section 2.6.
 
-What schemes do on the oscillator q' = p, p' = -q, from their tables alone; generated code takes no part.
-
-A step of length x multiplies (q, p) by a matrix. A symplectic step is stable while its trace lies between -2 and 2
-(Hairer, Lubich and Wanner 2006, I.5.2 and VIII.6), and turns the points of an ellipse.
+What schemes do on the oscillator q' = p, p' = -q, from their tables alone; generated code takes no part. A step of
+length x multiplies (q, p) by a matrix. A symplectic step is stable while its trace lies between -2 and 2 (Hairer,
+Lubich and Wanner 2006, I.5.2 and VIII.6), and turns the points of an ellipse.
 """
 
 from __future__ import annotations

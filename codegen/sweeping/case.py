@@ -1,11 +1,10 @@
 """One solve of one case: the module with the values of the case, a run of the driver, and the verdict outside it.
 
-Starts along a path through cases: where one from a case's own guess fails, or before it, from solved neighbours.
-
-On a straight part of the path a start follows the secant through the last two solutions, and where derivatives of the
-last one are known the parabola that has its tangent there; elsewhere it follows this tangent. On a grid of cases secant
-and tangent are off by the square of their distance, the parabola by its cube. Source: Allgower and Georg (1990),
-Numerical continuation methods, chapters 2 and 6.
+Starts along a path through cases: where one from a case's own guess fails, or before it, from solved neighbours. On a
+straight part of the path a start follows the secant through the last two solutions, and where derivatives of the last
+one are known the parabola that has its tangent there; elsewhere it follows this tangent. On a grid of cases secant and
+tangent are off by the square of their distance, the parabola by its cube. Source: Allgower and Georg (1990), Numerical
+continuation methods, chapters 2 and 6.
 """
 
 from __future__ import annotations

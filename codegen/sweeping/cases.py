@@ -3,9 +3,8 @@
 Values are numbers, or texts where an argument of problem() takes words. A grid holds the values of each quantity once,
 so that its size is that of the axes and not of their product.
 
-Samples of distributions: any of scipy.stats by name, at points that are random, a Latin hypercube or of Sobol.
-
-Sources: McKay, Beckman and Conover (1979) for Latin hypercubes; Sobol' (1967) and Owen (1998) for scrambled sequences.
+Samples of distributions: any of scipy.stats by name, at points that are random, a Latin hypercube or of Sobol. Sources:
+McKay, Beckman and Conover (1979) for Latin hypercubes; Sobol' (1967) and Owen (1998) for scrambled sequences.
 """
 
 from __future__ import annotations

@@ -6,13 +6,12 @@ has ended on the worse of two, the difference lies outside. At an end, of a line
 there is a slope on one side only: a cost there is expected where a parabola and a cubic through what follows lead. One
 that lies elsewhere is worth a solve and nothing more, since a smooth cost may well grow faster towards an end.
 
-Jumps between local optima among cases that are no grid: samples, and the rows of a table.
-
-Two neighbours are compared as on a line of a grid: of a smooth cost their difference lies between those that the slopes
-on either side predict, where the slope at a case is that of a plane through it and those of its neighbours that lie
-away from the other case. So where both predictions are off to the same side there is a jump between them. How far off
-predictions of a smooth cost are is seen around: the middle one of their errors there, each in parts of its second-order
-term. Source of planes through scattered neighbours: Lancaster and Salkauskas (1981), Mathematics of Computation 37.
+Jumps between local optima among cases that are no grid: samples, and the rows of a table. Two neighbours are compared
+as on a line of a grid: of a smooth cost their difference lies between those that the slopes on either side predict,
+where the slope at a case is that of a plane through it and those of its neighbours that lie away from the other case.
+So where both predictions are off to the same side there is a jump between them. How far off predictions of a smooth
+cost are is seen around: the middle one of their errors there, each in parts of its second-order term. Source of planes
+through scattered neighbours: Lancaster and Salkauskas (1981), Mathematics of Computation 37.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 Every chunk of cases is one chunk of each array, so that several processes write side by side, and memory does not grow
 with the number of cases.
 
-Stores that are not full: one sweep fills one at a time, and if it ends it says how many cases are there.
-
-Another one does the rest, with `--resume`.
+Stores that are not full: one sweep fills one at a time, and if it ends it says how many cases are there. Another one
+does the rest, with `--resume`.
 """
 
 from __future__ import annotations

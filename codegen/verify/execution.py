@@ -1,8 +1,7 @@
 """Generated text executed by the interpreter: parts of a module as they stand, and kernels in any arithmetic.
 
-Sympy expressions as they stand, evaluated operation by operation in any arithmetic, with equal parts only once.
-
-Nothing here is shared with differentiation, with the search for common parts, or with printing.
+Sympy expressions as they stand, evaluated operation by operation in any arithmetic, with equal parts only once. Nothing
+here is shared with differentiation, with the search for common parts, or with printing.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
 """Emitted values against exact ones: what differs by more than rounding is looked at again with many digits.
 
-Functions of complex arrays that continue real ones, so that complex steps differentiate them exactly.
+Functions of complex arrays that continue real ones, so that complex steps differentiate them exactly. With a tiny
+imaginary part, f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables to estimate
+derivatives of real functions, SIAM Review 40). What has branches chooses them by real parts; outside the real domain of
+a function the result is NaN, as it is in machine code.
 
-With a tiny imaginary part, f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables
-to estimate derivatives of real functions, SIAM Review 40). What has branches chooses them by real parts; outside the
-real domain of a function the result is NaN, as it is in machine code.
-
-The second opinion: where values in machine numbers differ, both are computed with many digits.
-
-Kernels are executed with numbers that carry the size of the terms that they are made of, so that rounding of the
-coefficients in the text, which is all that may differ, is told from an error. References are differences with 400
-digits of the expressions themselves.
+The second opinion: where values in machine numbers differ, both are computed with many digits. Kernels are executed
+with numbers that carry the size of the terms that they are made of, so that rounding of the coefficients in the text,
+which is all that may differ, is told from an error. References are differences with 400 digits of the expressions
+themselves.
 """
 
 from __future__ import annotations

@@ -6,9 +6,8 @@ so that agreement and disagreement are proved. The exact flow is expanded by its
 Where a step is made up of many or has stages that depend on each other the expansion is too long. Then the order is
 measured: the error of one step with two short steps, in arithmetic of many digits.
 
-The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint), forces included.
-
-Source: Marsden and West (2001), Discrete mechanics and variational integrators, section 2.6.
+The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint), forces included. Source: Marsden and West
+(2001), Discrete mechanics and variational integrators, section 2.6.
 """
 
 from __future__ import annotations

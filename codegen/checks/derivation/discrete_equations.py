@@ -4,14 +4,12 @@ This settles the signs of forces and potentials. The discrete side is what the m
 side is d/dt dL/dv - dL/dq = f + G^T y with constraint forces y along the normals of holonomic constraints, Hamilton's
 equations, or x' = f, put together here. Along a smooth motion their difference must vanish like h.
 
-Shares of an interval in conditions on integrals, divided by h, tend to the integrands as h -> 0.
+Shares of an interval in conditions on integrals, divided by h, tend to the integrands as h -> 0. The discrete side is
+what the module was emitted from, the continuous side the author's integrand, in the quantities in which the problem is
+discretised. Along a motion with a constant rate their difference must vanish like h.
 
-The discrete side is what the module was emitted from, the continuous side the author's integrand, in the quantities in
-which the problem is discretised. Along a motion with a constant rate their difference must vanish like h.
-
-Momentum matching: the discrete Euler-Lagrange equation says p_k^+ = p_k^-, and the ends match prescribed momenta.
-
-With p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+ (Marsden and West 2001, section 1.5).
+Momentum matching: the discrete Euler-Lagrange equation says p_k^+ = p_k^-, and the ends match prescribed momenta. With
+p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+ (Marsden and West 2001, section 1.5).
 """
 
 from __future__ import annotations

@@ -1,21 +1,18 @@
 """Null spaces: directions that the boundary conditions do not fix, and controls that cost nothing.
 
-Rank of all discrete equations, boundary conditions included: none may be redundant or out of reach.
+Rank of all discrete equations, boundary conditions included: none may be redundant or out of reach. Where the Jacobian
+of the constraints lacks rank, its left null vectors say which equations of motion depend on each other, and the
+boundary conditions that meet them are the ones of which one is too many. Conditions between bodies are sorted into
+independent ones and redundant ones, which the module leaves out.
 
-Where the Jacobian of the constraints lacks rank, its left null vectors say which equations of motion depend on each
-other, and the boundary conditions that meet them are the ones of which one is too many. Conditions between bodies are
-sorted into independent ones and redundant ones, which the module leaves out.
+Controls that cost nothing: a mode of the discrete controls that the discrete cost does not see. With controls on nodes
+and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The continuous cost does
+penalise it, so the discrete optimum may be arbitrarily wrong. Where the mode acts on the motion, the optimiser moves
+the system with it, for nothing: what it then finds is no optimum of the problem, which the integral of the cost over
+the controls that it found reveals.
 
-Controls that cost nothing: a mode of the discrete controls that the discrete cost does not see.
-
-With controls on nodes and averages in the cost, u_k = (-1)^k a leaves the average of every interval unchanged. The
-continuous cost does penalise it, so the discrete optimum may be arbitrarily wrong. Where the mode acts on
-the motion, the optimiser moves the system with it, for nothing: what it then finds is no optimum of the problem, which
-the integral of the cost over the controls that it found reveals.
-
-What motions do between nodes: conditions on states at the points where the scheme evaluates cost and dynamics.
-
-A condition at nodes alone leaves a mode to the discrete problem: nodes that alternate between two sides of a forbidden
+What motions do between nodes: conditions on states at the points where the scheme evaluates cost and dynamics. A
+condition at nodes alone leaves a mode to the discrete problem: nodes that alternate between two sides of a forbidden
 region, or along a curve, meet it, while the points at which the cost and the dynamics are taken lie where the motion
 must not be. What is imposed at these points, or follows there from both nodes, has no such mode. Of the rest the
 solution is measured: along a smooth motion what is violated between nodes falls with the interval, in a mode it stays.

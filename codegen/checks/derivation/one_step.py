@@ -1,20 +1,17 @@
 """The equations of one step of any scheme in phase space, and the derivative of the map that they define.
 
-The determinant of the one-step map of every scheme, for a system with one degree of freedom.
+The determinant of the one-step map of every scheme, for a system with one degree of freedom. By implicit
+differentiation of the equations of a step: with E(z0, y) = 0, y the unknowns, Dy = -(dE/dy)^-1 dE/dz0. Source: Hairer,
+Lubich and Wanner (2006), Geometric numerical integration, section VI.2.
 
-By implicit differentiation of the equations of a step: with E(z0, y) = 0, y the unknowns, Dy = -(dE/dy)^-1 dE/dz0.
-Source: Hairer, Lubich and Wanner (2006), Geometric numerical integration, section VI.2.
+Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved where no force acts on it. Source:
+Marsden and West (2001), section 1.3.3. For a translation of q_i the infinitesimal symmetry of Ld is D1 Ld + D2 Ld = 0
+in that component, which is p_k = p_k1.
 
-Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved where no force acts on it.
-
-Source: Marsden and West (2001), section 1.3.3. For a translation of q_i the infinitesimal symmetry of Ld is
-D1 Ld + D2 Ld = 0 in that component, which is p_k = p_k1.
-
-Symplecticity of the one-step map: S^T J S = J for its derivative S, or a violation where it is not claimed.
-
-With dE/dz0 = A and dE/dz1 = B in the equations E(z0, z1) = 0 of a step, S = -B^-1 A, and the identity is equivalent to
-A J A^T = B J B^T, which holds no inverse and is decided symbolically where it can be. Source: Hairer, Lubich and
-Wanner (2006), Geometric numerical integration, section VI.2.
+Symplecticity of the one-step map: S^T J S = J for its derivative S, or a violation where it is not claimed. With dE/dz0
+= A and dE/dz1 = B in the equations E(z0, z1) = 0 of a step, S = -B^-1 A, and the identity is equivalent to A J A^T = B
+J B^T, which holds no inverse and is decided symbolically where it can be. Source: Hairer, Lubich and Wanner (2006),
+Geometric numerical integration, section VI.2.
 """
 
 from __future__ import annotations

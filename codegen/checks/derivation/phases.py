@@ -1,9 +1,8 @@
 """What checks read of a problem of several phases: each phase as if it were a problem of its own, in time.
 
-Switches from one phase to the next: the motion arrives as the earlier phase says, and leaves after the jump.
-
-At the computed motion the values before the switch are put into the author's jump. Together with them the equations of
-the later phase, as any of its intervals has them, must hold on the first one: those of a step, or the discrete Legendre
+Switches from one phase to the next: the motion arrives as the earlier phase says, and leaves after the jump. At the
+computed motion the values before the switch are put into the author's jump. Together with them the equations of the
+later phase, as any of its intervals has them, must hold on the first one: those of a step, or the discrete Legendre
 transform -D1 Ld - f- = p of the momentum after the jump.
 """
 

@@ -4,10 +4,9 @@ The Lagrangian of the optimisation problem is the sum of the derived shares of a
 and of the conditions between bodies. Its differences, in 120-digit arithmetic, tell whether the module's loops, index
 tables and elimination do what the equations say.
 
-Values and bounds that the module gives to unknowns, against those of the author's problem.
-
-They are no part of the Lagrangian, so that no kernel tells of them: values at both ends, unknowns that equal a shared
-one, and the tables of least and greatest values.
+Values and bounds that the module gives to unknowns, against those of the author's problem. They are no part of the
+Lagrangian, so that no kernel tells of them: values at both ends, unknowns that equal a shared one, and the tables of
+least and greatest values.
 """
 
 from __future__ import annotations

@@ -3,10 +3,9 @@
 The references are differences in 120-digit arithmetic of the undifferentiated expression, and for the gradient also
 complex steps (Squire and Trapp, 1998) of a plain numpy evaluation where the expression is analytic.
 
-The conditions between bodies: kernels and tables of their terms against the conditions that the author wrote.
-
-The module holds a few kinds of term and says where each occurs. Put together again, terms must give every condition,
-its slopes and its curvatures.
+The conditions between bodies: kernels and tables of their terms against the conditions that the author wrote. The
+module holds a few kinds of term and says where each occurs. Put together again, terms must give every condition, its
+slopes and its curvatures.
 """
 
 from __future__ import annotations

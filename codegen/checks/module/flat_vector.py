@@ -3,9 +3,8 @@
 For each body node 0, interval 0, node 1, ..., node N; then the shared unknowns of every body, those of the whole
 problem, and the multipliers of the conditions between bodies.
 
-Points where a problem is solved: near the guess of its module, with its boundary values and default parameters.
-
-Away from there an exponential atmosphere, a reaction rate or a Gaussian may be flat, and a check would be blind.
+Points where a problem is solved: near the guess of its module, with its boundary values and default parameters. Away
+from there an exponential atmosphere, a reaction rate or a Gaussian may be flat, and a check would be blind.
 """
 
 from __future__ import annotations

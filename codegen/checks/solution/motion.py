@@ -1,13 +1,11 @@
 """Checks of the motion of a solution: holonomic constraints, conditions at inner times, delayed values.
 
-A motion with delays, followed from its history by another integrator under the controls that were found.
+A motion with delays, followed from its history by another integrator under the controls that were found. The equations
+are those of the whole problem, with its values of the past, as their author wrote them: neither segments nor what joins
+them is known to DOP853. The distance from the motion of the module falls at the order of the scheme.
 
-The equations are those of the whole problem, with its values of the past, as their author wrote them: neither segments
-nor what joins them is known to DOP853. The distance from the motion of the module falls at the order of the scheme.
-
-Conditions at inner times along the computed motion, as the author wrote them, and the times themselves.
-
-Node, coordinates and rates are read off the solution: nothing of the module's own tables or kernels takes part.
+Conditions at inner times along the computed motion, as the author wrote them, and the times themselves. Node,
+coordinates and rates are read off the solution: nothing of the module's own tables or kernels takes part.
 """
 
 from __future__ import annotations

@@ -3,18 +3,16 @@
 That is 2 at most, because controls that are constant on each interval, or averaged over it, are no better. Costs may
 tend faster: where time reversal maps the problem to itself, odd powers of h cancel in the cost.
 
-The second-order condition: a solution is a minimum, and no saddle point, where the KKT matrix has the right inertia.
-
-At a strict local minimum the Hessian of the Lagrangian is positive definite on the null space of the equations, and
-then the KKT matrix has exactly one negative eigenvalue for every equation (Nocedal and Wright, 2006, theorem 16.3). An
+The second-order condition: a solution is a minimum, and no saddle point, where the KKT matrix has the right inertia. At
+a strict local minimum the Hessian of the Lagrangian is positive definite on the null space of the equations, and then
+the KKT matrix has exactly one negative eigenvalue for every equation (Nocedal and Wright, 2006, theorem 16.3). An
 unknown at its bound is held there by a multiplier z, which adds z / distance to the diagonal.
 
-Sensitivities of a solution against central differences of the problem solved again, with other data.
-
-All quantities change at once, in proportions drawn at random: first by themselves, then parameters alone, which
-boundary values and the duration follow. Where that leaves no solution, as beyond the range of a table or a bound on a
-prescribed value, those that cannot change even alone stay as they are, and are named. Differences with three lengths,
-halved each time, are extrapolated twice (Richardson): the two results differ by what the reference may be off.
+Sensitivities of a solution against central differences of the problem solved again, with other data. All quantities
+change at once, in proportions drawn at random: first by themselves, then parameters alone, which boundary values and
+the duration follow. Where that leaves no solution, as beyond the range of a table or a bound on a prescribed value,
+those that cannot change even alone stay as they are, and are named. Differences with three lengths, halved each time,
+are extrapolated twice (Richardson): the two results differ by what the reference may be off.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Images that visitors open, images on the command line, and the bundled example.
 
-Pictures in files of volumes: single slices as NIfTI, NRRD and MetaImage, with the size of their pixels.
-
-As with pictures, the kind of a file is what its first bytes say, and sizes are looked at before samples are read, by
-SimpleITK. Rows and columns stay as they are stored: landmarks count in pixels of the file, as other programs have them,
-and nothing is turned by orientations; the page says which edge is which side of the patient instead. Files that name
-others are refused: who opens one in a browser would have the server read whatever it names.
+Pictures in files of volumes: single slices as NIfTI, NRRD and MetaImage, with the size of their pixels. As with
+pictures, the kind of a file is what its first bytes say, and sizes are looked at before samples are read, by SimpleITK.
+Rows and columns stay as they are stored: landmarks count in pixels of the file, as other programs have them, and
+nothing is turned by orientations; the page says which edge is which side of the patient instead. Files that name others
+are refused: who opens one in a browser would have the server read whatever it names.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Work beside the event loop: of what is asked for in a hurry only the newest is done.
 
-The solver of registrations, made ready beside the server: the page can be used while it is being compiled.
-
-Deriving and compiling it takes some 15 s of work, once on a machine. A process of its own does that, so that the
-page answers meanwhile; `python -m codegen.registration.app.worker SCHEME` is that process.
+The solver of registrations, made ready beside the server: the page can be used while it is being compiled. Deriving and
+compiling it takes some 15 s of work, once on a machine. A process of its own does that, so that the page answers
+meanwhile; `python -m codegen.registration.app.worker SCHEME` is that process.
 """
 
 from __future__ import annotations

@@ -6,13 +6,11 @@ origin and orientation, in LPS as well. Points that are not placed yet (`positio
 out. Where both lists use the same labels, each once, points are matched by label, otherwise by order. Source:
 markups-schema-v1.0.3.json of Slicer and its developer guide, "Markups".
 
-Point lists of older 3D Slicer (.fcsv), one for each image.
-
-A table without a header, after lines that begin with #: id, x, y, z, four numbers of an orientation, whether the point
-is visible, selected and locked, its label, and more that does not matter here. `# CoordinateSystem` names LPS or RAS,
-of which older versions wrote 1 and 0; without it points are RAS. Where both lists use the same labels, each once,
-points are matched by label, otherwise by order. Source: what `vtkMRMLMarkupsFiducialStorageNode` of Slicer reads and
-writes.
+Point lists of older 3D Slicer (.fcsv), one for each image. A table without a header, after lines that begin with #: id,
+x, y, z, four numbers of an orientation, whether the point is visible, selected and locked, its label, and more that
+does not matter here. `# CoordinateSystem` names LPS or RAS, of which older versions wrote 1 and 0; without it points
+are RAS. Where both lists use the same labels, each once, points are matched by label, otherwise by order. Source: what
+`vtkMRMLMarkupsFiducialStorageNode` of Slicer reads and writes.
 """
 
 from __future__ import annotations

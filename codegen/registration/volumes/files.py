@@ -3,15 +3,13 @@
 What a file says of spacing, origin and orientation becomes a grid in LPS coordinates, as ITK has them: x to the left of
 the patient, y to the back, z to the head, in millimetres. Size and kind are looked at before samples are read.
 
-Displacement fields of volumes in files that ITK, and with it 3D Slicer, elastix and ANTs, read as a transform.
+Displacement fields of volumes in files that ITK, and with it 3D Slicer, elastix and ANTs, read as a transform. A field
+is a volume of vectors on the grid of the result: x, y and z in LPS and in the units of the file, that lead from the
+place of a voxel to that in the source at which its value is read, as ITK's displacement field transforms do. In NIfTI
+the intent is `vector`, whose components ITK takes as they are; numbers are 32-bit floats.
 
-A field is a volume of vectors on the grid of the result: x, y and z in LPS and in the units of the file, that lead from
-the place of a voxel to that in the source at which its value is read, as ITK's displacement field transforms do. In
-NIfTI the intent is `vector`, whose components ITK takes as they are; numbers are 32-bit floats.
-
-Stacks of TIFF: volumes whose slices are the pages of a file, with the spacing that ImageJ writes, if any.
-
-Coordinates are column, row and slice times the spacing, which is 1 where a file carries none.
+Stacks of TIFF: volumes whose slices are the pages of a file, with the spacing that ImageJ writes, if any. Coordinates
+are column, row and slice times the spacing, which is 1 where a file carries none.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
 """Warped volumes: places by slabs on a coarse grid of nodes, samples by blocks, and the result of a pair.
 
-Where voxels come from, by slabs: cubic splines between exactly mapped nodes, and exact places where these err.
-
-As for pictures in `codegen.registration.warp`, nothing is proved of the splines' errors. They are measured at all
-nodes, with those of the splines through every second one; a quarter of that is taken for the error, and what is larger
-than a bound is mapped exactly, voxel by voxel, with all that lies about it. In space a map has a kink at every
-landmark, so that what lies about these is mapped exactly whatever was measured. Distances between nodes are as equal in
-all directions as the spacing allows; only one slab of places is in memory at a time.
+Where voxels come from, by slabs: cubic splines between exactly mapped nodes, and exact places where these err. As for
+pictures in `codegen.registration.warp`, nothing is proved of the splines' errors. They are measured at all nodes, with
+those of the splines through every second one; a quarter of that is taken for the error, and what is larger than a bound
+is mapped exactly, voxel by voxel, with all that lies about it. In space a map has a kink at every landmark, so that
+what lies about these is mapped exactly whatever was measured. Distances between nodes are as equal in all directions as
+the spacing allows; only one slab of places is in memory at a time.
 """
 
 from __future__ import annotations

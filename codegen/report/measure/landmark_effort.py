@@ -1,10 +1,9 @@
 """The effort of landmark registration: accuracy, routes of solution, the fastest scheme, dimensions.
 
-The particle ansatz as a weak solution of the Euler-Poincare equations, by numbers (thesis, B.2).
-
-m = sum_i p_i delta(x - q_i) solves m_t + v . grad m + (grad v)' m + m div v = 0 if for every test function psi the sum
-over particles of d/dt (p_i psi(q_i)) equals what v does to them. psi enters by its values and slopes at the particles
-only, which are those of random polynomials that vanish on the circle with their normal derivatives.
+The particle ansatz as a weak solution of the Euler-Poincare equations, by numbers (thesis, B.2). m = sum_i p_i delta(x
+- q_i) solves m_t + v . grad m + (grad v)' m + m div v = 0 if for every test function psi the sum over particles of d/dt
+(p_i psi(q_i)) equals what v does to them. psi enters by its values and slopes at the particles only, which are those of
+random polynomials that vanish on the circle with their normal derivatives.
 """
 
 from __future__ import annotations

@@ -1,17 +1,15 @@
 """The motion of landmarks: jumps between paths, initial paths, the smoothness of warps.
 
-What happens inside the optimiser of the thesis's Figures 5.8 and 5.9: momenta on nodes, and loose tolerances.
+What happens inside the optimiser of the thesis's Figures 5.8 and 5.9: momenta on nodes, and loose tolerances. The
+thesis minimises 2 h sum H over places and momenta at the nodes, both averaged on intervals. Only averages of momenta
+act: p_k + (-1)^k a has the same averages for every a, costs as much and obeys the same constraints, so that the minimum
+is never isolated. Ours has one momentum for each interval. Both are given to scipy's SLSQP, from the thesis's curved
+paths and from straight ones, with the thesis's tolerance 1e-6 and with a tight one, and compared with Newton's solution
+of the same discrete problem.
 
-The thesis minimises 2 h sum H over places and momenta at the nodes, both averaged on intervals. Only averages of
-momenta act: p_k + (-1)^k a has the same averages for every a, costs as much and obeys the same constraints, so that the
-minimum is never isolated. Ours has one momentum for each interval. Both are given to scipy's SLSQP, from the thesis's
-curved paths and from straight ones, with the thesis's tolerance 1e-6 and with a tight one, and compared with Newton's
-solution of the same discrete problem.
-
-How many steps a smooth warp needs: errors and folds of the warp of the whole disc against the number of steps.
-
-Points that carry no momentum follow v(x) = sum_j p_j G(x, q_j). An explicit step x + h v(x) is one to one where
-h times the Lipschitz constant of v is below one; cells of a grid whose signed area becomes negative show a fold.
+How many steps a smooth warp needs: errors and folds of the warp of the whole disc against the number of steps. Points
+that carry no momentum follow v(x) = sum_j p_j G(x, q_j). An explicit step x + h v(x) is one to one where h times the
+Lipschitz constant of v is below one; cells of a grid whose signed area becomes negative show a fold.
 """
 
 from __future__ import annotations

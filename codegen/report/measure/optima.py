@@ -1,24 +1,21 @@
 """What is measured of an optimal-control problem: cost errors of every scheme, and drivers beside each other.
 
-Orders at which costs of optima converge, with what is expected of them and what is to be said beside them.
-
-Expected is the scheme's order, but 2 at most where controls are constant on intervals. Sources: Hager, Runge-Kutta
-methods in optimal control and the transformed adjoint system, Numer. Math. 87 (2000), for smooth optima; Dontchev,
-Hager and Veliov, Second-order Runge-Kutta approximations in control constrained optimal control, SIAM J. Numer. Anal.
-38 (2000), and Dontchev and Hager, The Euler approximation in state constrained optimal control, Math. Comp. 70 (2001),
-where bounds become active; Alt, Baier, Gerdts and Lempio, Error bounds for Euler approximation of linear-quadratic
-control problems with bang-bang solutions, Numer. Algebra Control Optim. 2 (2012), for controls that switch.
+Orders at which costs of optima converge, with what is expected of them and what is to be said beside them. Expected is
+the scheme's order, but 2 at most where controls are constant on intervals. Sources: Hager, Runge-Kutta methods in
+optimal control and the transformed adjoint system, Numer. Math. 87 (2000), for smooth optima; Dontchev, Hager and
+Veliov, Second-order Runge-Kutta approximations in control constrained optimal control, SIAM J. Numer. Anal. 38 (2000),
+and Dontchev and Hager, The Euler approximation in state constrained optimal control, Math. Comp. 70 (2001), where
+bounds become active; Alt, Baier, Gerdts and Lempio, Error bounds for Euler approximation of linear-quadratic control
+problems with bang-bang solutions, Numer. Algebra Control Optim. 2 (2012), for controls that switch.
 
 Where costs on ever finer grids tend to: extrapolation of smooth sequences, a fit where errors vary with the grid.
-
 Source of the extrapolation: Richardson (1911); Romberg's scheme as in Hairer, Norsett and Wanner (1993), section II.9.
 
-Costs of optima on ever finer grids, each found from the optimum on a coarser grid, so that all follow one optimum.
-
-From a problem's own guess every grid may end in another local optimum, and long problems need finer grids than a guess
-leads to. A mesh sequence starts from a coarse grid and doubles it; where bounds become active or inactive within the
-motion, grids of other numbers of intervals are added, since the error then varies with the place of these times in
-their intervals.
+Costs of optima on ever finer grids, each found from the optimum on a coarser grid, so that all follow one optimum. From
+a problem's own guess every grid may end in another local optimum, and long problems need finer grids than a guess leads
+to. A mesh sequence starts from a coarse grid and doubles it; where bounds become active or inactive within the motion,
+grids of other numbers of intervals are added, since the error then varies with the place of these times in their
+intervals.
 """
 
 from __future__ import annotations

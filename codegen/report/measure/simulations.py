@@ -1,11 +1,10 @@
 """What is measured of a problem that is simulated: errors of every scheme against steps and run time.
 
-The order of a scheme in simulations, measured on a span of the motion in which the asymptotic range is reached.
-
-Over many periods the error is a sum of terms that grow at different rates with time, and rounding grows with it, so
-that between the coarsest useful step and the plateau no power of the step need prevail. On a span in which the state
-moves by about its own size one does. The number of steps grows by a third of a doubling at a time until local orders
-have settled; where rounding comes first, longer and shorter spans are tried.
+The order of a scheme in simulations, measured on a span of the motion in which the asymptotic range is reached. Over
+many periods the error is a sum of terms that grow at different rates with time, and rounding grows with it, so that
+between the coarsest useful step and the plateau no power of the step need prevail. On a span in which the state moves
+by about its own size one does. The number of steps grows by a third of a doubling at a time until local orders have
+settled; where rounding comes first, longer and shorter spans are tried.
 """
 
 from __future__ import annotations

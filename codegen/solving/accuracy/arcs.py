@@ -4,19 +4,17 @@ Between two arcs lies a switching time. On an interval that contains it a contro
 it is off by as much; so intervals are made short there, until the gap does not matter.
 
 How large the error of a solution is: compared with one on the bisected grid, as a whole and interval by interval.
-
 Quantities are coordinates, momenta, and the cost up to each node; each is measured in parts of its own largest value.
 
-The discretisation error of a solution, estimated on double steps: two intervals in one.
-
-On the grid of double steps the solution leaves residuals, the defects of its steps. Newton's method with the same
-active bounds turns them into changes: of states by the KKT matrix, and of the cost by the Lagrangian, where each defect
-has the multiplier of its equation as weight. Both changes are 2^p - 1 times the error; p is the order of the optima.
-A step or two of Newton's method, on half as many intervals, take no longer than one iteration of the solve.
-Where active bounds differ on the two grids, or the solution is no minimum on the coarser one, the optimum on double
-steps is searched for. Sources: Richardson (1911); Becker and Rannacher (2001), An optimal control approach to a
-posteriori error estimation in finite element methods, Acta Numerica 10, section 2; Hairer, Norsett and Wanner (1993),
-Solving ordinary differential equations I, II.4, for double steps.
+The discretisation error of a solution, estimated on double steps: two intervals in one. On the grid of double steps the
+solution leaves residuals, the defects of its steps. Newton's method with the same active bounds turns them into
+changes: of states by the KKT matrix, and of the cost by the Lagrangian, where each defect has the multiplier of its
+equation as weight. Both changes are 2^p - 1 times the error; p is the order of the optima. A step or two of Newton's
+method, on half as many intervals, take no longer than one iteration of the solve. Where active bounds differ on the two
+grids, or the solution is no minimum on the coarser one, the optimum on double steps is searched for. Sources:
+Richardson (1911); Becker and Rannacher (2001), An optimal control approach to a posteriori error estimation in finite
+element methods, Acta Numerica 10, section 2; Hairer, Norsett and Wanner (1993), Solving ordinary differential equations
+I, II.4, for double steps.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """The loop from grid to grid: solve, compare with the bisected grid, distribute nodes anew, until it is enough.
 
-Time grids as fractions of every phase: bisected, and distributed anew by how much error an interval makes.
-
-A grid is an array (phases, N) of what its intervals last, in parts of their phase. Sources: de Boor (1973), Good
-approximation by splines with variable knots, for equidistribution; Betts (2010), Practical methods for optimal control,
-section 4.7.
+Time grids as fractions of every phase: bisected, and distributed anew by how much error an interval makes. A grid is an
+array (phases, N) of what its intervals last, in parts of their phase. Sources: de Boor (1973), Good approximation by
+splines with variable knots, for equidistribution; Betts (2010), Practical methods for optimal control, section 4.7.
 """
 
 from __future__ import annotations

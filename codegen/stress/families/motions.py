@@ -1,8 +1,7 @@
 """Motions: stiff, orbital, chaotic, over one step to a million, of schemes of higher order, with extreme inputs.
 
-Schemes of higher order: how far they are stable, what they promise on ellipses, over long times and for particles.
-
-The cases are those of the other families, on the problems where a higher order makes a difference to the answer: the
+Schemes of higher order: how far they are stable, what they promise on ellipses, over long times and for particles. The
+cases are those of the other families, on the problems where a higher order makes a difference to the answer: the
 oscillator, whose stability limits follow from the tables of the schemes; ellipses, where an order counts only once the
 closest approach is resolved; a stiff spring beside a swing; a million steps; bodies and landmarks that come close.
 """
