@@ -13,7 +13,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import jinja2
 import matplotlib
 import numpy as np
 import scipy.ndimage
@@ -23,7 +22,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen import __version__
-from codegen.files import replacing
+from codegen.files import rendered, write_text
 from codegen.plots.style import AMBER, BLUE, CRIMSON, RED
 from codegen.registration.grid import short
 from codegen.registration.jobs import MOST_LEFT_OUT, Outcome, Result
@@ -165,19 +164,14 @@ def _determinants(result: Result, registration: Registration) -> Picture:
     ]
     values = registration.arriving_determinant(np.column_stack([x.ravel(), y.ravel()])).reshape(x.shape)
     assert result.certificate is not None
-    positive = values[values > 0.0]
-    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
-    colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER)
-    least = result.certificate.det_min_at
+    scale, least = determinant_scale(values), result.certificate.det_min_at
 
     def paint(axes: Any) -> None:
-        shown = axes.imshow(
-            np.ma.masked_less_equal(values, 0.0), extent=_extent(registration.fixed_shape), cmap=colours,
-            norm=LogNorm(1.0 / reach, reach), interpolation="bilinear",
-        )  # fmt: skip
+        masked, extent = np.ma.masked_less_equal(values, 0.0), _extent(registration.fixed_shape)
+        shown = axes.imshow(masked, extent=extent, interpolation="bilinear", **scale)
         _mark(axes, result.pairs.fixed, "#303030")
         axes.plot(*least, marker="x", color=AMBER, markersize=7, markeredgewidth=2)
-        _bar(axes, shown, "det J", [reach**share for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+        _bar(axes, shown, "det J", [scale["norm"].vmax ** share for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
 
     place = f"({least[0]:g}, {least[1]:g})"
     caption = f"Where areas have shrunk (blue) and grown (red) towards the fixed image; least at {place}, the cross."
@@ -195,9 +189,29 @@ def _picture(title: str, caption: str, shape: Shape, paint: Painter, bar: bool =
     axes.set_axis_off()
     paint(axes)
     _frame(axes, shape)
+    return as_png(title, caption, figure)
+
+
+def as_png(title: str, caption: str, figure: Figure) -> Picture:
+    """The picture of a figure."""
     file = io.BytesIO()
     figure.savefig(file, format="png", metadata={"Software": None})
     return Picture(title, caption, base64.b64encode(file.getvalue()).decode("ascii"))
+
+
+def determinant_scale(values: NDArray[np.float64]) -> dict[str, Any]:
+    """Colours of determinants by their logarithms; those that are not positive have a colour of their own."""
+    positive = values[values > 0.0]
+    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
+    colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER)
+    return {"cmap": colours, "norm": LogNorm(1.0 / reach, reach)}
+
+
+def style_bar(bar: Any, name: str) -> None:
+    """Name a colour bar, in small letters and without minor ticks."""
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=8, length=2)
+    bar.set_label(name, fontsize=9)
 
 
 def _frame(axes: Any, shape: Shape) -> None:
@@ -226,9 +240,7 @@ def _mark(axes: Any, points: PointArray, colour: str) -> None:
 
 def _bar(axes: Any, shown: Any, name: str, ticks: Sequence[float]) -> None:
     bar = axes.figure.colorbar(shown, ax=axes, fraction=0.045, pad=0.02, ticks=ticks, format="%.3g")
-    bar.ax.minorticks_off()
-    bar.ax.tick_params(labelsize=8, length=2)
-    bar.set_label(name, fontsize=9)
+    style_bar(bar, name)
     bar.outline.set_visible(False)
 
 
@@ -347,17 +359,12 @@ def write_report(path: Path, result: Result) -> None:
 
 def write_page(path: Path, result: Outcome, shown: list[Picture], note: str) -> None:
     """Write a page with pictures, and a note about its numbers; FileError where the file system refuses."""
-    text = render(result, shown, note)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, render(result, shown, note))
 
 
 def render(result: Outcome, shown: list[Picture], note: str) -> str:
     """The text of the page, of a registration that succeeded or failed."""
-    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
-    template = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("pair.html.j2")
+    template = Path(__file__).parent / "templates/pair.html.j2"
     record = result.record
     # The files, by their names alone: a page may travel.
     names = [f"moving: {Path(record['moving']).name}"]
@@ -380,8 +387,8 @@ def render(result: Outcome, shown: list[Picture], note: str) -> str:
         made.append(Row(cells, k in outliers))
     if len(pairs) > MOST_ROWS:
         made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(made[0].cells) - 1)), False))
-    return template.render(
-        title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=", ".join(names),
+    return rendered(
+        template, title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=", ".join(names),
         passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
         pictures=shown, columns=columns(result.pairs.dimension, record["summary"].get("length_unit", "")),
         rows=made, note=note,

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
+from codegen.files import rendered
 from codegen.report.section import Section
 from codegen.report.sections.questions import sections as of_questions
 from codegen.report.sections.thesis import sections as of_thesis
@@ -39,11 +38,8 @@ def of_study(settings: Settings, store: Store) -> list[Section]:
 
 def page(title: str, introduction: str, sections: Sequence[Section], environment: Mapping[str, Any]) -> str:
     """One HTML file that needs no other, from any sections."""
-    loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
-    template = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("page.html.j2")
-    return template.render(title=title, introduction=introduction, sections=sections, environment=[*_flat(environment)])
+    template, named = Path(__file__).parent / "templates/page.html.j2", [*_flat(environment)]
+    return rendered(template, title=title, introduction=introduction, sections=sections, environment=named)
 
 
 def _flat(environment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jinja2
-
-from codegen.files import replacing
+from codegen.files import rendered, write_text
 from codegen.registration.batches.outcome import Batch
 from codegen.registration.batches.work import Line
 from codegen.registration.pair_report import number, rows
@@ -43,15 +41,10 @@ def write_batch_report(folder: Path, done: Batch, pages: Iterable[Path | None]) 
     """Write the page beside the pages of the pairs, which come in the order of the batch; its path."""
     path = folder / NAME
     rows = [_row(line, page) for line, page in zip(done.lines, pages, strict=True)]
-    loader = jinja2.FileSystemLoader(Path(__file__).parents[1] / "templates")
-    template = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("batch.html.j2")
+    template = Path(__file__).parents[1] / "templates/batch.html.j2"
     order = sorted(range(len(rows)), key=lambda k: _urgency(done.lines[k]))
     title = f"{len(rows)} pairs, {len(done.failed)} failed"
-    text = template.render(title=title, columns=COLUMNS, rows=[rows[k] for k in order])
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, rendered(template, title=title, columns=COLUMNS, rows=[rows[k] for k in order]))
     return path
 
 
