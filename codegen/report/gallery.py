@@ -15,9 +15,8 @@ from codegen.report import records
 from codegen.report.building import MODULES, SURVEYS, Variant, Workshop, build_all, surveyed, workers
 from codegen.report.kinds import EXTRAS, KINDS, Chosen, choose
 from codegen.report.measure import drift, leaving_out
-from codegen.report.page import page
+from codegen.report.page import Section, Table, listed, number, page, seconds
 from codegen.report.records import Record, Regression, shared
-from codegen.report.section import Section, Table, listed, number, seconds
 from codegen.report.settings import Extent
 from codegen.report.store import Store
 from codegen.terminal import progress

@@ -10,7 +10,7 @@ from codegen.report import thesis
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.measure import optima, simulations
 from codegen.report.measure.orders import Order
-from codegen.report.section import Section
+from codegen.report.page import Section
 from codegen.report.sections import control as sections_control
 from codegen.report.sections import simulation as sections_simulation
 from codegen.report.settings import Extent

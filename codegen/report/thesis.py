@@ -21,13 +21,13 @@ from scipy.interpolate import CubicSpline
 
 from codegen.interfaces import ControlModule, is_control, is_simulation
 from codegen.plots.style import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours
-from codegen.report import page, study
+from codegen.report import study
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.figures.landmarks import svg
 from codegen.report.figures.problems import colour_of
 from codegen.report.measure.optima import solved
 from codegen.report.measure.orders import measured_order, order_text
-from codegen.report.section import Picture, Section, Table, number, seconds
+from codegen.report.page import Picture, Section, Table, number, seconds
 from codegen.report.settings import Extent, quick_settings
 from codegen.report.store import Case, Store, Values
 
@@ -124,7 +124,7 @@ def landmark_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterato
 def landmark_sections(store: Store, problem: Path) -> list[Section]:
     """The thesis's tables and figures of one set of few landmarks and of the trilobites."""
     reason = f"One set of few landmarks, fast routes, no open questions: codegen report {problem.name} has them all."
-    return [Section(f"{problem.stem}: landmarks", (reason,)), *page.of_study(quick_settings(problem), store)]
+    return [Section(f"{problem.stem}: landmarks", (reason,)), *study.of_study(quick_settings(problem), store)]
 
 
 LINEAR_SECTION = "linear_pendulum: figures 3.1 and 3.2"

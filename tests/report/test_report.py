@@ -12,7 +12,7 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.cli import main
-from codegen.report import section, settings, study
+from codegen.report import page, settings, study
 from codegen.report.measure import landmark_motion
 from codegen.report.sections import questions
 from codegen.report.store import Case, Store
@@ -85,7 +85,7 @@ def test_cell_areas_of_a_shear_and_of_a_fold():
     ("value", "text"), [(0.0, "0"), (1234.5, "1234"), (0.01234, "0.0123"), (2.24e-14, "2.24·10⁻¹⁴"), (None, "–")]
 )
 def test_numbers_in_sentences(value, text):
-    assert section.number(value) == text
+    assert page.number(value) == text
 
 
 INVENTED = {

@@ -20,7 +20,7 @@ from codegen import solving
 from codegen.errors import CodegenError
 from codegen.interfaces import SimulateModule, Vector, is_simulation
 from codegen.report.building import SURVEYS, Variant, Workshop
-from codegen.report.section import Section, Table, number
+from codegen.report.page import Section, Table, number
 from codegen.report.settings import Extent
 from codegen.report.store import Case, Store, Values
 

@@ -13,7 +13,7 @@ import numpy as np
 from codegen.errors import CodegenError
 from codegen.report.building import MODULES, SURVEYS, Variant, Workshop
 from codegen.report.measure.optima import MOST_STEPS, well_timed
-from codegen.report.section import Section, Table, number, seconds
+from codegen.report.page import Section, Table, number, seconds
 from codegen.report.settings import Extent
 from codegen.report.store import Case, Store, Values
 

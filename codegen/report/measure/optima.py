@@ -35,7 +35,7 @@ from codegen.errors import CodegenError
 from codegen.interfaces import ControlModule, GeneratedModule, Vector, is_control
 from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.measure.orders import LARGE, Order, fitted_order, measured_order, verdict
-from codegen.report.section import SUPERSCRIPTS, listed
+from codegen.report.page import SUPERSCRIPTS, listed
 from codegen.report.settings import Extent
 from codegen.report.store import Case, Store, Values
 from codegen.runtime.search import callbacks

@@ -12,7 +12,7 @@ from codegen.report.figures.problems import Line, times_of_drivers, work_precisi
 from codegen.report.measure import optima
 from codegen.report.measure.optima import Convergence, case_name, convergence_of, drivers_of, errors_of, references_of
 from codegen.report.measure.orders import ABOVE_REFERENCE, SETTLED, Order, order_text
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.store import Store, Values
 
 NEAR = 0.01

@@ -8,7 +8,7 @@ from typing import Any
 
 from codegen.report.figures import landmarks
 from codegen.report.measure import landmark_effort, landmark_motion
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, slope
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, slope
 from codegen.report.settings import Settings
 from codegen.report.store import Store
 

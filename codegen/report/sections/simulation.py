@@ -18,7 +18,7 @@ from codegen.report.measure.orders import (
     verdict,
 )
 from codegen.report.measure.simulations import case_name, errors_of, order_from, orders_of, references_of
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.store import Store, Values
 
 _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))

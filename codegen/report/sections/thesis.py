@@ -6,7 +6,7 @@ from functools import partial
 
 from codegen.report.figures import landmarks as figures
 from codegen.report.measure import landmark_effort
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, slope
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, slope
 from codegen.report.settings import Settings
 from codegen.report.store import Store, Values
 
