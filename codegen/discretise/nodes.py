@@ -4,7 +4,7 @@ The motion inside an interval, at any fraction of it, as the scheme continues it
 the polynomial with their values, and as many derivatives as the scheme says, at both nodes. Without derivatives it is a
 straight line, of order two, the collocation polynomial of the midpoint rule; with first ones a cubic, of order four,
 that of Hermite-Simpson and, where it is a parabola, of the trapezoidal rule; with second ones too it has order six. A
-discrete Lagrangian has a polynomial of its own (`codegen.discretise.polynomials`). Source: Hairer, Norsett and Wanner
+discrete Lagrangian has a polynomial of its own (`between`). Source: Hairer, Norsett and Wanner
 (1993), Solving ordinary differential equations I, II.6.
 """
 

@@ -1,10 +1,4 @@
-"""What a page is told, as values for JSON: images, changes of pairs, and the answers of the solver.
-
-Draws the bundled example: two fishes, of which one is the other in bent coordinates, and their landmarks. After D'Arcy
-Thompson, On Growth and Form (1917), chapter 17, where the sunfish Orthagoriscus is the porcupine fish Diodon on a grid
-of hyperbolas and circles. Drawn afresh from formulas; both pictures are dedicated to the public domain (CC0 1.0).
-`python -m codegen.registration.app.example.draw FOLDER` writes them again.
-"""
+"""What a page is told, as values for JSON: images, changes of pairs, and the answers of the solver."""
 
 from __future__ import annotations
 
