@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
+
+from codegen.runtime.record import ConnectRecord, ControlRecord, Task
 
 Vector: TypeAlias = NDArray[np.float64]
 Matrix: TypeAlias = NDArray[np.float64]
@@ -88,12 +90,12 @@ class NonlinearProgram(Protocol):
 class ControlModule(Protocol):
     """The public functions of a generated module that solves an optimal-control problem.
 
-    `variable_bounds` is there if metadata["inequalities"]. `problem` is the ControlProblem that all grids of the module
+    `variable_bounds` is there if `metadata.inequalities`. `problem` is the ControlProblem that all grids of the module
     carry; what else there is to ask of a grid, `codegen.runtime.search` answers. Views are of nodes and intervals,
     bodies first.
     """
 
-    metadata: Mapping[str, Any]
+    metadata: ControlRecord
     problem: Any
 
     solve: Callable[..., ControlSolution]
@@ -135,7 +137,7 @@ class SimulateSolution(Protocol):
 class SimulateModule(Protocol):
     """The public functions of a generated module that follows a motion."""
 
-    metadata: Mapping[str, Any]
+    metadata: Any
 
     solve: Callable[..., SimulateSolution]
     make_grid: Callable[..., StepGrid]
@@ -156,10 +158,10 @@ class ImplicitModule(SimulateModule, Protocol):
 class ConnectModule(Protocol):
     """The public functions of a generated module that connects points; a case is what `make_case` returns.
 
-    Those of the action are there if metadata["method"] is "action".
+    Those of the action are there if `metadata.method` is Method.ACTION.
     """
 
-    metadata: Mapping[str, Any]
+    metadata: ConnectRecord
 
     solve: Callable[..., Any]
     solve_case: Callable[..., Any]
@@ -200,12 +202,12 @@ GeneratedModule: TypeAlias = ControlModule | SimulateModule | ConnectModule
 
 def few_steps(module: Any, steps: int) -> int:
     """As many intervals of a control problem, or more where there are inner times."""
-    return max(steps, int(module.metadata.get("inner_times", 0)) + 1)
+    return max(steps, int(module.metadata.inner_times) + 1)
 
 
 def inner_places(module: Any) -> tuple[float, ...]:
     """Where inner times are, in parts of the duration, or of the whole chain where they are free; none, often."""
-    if not module.metadata.get("inner_times", 0):
+    if not module.metadata.inner_times:
         return ()
     grid = module.make_grid(few_steps(module, 1))
     return tuple(float(grid.nodes[number]) / grid.steps for number in grid.inner)
@@ -221,22 +223,22 @@ def time_grid(module: ControlModule, steps: int, fractions: Vector | None = None
 
 def is_control(module: GeneratedModule) -> TypeGuard[ControlModule]:
     """Whether a generated module solves an optimal-control problem."""
-    return bool(module.metadata["task"] == "control")
+    return bool(module.metadata.task == Task.CONTROL)
 
 
 def is_connect(module: GeneratedModule) -> TypeGuard[ConnectModule]:
     """Whether a generated module connects points."""
-    return bool(module.metadata["task"] == "connect")
+    return bool(module.metadata.task == Task.CONNECT)
 
 
 def is_simulation(module: GeneratedModule) -> TypeGuard[SimulateModule]:
     """Whether a generated module follows a motion."""
-    return bool(module.metadata["task"] == "simulate")
+    return bool(module.metadata.task == Task.SIMULATE)
 
 
 def is_of_particles(module: GeneratedModule) -> bool:
     """Whether a generated module is about particles."""
-    return "separable" in module.metadata
+    return bool(module.metadata.of_particles)
 
 
 def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:

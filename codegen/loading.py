@@ -108,8 +108,7 @@ sys.meta_path.append(cast(Any, _ByName))
 
 
 def _require_complete(path: Path, module: ModuleType) -> None:
-    metadata = getattr(module, "metadata", None)
-    task = metadata.get("task") if isinstance(metadata, dict) else None
+    task = getattr(getattr(module, "metadata", None), "task", None)
     if task not in TASKS:
         raise ModuleError(f"{path} is damaged (its metadata name no task)", _REMEDY)
     missing = [function for function in TASKS[task].functions if not callable(getattr(module, function, None))]

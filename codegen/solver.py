@@ -60,7 +60,7 @@ class Solver:
     @property
     def title(self) -> str:
         """What the problem is about, on one line."""
-        return str(self.module.metadata["title"])
+        return str(self.module.metadata.title)
 
     @property
     def module(self) -> GeneratedModule:
@@ -136,8 +136,8 @@ class Solver:
 
         metadata = self.module.metadata
         rows = [
-            ("problem", f"{self.name} ({metadata['task']})"),
-            ("discretisation", f"{metadata['method']}, {metadata['scheme']}, {metadata['steps']} steps"),
+            ("problem", f"{self.name} ({metadata.task})"),
+            ("discretisation", f"{metadata.method}, {metadata.scheme}, {metadata.steps} steps"),
             ("module", str(self.build.path)),
             ("built", "from the cache" if self.build.cached else f"in {self.build.seconds:.2f} s"),
         ]

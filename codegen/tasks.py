@@ -98,4 +98,4 @@ TASKS = {
 
 def task_of(module: Any) -> Task:
     """The task of a loaded module."""
-    return TASKS[module.metadata["task"]]
+    return TASKS[module.metadata.task]

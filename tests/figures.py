@@ -58,8 +58,8 @@ def measured(problems: Collection[str] = ()) -> list[Row]:
 def solved(path: Path) -> Row:
     """Figures of one module, solved with default options; a registration connects five landmarks."""
     module, points = load(path), None
-    if module.metadata["task"] == "connect":
-        points = few_landmarks(5) if len(module.metadata["coordinates"]) == 2 else smooth_pair(5, 3)
+    if module.metadata.task == "connect":
+        points = few_landmarks(5) if len(module.metadata.coordinates) == 2 else smooth_pair(5, 3)
     result = solving.solve(module, repeat=WARM_SOLVES, points=points)
     return {
         "status": result.status,

@@ -7,10 +7,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from made_records import control_record
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
+from codegen.runtime.record import Form, Kind, Meaning, Method
 from codegen.solutions.result import Result, component_names
 
 BOUNDED = '''"""Push a cart between walls."""
@@ -43,7 +45,7 @@ def unsolved(module: Any) -> Result:
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
     names = component_names(module.metadata)
     return Result(
-        problem="made-up", title="Made up.", task="control", method=module.metadata["method"], scheme="midpoint",
+        problem="made-up", title="Made up.", task="control", method=module.metadata.method, scheme="midpoint",
         driver="none", steps=grid.steps, status="stalled", message="", cost=1.0, residual=1.0, stationarity=1.0,
         iterations=0, t=t, q=q, p=p, u=u, multipliers=multipliers, energy=None, log=None, names=names,
         summary={}, unknowns=unknowns,
@@ -74,12 +76,12 @@ def invented(states: int, controls: int, bodies: int, form: str, conditions: int
     ]
     interval = (*mu, *y, *inputs, *slacks)
     module = SimpleNamespace(
-        metadata={
-            "task": "control", "method": method, "form": form, "bodies": bodies, "coordinates": names, "rates": rates,
-            "control_names": inputs, "free_parameters": ("T",), "inequalities": True, "node": names,
-            "interval": interval,
-            "meanings": {s: f"slack of x{i} + x1**2 <= {i} at 1/2 of an interval" for i, s in enumerate(slacks)},
-        },
+        metadata=control_record(
+            method=Method(method), form=Form(form), bodies=bodies, coordinates=names, rates=rates,
+            control_names=inputs, free_parameters=("T",), inequalities=True, node=names, interval=interval,
+            meanings={s: Meaning(Kind.PATH_SLACK, f"x{i} + x1**2 <= {i}", 0.5) for i, s in enumerate(slacks)}
+            | {name: Meaning(Kind.STEP, name[3:]) for name in mu},
+        ),
         make_grid=lambda steps: SimpleNamespace(is_multiplier=np.zeros(9)),
         initial_guess=lambda grid: "guess",
         variable_bounds=lambda grid: ("lower", "upper"),

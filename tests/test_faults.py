@@ -98,7 +98,7 @@ def test_a_part_of_the_bytecode_ends_one_import_at_most(tmp_path, left):
             pytest.skip("no disk could be mounted here")
         box = Sandbox(tmp_path / "disk", {"PYTHONDONTWRITEBYTECODE": ""})
         module = Path(build(box.folder / f"{NAME}.py", out=box.folder / "generated").path)
-        words = [sys.executable, "-c", f"import generated.{NAME} as m; print(m.metadata['problem'])"]
+        words = [sys.executable, "-c", f"import generated.{NAME} as m; print(m.metadata.problem)"]
         for context in (filled(box.folder, left), contextlib.nullcontext()):
             with context:
                 done = subprocess.run(words, cwd=box.folder, env=box.environment, capture_output=True, text=True)

@@ -124,11 +124,12 @@ class Sites:
 
 @dataclass(frozen=True)
 class PathValue:
-    """A path condition at one point of an interval, whose abscissa `c` lies in [0, 1]."""
+    """A path condition, or the bound of a state, at one point of an interval, whose abscissa `c` lies in [0, 1]."""
 
     condition: Condition
     abscissa: Expr
     value: Expr
+    is_bound: bool = False
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,9 @@ from codegen.interfaces import (
     StepGrid,
     Vector,
     is_implicit,
+    is_of_particles,
 )
+from codegen.runtime.record import Method
 from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
@@ -47,7 +49,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     unknowns by itself. Of 60 searches (four problems, 10 to 30 steps) 55 were solved so, and fewer than half
     by scaled rows.
     """
-    if module.metadata["inequalities"]:
+    if module.metadata.inequalities:
         raise ArgumentError(
             "driver fsolve solves equations, and the problem has inequalities",
             "use newton, slsqp, trust-constr or ipopt",
@@ -82,7 +84,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
     """
     if not _is_stepwise(module):
         raise ArgumentError(
-            f"driver fsolve has nothing to solve: {module.metadata['scheme']} is explicit for this problem",
+            f"driver fsolve has nothing to solve: {module.metadata.scheme} is explicit for this problem",
             "use newton, or a scheme that is implicit for it",
         )
     grid = module.make_grid(run.steps)
@@ -118,7 +120,7 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Solve the module's equations, of the initial momenta or of all nodes, with their generated Jacobian."""
     require_method(module, "fsolve", ("stepping", "full"))
     case = case_of(module, run)
-    shooting = module.metadata["method"] == "stepping"
+    shooting = module.metadata.method == Method.STEPPING
     size = case.start.size if shooting else 2 * case.start.size * case.steps
     require_at_most(size, DENSE_LIMIT, "fsolve")
     equations = module.residual if shooting else module.all_equations
@@ -138,14 +140,14 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
 
 def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     """Whether a step is one system of equations; ArgumentError where it is several, or its module's own."""
-    if module.metadata.get("separable") is not None:
+    if is_of_particles(module):
         raise ArgumentError(
             "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
         )
-    if module.metadata.get("parts"):
+    if module.metadata.parts:
         raise ArgumentError(
-            f"driver fsolve solves one system in each step, and {module.metadata['scheme']} makes "
-            f"{module.metadata['parts']} steps of another scheme",
+            f"driver fsolve solves one system in each step, and {module.metadata.scheme} makes "
+            f"{module.metadata.parts} steps of another scheme",
             "use newton",
         )
     return is_implicit(module)

@@ -49,7 +49,7 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
 def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
     """Find the initial momenta from which the adaptive integrator arrives; iterations are those of Newton's method."""
     tolerance = ADAPTIVE_TOLERANCE if run.tolerance is None else run.tolerance
-    code = module.metadata["adaptive"]
+    code = module.metadata.adaptive
     with quiet_single_thread():
         begin = module.solve_case(case)
         momenta, factor = begin.p[0], module.preconditioner(case)
@@ -121,7 +121,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     """Call the module's `solve_case`, or integrate adaptively where the scheme says so."""
     case = case_of(module, run)
-    if module.metadata["adaptive"]:
+    if module.metadata.adaptive:
         return adaptive(module, case, run)
     with quiet_single_thread():
         solution = module.solve_case(case)

@@ -262,13 +262,11 @@ def finite(values: Any) -> Any:
 
 def require_method(module: ConnectModule, driver: str, methods: tuple[str, ...]) -> None:
     """Refuse modules of another method, and of an integrator that chooses its own steps."""
-    method = module.metadata["method"]
+    method = module.metadata.method
     if method not in methods:
         raise ArgumentError(f"driver {driver} does not solve method {method}", f"use --method {' or '.join(methods)}")
-    if module.metadata["adaptive"]:
-        raise ArgumentError(
-            f"driver {driver} needs steps, and {module.metadata['scheme']} chooses its own", "use newton"
-        )
+    if module.metadata.adaptive:
+        raise ArgumentError(f"driver {driver} needs steps, and {module.metadata.scheme} chooses its own", "use newton")
 
 
 def require_at_most(size: int, limit: int, driver: str) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
-from collections.abc import Iterable
-from dataclasses import fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from enum import Enum
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from codegen.emit.specialise import specialise
 from codegen.files import refused, write_text
@@ -36,8 +37,8 @@ def render(module: Module, origin: Origin) -> str:
     values |= {
         "description": (*module.description, *renamed_arguments(names)),
         "title": _in_docstring(module.title),
-        "title_code": repr(module.title),
-        "left_out_code": [repr(line) for line in module.left_out],
+        "record_type": type(module.metadata).__name__,
+        "record_lines": _filled(_arguments(replace(module.metadata, inputs=origin.inputs))),
         "imports": (),
         "numba_imports": (),
     }
@@ -61,6 +62,49 @@ def render(module: Module, origin: Origin) -> str:
     return text
 
 
+def _arguments(record: Any) -> Iterator[str]:
+    """The arguments with which code makes a dataclass, without those that equal their default."""
+    positional = True
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if value == _default(entry):
+            positional = False
+            continue
+        yield _code(value) if positional and not entry.kw_only else f"{entry.name}={_code(value)}"
+
+
+def _default(entry: Field[Any]) -> Any:
+    return entry.default if entry.default_factory is MISSING else entry.default_factory()
+
+
+def _code(value: Any) -> str:
+    """The code of data."""
+    if isinstance(value, Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if is_dataclass(value):
+        return f"{type(value).__name__}({', '.join(_arguments(value))})"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_code, value))}{',' * (len(value) == 1)})"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{_code(key)}: {_code(entry)}' for key, entry in value.items())}}}"
+    return repr(value)
+
+
+def _filled(arguments: Iterable[str]) -> list[str]:
+    """Lines of as many arguments as fit, or of one that is long."""
+    lines = list[str]()
+    for argument in arguments:
+        if lines and len(lines[-1]) + len(argument) < _WIDTH:
+            lines[-1] += f" {argument},"
+        else:
+            lines.append(f"{argument},")
+    return lines
+
+
+_WIDTH = 114
+"""Columns for the arguments of a record, without the indentation."""
+
+
 _PUBLIC = (
     "evaluate", "initial_guess", "make_grid", "metadata", "multiplier_unknowns", "nlp", "primal_unknowns", "problem",
     "solve", "unpack", "views", "with_pinned_values",
@@ -69,12 +113,12 @@ _PUBLIC = (
 
 
 _OF_KERNELS = (
-    "inner_number", "special.polygamma", "special.sinc_derivative", "tabulated.table_cells", "tabulated.table_curves",
-    "tabulated.table_surfaces",
+    "record", "inner_number", "special.polygamma", "special.sinc_derivative", "tabulated.table_cells",
+    "tabulated.table_curves", "tabulated.table_surfaces",
 )  # fmt: skip
 _OF_PAIRS = (
-    "kernels", "particles.problem", "particles.packed_logarithms", "particles.pair_accurate", "particles.pair_algebra",
-    "particles.pair_special",
+    "record", "kernels", "particles.problem", "particles.packed_logarithms", "particles.pair_accurate",
+    "particles.pair_algebra", "particles.pair_special",
 )  # fmt: skip
 _IMPORTED = {
     "control.py.j2": (

@@ -119,7 +119,7 @@ class Recording:
         times = np.asarray(controller.sample * np.arange(n + 1.0))
         statuses, in_time, fell_back = zip(*self.feedback, strict=True) if n else ((), (), ())
         return ClosedLoop(
-            controller.module.metadata["title"], controller.states, controller.inputs, controller.sample,
+            controller.module.metadata.title, controller.states, controller.inputs, controller.sample,
             controller.options.deadline, message, times, self.states[: n + 1], self.measured[:n],
             self.inputs[:n], np.array(statuses, dtype=np.str_), iterations.astype(np.intp),
             residuals, costs, latencies, np.array(in_time, dtype=bool), np.array(fell_back, dtype=bool),

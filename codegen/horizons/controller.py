@@ -132,7 +132,7 @@ class Controller:
         self.module: Any = module_of(problem, arguments or {}, scheme, method)
         self._interface: Interface = interface_of(self.module)
         self.states, self.inputs = self._interface.states, self._interface.inputs
-        self.steps = int(self.module.metadata["steps"]) if steps is None else steps
+        self.steps = int(self.module.metadata.steps) if steps is None else steps
         of_solves = {} if horizon is None else {"duration": horizon}
         self._values = Values(self._interface, parameters or {}, of_solves)
         self._grids = Grids(self.module, self._interface, self.steps)

@@ -30,7 +30,7 @@ class Grids:
 
     def __init__(self, module: Any, interface: Interface, steps: int, is_searched: bool = True) -> None:
         self._module, self._steps, self._interface, self._is_searched = module, steps, interface, is_searched
-        self._is_bounded = is_searched and bool(module.metadata["inequalities"])
+        self._is_bounded = is_searched and bool(module.metadata.inequalities)
         self._given: dict[str, Any] | None = None
         self._last: Any = None
         self.search: Any = None

@@ -18,6 +18,7 @@ from codegen import compiler, loading
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.interfaces import ControlModule, Grid, Vector
 from codegen.machine_code import ahead_of_time
+from codegen.runtime.record import Sites, Task
 from codegen.solutions.given_values import as_number, parameter_arguments
 from codegen.solutions.result import component_names
 from codegen.solving.request import SCALINGS, Request
@@ -106,22 +107,20 @@ def require_count(name: str, value: Any, least: int) -> None:
 
 def interface_of(module: Any) -> Interface:
     """The interface of a module of an optimisation over a horizon of given length; ArgumentError for another one."""
-    metadata = getattr(module, "metadata", {})
-    problem = metadata.get("problem", "it")
-    if metadata.get("task") != "control":
-        what = f"{problem} is a {metadata['task']} problem" if metadata else f"{type(module).__name__} is no module"
+    metadata: Any = getattr(module, "metadata", None)
+    problem = metadata.problem if metadata else "it"
+    if metadata is None or metadata.task != Task.CONTROL:
+        what = f"{problem} is a {metadata.task} problem" if metadata else f"{type(module).__name__} is no module"
         raise ArgumentError(f"{what}, and a controller needs an optimisation", "give a problem that returns Control")
     for is_there, what, remedy in _unfit(module):
         if is_there:
             raise ArgumentError(f"{problem} {what}, which a controller cannot shift in time", remedy)
-    ends = [name.split(" ", 1) for name in metadata.get("boundary", ())]
-    states = tuple(name for end, name in ends if end == "start")
-    if not states:
+    if not metadata.start:
         raise ArgumentError(f"{problem} prescribes nothing at the start", WHOLE_STATE)
     inputs = component_names(metadata)["u"]
     if not inputs:
         raise ArgumentError(f"{problem} has no controls", "give a problem with codegen.control(...)")
-    return Interface(states, inputs, parameter_arguments(module), tuple(name for end, name in ends if end == "end"))
+    return Interface(metadata.start, inputs, parameter_arguments(module), metadata.end)
 
 
 def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
@@ -129,13 +128,13 @@ def _unfit(module: Any) -> tuple[tuple[bool, str, str], ...]:
     metadata = module.metadata
     keywords = inspect.signature(module.make_grid).parameters
     return (
-        (metadata["bodies"] > 1, "has several bodies", "write each as states and controls of its own"),
-        (metadata.get("phases", 1) > 1, "has several phases", "give a problem of one phase"),
-        ("segments" in metadata, "has values of the past", "write them as states of their own"),
-        (bool(metadata.get("inner_times", 0)), "has conditions at inner times", "write them as path=, or as a cost"),
+        (metadata.bodies > 1, "has several bodies", "write each as states and controls of its own"),
+        (metadata.phases > 1, "has several phases", "give a problem of one phase"),
+        (metadata.segments is not None, "has values of the past", "write them as states of their own"),
+        (bool(metadata.inner_times), "has conditions at inner times", "write them as path=, or as a cost"),
         ("duration" not in keywords, "has a free duration", "give duration= a number, or solve it once"),
         (
-            metadata["controls"] != "interval", f"has controls at {_SITES.get(metadata['controls'], 'other places')}",
+            metadata.controls != Sites.INTERVAL, f"has controls at {_SITES.get(metadata.controls, 'other places')}",
             "build it with controls='interval'",
         ),
     )  # fmt: skip

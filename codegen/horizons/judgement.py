@@ -19,7 +19,7 @@ import numpy as np
 from codegen.interfaces import Grid, Matrix, Vector
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.descent import COST, ITERATIONS, RESIDUAL
-from codegen.runtime.search.newton import stored
+from codegen.runtime.search.iterates import stored
 from codegen.runtime.search.point import evaluate
 from codegen.solutions.control import control_verdict
 from codegen.solutions.result import ControlAttempt, Run
@@ -168,7 +168,7 @@ def is_solution(module: Any, grid: Grid, found: Candidate, run: Run, iterations:
 def _is_flat(module: Any, grid: Grid, found: Candidate, most: float) -> bool:
     """Whether slopes of the Lagrangian are small, each times the distance to the bound that it leads to, one if far."""
     (steep,) = ((np.abs(found.gradient) > most) & ~grid.is_multiplier).nonzero()
-    if not steep.size or not module.metadata["inequalities"]:
+    if not steep.size or not module.metadata.inequalities:
         return not steep.size
     slopes, unknowns = found.gradient[steep], found.unknowns[steep]
     lower, upper = bounds_of(grid)

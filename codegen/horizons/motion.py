@@ -24,7 +24,8 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.horizons.grids import Grids
 from codegen.horizons.interface import WHOLE, Interface, Moving, Values, module_of, vector
-from codegen.interfaces import Grid, Indices, Vector, is_control, is_of_particles, is_simulation
+from codegen.interfaces import Grid, Indices, Vector, is_control, is_of_particles
+from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
 from codegen.solutions.given_values import parameter_arguments
@@ -64,7 +65,7 @@ class Motion:
         steps = max(1, math.ceil(intervals - WHOLE))
         self._grids = Grids(module, interface, steps, is_searched=False)
         self._starts = Grids(module, interface, 1, is_searched=False)
-        coordinates = module.metadata["coordinates"]
+        coordinates = module.metadata.coordinates
         self._places = [interface.states.index(name) for name in coordinates if name in interface.states]
         self._rates = [i for i in range(len(interface.states)) if i not in self._places]
         pair = module.make_grid(2)
@@ -77,8 +78,8 @@ class Motion:
         own = np.setdiff1d(primal[primal < self._stride], self._controls)
         states = np.setdiff1d(primal[np.isin(primal, second)], own + self._stride)
         self._unknowns: Indices = np.concatenate([own, states])
-        if self._equations.size != self._unknowns.size or module.metadata["free_parameters"]:
-            finding = f"the state of {module.metadata['problem']} does not follow from its start and inputs alone"
+        if self._equations.size != self._unknowns.size or module.metadata.free_parameters:
+            finding = f"the state of {module.metadata.problem} does not follow from its start and inputs alone"
             raise ArgumentError(finding, "leave delay out, and give step the state that inputs on their way lead to")
         self._entries = self._entries_of_matrix()
         self._system = allocate_system(module.make_grid(steps))
@@ -227,7 +228,7 @@ def plant_of(
     if set(starts) != set(states):
         finding = f"the plant starts from {', '.join(starts) or 'nothing'}, the controller from {', '.join(states)}"
         raise ArgumentError(clause(finding), "give both the same names")
-    parameters = tuple(module.metadata["parameters"])
+    parameters = tuple(module.metadata.parameters)
     if missing := [name for name in inputs if name not in parameters]:
         finding = f"the plant has no parameter {missing[0]}, which is an input of the controller"
         raise ArgumentError(finding, f'declare it there, as in {missing[0]} = parameter("{missing[0]}", 0)')
@@ -261,13 +262,11 @@ class FunctionPlant:
 
 def _start_names(module: Any) -> tuple[str, ...]:
     metadata = module.metadata
-    is_free = is_control(module) and (metadata["control_names"] or metadata["form"] == "lagrangian")
+    is_free = is_control(module) and (metadata.control_names or metadata.form == Form.LAGRANGIAN)
     if is_of_particles(module) or is_free:
-        finding = f"{metadata['problem']} is no plant: it has controls, or particles"
+        finding = f"{metadata.problem} is no plant: it has controls, or particles"
         raise ArgumentError(finding, "give a Simulate, or for dynamics a Control without controls and cost")
-    if is_simulation(module):
-        return tuple(metadata["start"])
-    return tuple(name.removeprefix("start ") for name in metadata["boundary"] if name.startswith("start "))
+    return tuple(metadata.start)
 
 
 class ModulePlant:
@@ -279,20 +278,20 @@ class ModulePlant:
         self.module, self.states, self.inputs = module, states, inputs
         self._values = Values(Interface(states, inputs, parameter_arguments(module), ()), disturbances, {}, "the plant")
         metadata = module.metadata
-        self._rates = tuple(name for name in _start_names(module) if name not in metadata["coordinates"])
-        self._has_velocities = metadata["form"] == "lagrangian"
+        self._rates = tuple(name for name in _start_names(module) if name not in metadata.coordinates)
+        self._has_velocities = metadata.form == Form.LAGRANGIAN
 
     def __call__(self, state: Vector, inputs: Vector, t: float, seconds: float) -> Vector:
         """The next state; PlantFailed where the motion could not be followed."""
         given = self._values.given(t, dict(zip(self.inputs, inputs.tolist(), strict=True)))
         given |= {"start": dict(zip(self.states, state.tolist(), strict=True)), "duration": seconds}
         try:
-            found = self.module.solve(int(self.module.metadata["steps"]), **given)
+            found = self.module.solve(int(self.module.metadata.steps), **given)
         except ValueError as error:
             raise NumericsError(str(error), "correct the plant's numbers") from error
         if found.status != "solved":
             raise PlantFailed(found.message)
-        values = dict(zip(self.module.metadata["coordinates"], found.q[-1].tolist(), strict=True))
+        values = dict(zip(self.module.metadata.coordinates, found.q[-1].tolist(), strict=True))
         if self._rates:
             rates = self._velocities(found, given) if self._has_velocities else found.p[-1]
             values |= zip(self._rates, rates.tolist(), strict=True)
@@ -301,7 +300,7 @@ class ModulePlant:
     def _velocities(self, found: Any, given: Mapping[str, Any]) -> Vector:
         """The velocities (coordinates,) with the momenta at the end."""
         q = found.q[-1]
-        place = dict(zip(self.module.metadata["coordinates"], q.tolist(), strict=True))
+        place = dict(zip(self.module.metadata.coordinates, q.tolist(), strict=True))
 
         def momenta(v: Vector) -> Vector:
             start = place | dict(zip(self._rates, v.tolist(), strict=True))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from codegen.lower.kernels import Kernel, Line
+from codegen.runtime.record import Record
 
 if TYPE_CHECKING:
     from codegen.model import Model
@@ -23,6 +24,14 @@ class Argument:
 def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
     """The parameters of a model with their defaults."""
     return tuple(Argument(p.name, repr(value)) for p, value in zip(model.parameters, model.defaults, strict=True))
+
+
+def record_fields(model: Model | PairwiseModel) -> dict[str, Any]:
+    """What records of all tasks say of a model."""
+    return {
+        "problem": model.name, "title": model.title, "inputs": "", "steps": model.steps, "unused": model.unused,
+        "parameters": {p.name: value for p, value in zip(model.parameters, model.defaults, strict=True)},
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,15 +53,15 @@ class Origin:
 class Module:
     """A generated module before rendering; `template` names the file that lays it out.
 
-    `constants` are sizes, index arrays and names; `sizes` are those on which it depends what loops say.
+    `metadata` is the record of the module, whose `inputs` are those of the `Origin`. `constants` are sizes, index
+    arrays and names; `sizes` are those on which it depends what loops say.
     """
 
     template: str
     name: str
     title: str
     description: tuple[str, ...]
-    left_out: tuple[str, ...]
-    metadata: tuple[tuple[str, str], ...]
+    metadata: Record
     constants: tuple[Line, ...]
     kernels: tuple[Kernel, ...]
     sizes: tuple[tuple[str, int], ...]

@@ -12,7 +12,7 @@ from codegen.expressions import StraightLine, values_of
 from codegen.expressions.checks import longer_than
 from codegen.expressions.table_functions import tables_of
 from codegen.lower.kernels import KERNEL, VALUE, Kernel, Line, Output, kernel, needed
-from codegen.lower.module import SimulateModule, arguments_of
+from codegen.lower.module import SimulateModule, arguments_of, record_fields
 from codegen.lower.printer import readable, scalar_code
 from codegen.lower.table_ranges import Input, inputs_kernel, range_constants, ranged_inputs
 from codegen.lower.tables import (
@@ -20,9 +20,11 @@ from codegen.lower.tables import (
     table_arguments,
     table_constants,
     table_kernels,
-    table_metadata,
+    table_records,
 )
 from codegen.model import Model
+from codegen.runtime.record import Form, Method, SimulationRecord, StepSolver, phrase
+from codegen.tables.data import TableData
 from codegen.transcribe.step_program import StepProgram
 
 _LONG = 1000
@@ -53,8 +55,7 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         name=model.name,
         title=model.title,
         description=tuple(_description(program, kernels, described_tables(tables))),
-        left_out=tuple(_left_out(program, derivatives)),
-        metadata=(*_metadata(program, derivatives, kernels), *table_metadata(tables)),
+        metadata=_metadata(program, derivatives, kernels, tables),
         constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
         sizes=(),
@@ -173,7 +174,11 @@ def _inputs_kernel(program: StepProgram, ranged: Sequence[Input]) -> Kernel:
 def _constants(program: StepProgram) -> list[Line]:
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
     lines = [
-        Line("STATE", str(len(program.state)), "; ".join(f"{i}: {u.meaning}" for i, u in enumerate(program.state))),
+        Line(
+            "STATE",
+            str(len(program.state)),
+            "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state)),
+        ),
         Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
     ]
     if program.unknowns:
@@ -191,13 +196,13 @@ def _constants(program: StepProgram) -> list[Line]:
     return lines
 
 
-def _solver(program: StepProgram, derivatives: StepDerivatives) -> str:
-    """How a step is solved: explicit, constant (matrix factored once), linear or newton."""
+def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:
+    """How a step is solved."""
     if not program.unknowns:
-        return "explicit"
+        return StepSolver.EXPLICIT
     if not program.linear:
-        return "newton"
-    return "constant" if derivatives.constant and not program.fractions else "linear"
+        return StepSolver.NEWTON
+    return StepSolver.CONSTANT if derivatives.constant and not program.fractions else StepSolver.LINEAR
 
 
 def _public(program: StepProgram, ranged: bool) -> tuple[str, ...]:
@@ -215,7 +220,8 @@ def _record(
     of_explicit = {"explicit": "explicit_step", **({} if ranged else {"all_steps": "all_steps"})}
     of_implicit = {
         "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual", "jacobian": "step_jacobian",
-        "complete": "complete_step", "is_linear": repr(solver != "newton"), "is_constant": repr(solver == "constant"),
+        "complete": "complete_step", "is_linear": repr(solver is not StepSolver.NEWTON),
+        "is_constant": repr(solver is StepSolver.CONSTANT),
     }  # fmt: skip
     return tuple(
         {
@@ -284,29 +290,31 @@ def _divisor(time: Expr) -> str:
     return sympy.sstr(time) if time.is_Symbol else f"({sympy.sstr(time)})"
 
 
-def _metadata(program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
+def _metadata(
+    program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
+) -> SimulationRecord:
     model = program.model
-    dimension = len(model.coordinates)
-    return [
-        ("task", repr("simulate")),
-        ("method", repr(program.method)),
-        ("scheme", repr(program.scheme)),
-        ("order", repr(program.order)),
-        ("parts", repr(len(program.fractions))),
-        ("form", repr(model.form)),
-        ("solver", repr(_solver(program, derivatives))),
-        ("coordinates", repr(tuple(s.name for s in model.coordinates))),
-        ("rates", repr(tuple(s.name for s in model.rates))),
-        ("momenta", repr(tuple(u.name for u in program.state[dimension:]))),
-        ("node", repr(tuple(u.name for u in program.state))),
-        ("stages", repr(tuple(s.name for s in program.stage_symbols))),
-        ("unknowns", repr(tuple(s.name for s in program.unknowns))),
-        ("start", repr(tuple(value.quantity for value in program.start_values))),
-        ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
-        *([] if _is_conservative(model) else [("conservative", repr(False))]),
-        *([("units", repr(dict(model.units)))] if model.units else []),
-        *([("unused", repr(model.unused))] if model.unused else []),
-    ]
+    return SimulationRecord(
+        **record_fields(model),
+        method=Method(program.method),
+        scheme=program.scheme,
+        order=program.order,
+        form=Form(model.form),
+        coordinates=tuple(s.name for s in model.coordinates),
+        rates=tuple(s.name for s in model.rates),
+        start=tuple(value.quantity for value in program.start_values),
+        units=dict(model.units),
+        tables=table_records(tables),
+        operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
+        left_out=tuple(_left_out(program, derivatives)),
+        parts=len(program.fractions),
+        solver=_solver(program, derivatives),
+        momenta=tuple(u.name for u in program.state[len(model.coordinates) :]),
+        node=tuple(u.name for u in program.state),
+        stages=tuple(s.name for s in program.stage_symbols),
+        unknowns=tuple(s.name for s in program.unknowns),
+        conservative=_is_conservative(model),
+    )
 
 
 def _is_conservative(model: Model) -> bool:

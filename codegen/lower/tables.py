@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 from codegen.lower.kernels import CACHED, Kernel, Line
+from codegen.runtime.record import TableRecord
 from codegen.tables.data import KINDS, OUTSIDE, TableData
 
 FORCED = ('@njit(error_model="numpy", forceinline=True)',)
@@ -68,18 +68,13 @@ def _array(table: TableData) -> str:
     return "np.array([\n" + "\n".join(lines) + "\n    ])"
 
 
-def table_metadata(tables: Sequence[TableData]) -> list[tuple[str, str]]:
+def table_records(tables: Sequence[TableData]) -> dict[str, TableRecord]:
     """What a reader of another file has to know of each table."""
-    if not tables:
-        return []
-    entries: dict[str, dict[str, Any]] = {}
+    found = {}
     for table in tables:
-        shape = table.shape
-        entries[shape.name] = {
-            "file": table.source, "inputs": shape.inputs, "output": shape.output, "kind": shape.kind,
-            "outside": shape.outside, "sizes": shape.sizes,
-        }  # fmt: skip
-    return [("tables", repr(entries))]
+        s = table.shape
+        found[s.name] = TableRecord(table.source, s.inputs, s.output, s.kind, s.outside, s.sizes)
+    return found
 
 
 def table_arguments(tables: Sequence[TableData]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from numba import boolean, config, float64, int64, typeof, types
 
 from codegen.interfaces import few_steps
+from codegen.runtime.record import Task
 
 REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
 INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
@@ -93,17 +94,28 @@ def linear_system(shape: Any) -> Iterator[Part]:
 
 def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the functions of searches that Python calls, and the types that all problems call them with."""
-    from codegen.runtime.search import cascade, descent, exact_bounds, iterates, linear_system, parts, point, scaling
+    from codegen.runtime.search import bounds as box
+    from codegen.runtime.search import (
+        descent,
+        exact_bounds,
+        iterates,
+        linear_system,
+        parts,
+        point,
+        scaling,
+        solve,
+    )
     from codegen.runtime.search import sensitivities as changes
 
     grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
     factors = (int64, REALS, INTEGERS, int64, INTEGERS)  # equations, factors, orders, inverses, counts
+    bounds = types.Tuple((INTEGERS, *[REALS] * 5))
+    addresses = types.UniTuple(int64, 3)
+    on_grid = types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE))
     yield descent.descend, (
-        types.UniTuple(int64, 3),
-        types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE)),
+        addresses, on_grid,
         types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
-        types.Tuple((INTEGERS, REALS, REALS)),
-        float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
+        bounds, float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
     )  # fmt: skip
     quantities = scaling.Quantities(
         **{
@@ -112,21 +124,25 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
         }
     )
     yield scaling.fill_scaling_factors, (
-        typeof(quantities), *[REALS] * 4, INTEGERS, INTEGERS, REALS, INTEGERS, MASKS, REALS, REALS, boolean, REALS,
+        typeof(quantities), int64, int64, *grid, MASK, *[REALS] * 3, INDEX_TABLE, INTEGERS, INTEGERS, INTEGERS, MASKS,
+        boolean, REALS, TABLE, REALS,
     )  # fmt: skip
     yield point.measured_gradient, (int64, REALS, REALS, float64, *grid, MASK, REALS, REALS)
     yield linear_system.factor_at, (
         int64, int64, *[REALS] * 4, *grid, INTEGERS, *[REALS] * 3, *factors, REALS, boolean,
     )  # fmt: skip
+    yield linear_system.fill_entry_factors, (REALS, REALS, INTEGERS, INTEGERS, MASK, REALS, INTEGERS, TABLE)
     yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)
     yield linear_system.multiply_entries, (REALS, INTEGERS, INTEGERS, int64, INTEGERS, REALS, REALS, boolean)
     yield linear_system.call_hessians, (int64, REALS, *grid, INTEGERS, REALS)
-    yield parts.fill, (int64, REALS, *grid, REALS)
-    yield iterates.has_multipliers, (REALS, MASK)
+    yield parts.fill_momenta, (int64, REALS, *grid, INTEGERS, int64, CUBE, CUBE)
+    yield solve.correction, (REALS, REALS, MASK, REALS, REALS)
     if problem.variable_bounds is not None:
-        yield iterates.push_inside, (REALS, REALS, REALS, INTEGERS, float64)
-        yield exact_bounds.clip, (REALS, REALS, REALS, INTEGERS)
-        yield cascade.fill_active, (REALS, REALS, INTEGERS, REALS, REALS, REALS, float64, float64, REALS, REALS)
+        yield iterates.finite_bounds, (REALS, REALS)
+        yield box.first_beyond, (*[int64] * 4, *[REALS] * 4, float64)
+        yield exact_bounds.clip, (
+            addresses, on_grid, bounds, types.UniTuple(float64, 5), REALS, REALS, TABLE, REALS, REALS,
+        )  # fmt: skip
     if problem.data is not None:
         along = (
             int64, INTEGERS, REALS, INTEGERS, INTEGERS, REALS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS,
@@ -169,7 +185,7 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
     pairs, shape = typeof(steps.Pairs(*[0] * len(steps.Pairs._fields))), types.UniTuple(int64, 3)
     own = (TABLE, REALS)  # parameters of each particle, and of all
-    if problem.metadata["task"] == "simulate":
+    if problem.metadata.task == Task.SIMULATE:
         yield motion.follow_particles, (pairs, CUBE, int64, float64, *own, int64, TABLE, TABLE)
         yield motion.largest_difference, (pairs, TABLE, TABLE, int64, float64, *own, shape)
         yield motion.energies_of, (pairs, TABLE, *own, shape, REALS)
@@ -196,7 +212,7 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
 def small_case(module: Any, steps: int = 2) -> Any:
     """Thirteen particles near the origin that move a little, to have functions compiled by."""
-    dimension = module.metadata["coordinates"]
+    dimension = module.metadata.coordinates
     angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
     start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
     start[:, 0] += 0.01 * np.arange(13)

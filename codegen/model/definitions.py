@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import sympy
 
@@ -24,12 +24,14 @@ class Boundary:
 class Condition:
     """An expression that must vanish, or (`equality` false) must not be positive.
 
-    `name` is what its author called it, or else the condition as it was written, which messages shorten.
+    `name` is what its author called it, or else the condition as it was written, which messages shorten. `segment` is
+    the number, from 1, of the segment of a motion that delays cut, else 0.
     """
 
     name: str
     expression: sympy.Expr
     equality: bool = True
+    segment: int = field(default=0, kw_only=True)
 
     def __str__(self) -> str:
         return short(self.name)

@@ -129,8 +129,10 @@ class _Segment:
 
     def condition(self, condition: Condition) -> Condition:
         """A condition that holds at every time."""
-        name = condition.name if self.is_only else f"{condition.name} in segment {self.number}"
-        return replace(condition, name=name, expression=self.put(condition.expression))
+        changed = replace(condition, expression=self.put(condition.expression))
+        if self.is_only:
+            return changed
+        return replace(changed, name=f"{condition.name} in segment {self.number}", segment=self.number)
 
     @property
     def names(self) -> Iterator[tuple[str, str, int]]:

@@ -113,14 +113,14 @@ class Measured:
 
 def measured(module: ControlModule, result: Result) -> list[Measured]:
     """All columns of measurements, where there are any, beside a result."""
-    observations = module.metadata.get("observations")
+    observations = module.metadata.observations
     if observations is None or result.unknowns is None:
         return []
     fit = Fit(module, time_grid(module, result.steps, result.grid), result.unknowns)
     columns = zip(
-        observations["columns"],
-        observations["values"],
-        observations["sigmas"],
+        observations.columns,
+        observations.values,
+        observations.sigmas,
         fit.measured.T,
         fit.fitted.T,
         fit.errors.T,
@@ -134,7 +134,7 @@ def measured(module: ControlModule, result: Result) -> list[Measured]:
 
 def bands(module: ControlModule, result: Result) -> dict[str, Matrix]:
     """How far 95 % intervals of the motion extend at the nodes, (N + 1, bodies) of every state, if estimates tell."""
-    found, names = result.estimates, tuple(module.metadata["coordinates"])
+    found, names = result.estimates, tuple(module.metadata.coordinates)
     if found is None or not np.isfinite(found.unknown_errors).all():
         return {}
     nodes, _ = module.views(time_grid(module, result.steps, result.grid), found.unknown_errors)
@@ -222,7 +222,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     guess and the optimum.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
-    samples, bodies = measured(module, result), int(module.metadata["bodies"])
+    samples, bodies = measured(module, result), int(module.metadata.bodies)
     states = _state_rows(groups, samples, bands(module, result) if samples else {})
     others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
     others += _of_sensitivities(module, result)
@@ -236,7 +236,7 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
     figure = new_figure(width, 0.9 + shape.height + height, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
     upper, lower = _halves(figure, shape.height, height) if drawings is not None else (None, figure)
-    phases = int(module.metadata.get("phases", 1))
+    phases = int(module.metadata.phases)
     label, switches = Units.of(result, unit).time, result.t[result.steps : -1 : result.steps]
     inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if _inner_times(module) else ()
     time = Time(label, float(result.t[0]), float(result.t[-1]), tuple(map(float, switches)), tuple(map(float, inner)))
@@ -262,9 +262,9 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
 
 def _inner_times(module: ControlModule) -> str:
     """What times between start and end at which conditions hold are called; nothing where there are none."""
-    if not module.metadata.get("inner_times"):
+    if not module.metadata.inner_times:
         return ""
-    return "waypoint" if module.metadata.get("waypoints") else "inner time"
+    return "waypoint" if module.metadata.waypoints else "inner time"
 
 
 def _state_rows(
@@ -427,7 +427,7 @@ def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
 
 def _notes(result: Result, module: ControlModule, groups: dict[str, list[Quantity]]) -> list[str]:
     """Further words of the title: free parameters, and what the figure has no room for."""
-    free = [f"{name} = {result.summary[name]:.6g}" for name in module.metadata["free_parameters"]]
+    free = [f"{name} = {result.summary[name]:.6g}" for name in module.metadata.free_parameters]
     many = {"states": len(groups["state"]), "controls": len(groups["control"])}
-    phases = [f"{module.metadata['phases']} phases"] if "phases" in module.metadata else []
+    phases = [f"{module.metadata.phases} phases"] if module.metadata.phases > 1 else []
     return phases + free + [f"{n - _MOST_ROWS} further {kind} not shown" for kind, n in many.items() if n > _MOST_ROWS]

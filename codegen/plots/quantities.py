@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
+from codegen.runtime.record import Form, Meaning, Method, Place
 from codegen.runtime.search.grid import free_unknowns
 from codegen.solutions.result import Result
 from codegen.solutions.segments import Segments, multiplier_names, put_together, segments_of
@@ -20,8 +19,6 @@ CLOSE, LEAST = 2e-4, 1e-6
 
 _PER_INTERVAL = 9
 """Times in an interval at which a control that is a polynomial there is drawn."""
-
-_SLACK = re.compile(r"slack of (?P<name>.*) at (?P<abscissa>\S.*?) of an interval")
 
 
 @dataclass(frozen=True)
@@ -62,11 +59,15 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Inequality:
-    """A path inequality g <= 0 as its distance -g from equality (times, bodies), at its own times."""
+    """A path inequality g <= 0 as its distance -g from equality (times, bodies), at its own times.
+
+    `segment` is the number of its segment where delays cut the motion, else 0.
+    """
 
     name: str
     t: Vector
     distance: Matrix
+    segment: int = 0
 
     def active(self) -> np.ndarray:
         """Where the inequality holds with equality."""
@@ -91,22 +92,22 @@ def quantities(module: ControlModule, result: Result) -> dict[str, list[Quantity
     """
     assert result.u is not None
     assert result.multipliers is not None
-    metadata, guess, bodies = module.metadata, first_guess(module, result), module.metadata["bodies"]
+    metadata, guess, bodies = module.metadata, first_guess(module, result), module.metadata.bodies
     fine = (result.t[:-1, None] + np.diff(result.t)[:, None] * np.linspace(0.0, 1.0, _PER_INTERVAL)).ravel()
-    coordinates, form = tuple(metadata["coordinates"]), metadata["form"]
-    momenta = tuple(metadata["rates"]) if form == "hamiltonian" else tuple(f"p_{q}" for q in coordinates)
-    momenta = () if form == "first-order" else momenta
+    coordinates, form = tuple(metadata.coordinates), metadata.form
+    momenta = tuple(metadata.rates) if form == Form.HAMILTONIAN else tuple(f"p_{q}" for q in coordinates)
+    momenta = () if form == Form.FIRST_ORDER else momenta
     lower, upper = _bounds(module, guess)
     assert guess.u is not None
     groups: dict[str, tuple[tuple[str, ...], Matrix, Matrix, int]] = {
         "state": (coordinates, result.q, guess.q, 0),
         "momentum": (momenta, result.p, guess.p, 1),
-        "control": (tuple(metadata["control_names"]), _drawn(module, result, fine), _drawn(module, guess, fine), 2),
+        "control": (tuple(metadata.control_names), _drawn(module, result, fine), _drawn(module, guess, fine), 2),
     }
     out: dict[str, list[Quantity]] = {}
     for kind, (names, values, guessed, index) in groups.items():
         # Bounds of momenta mean something only where momenta are unknowns of their own.
-        is_bounded = kind != "momentum" or metadata["method"] == "hamiltonian"
+        is_bounded = kind != "momentum" or metadata.method == Method.HAMILTONIAN
         tables = [_by_body(table, bodies) for table in (_finite(values), guessed, lower[index], upper[index])]
         none = np.full(bodies, np.inf)
         out[kind] = [
@@ -136,26 +137,26 @@ def inequalities(module: ControlModule, result: Result) -> list[Inequality]:
     grid = time_grid(module, result.steps, result.grid)
     _, intervals = generated.views(grid, result.unknowns)
     _, residuals = generated.views(grid, generated.evaluate(grid, result.unknowns).gradient)
-    columns: dict[str, list[tuple[Vector, Matrix]]] = {}
-    first, phases = len(metadata["node"]), metadata.get("slacks", (metadata["meanings"],))
-    for phase, meanings in enumerate(phases):
+    columns: dict[Meaning, list[tuple[Vector, Matrix]]] = {}
+    first = len(metadata.node)
+    for phase, meanings in enumerate(metadata.slack_meanings):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
-        found: dict[str, list[tuple[str, Matrix]]] = {}
+        found: dict[Meaning, list[tuple[float, Matrix]]] = {}
         for slack, multiplier in zip(generated.SLACKS - first, generated.SLACK_MULTIPLIERS - first, strict=True):
-            meaning = _SLACK.fullmatch(meanings.get(metadata["interval"][slack], ""))
-            if meaning is None:
+            meaning = meanings.get(metadata.interval[slack])
+            if meaning is None or meaning.kind.place != Place.INTERVAL:
                 continue  # another phase has it
             # The equation g + s = 0 may have a residual, so that the slack alone would hide a violation.
             distance = intervals[:, rows, slack] - residuals[:, rows, multiplier]
-            found.setdefault(meaning["name"], []).append((meaning["abscissa"], _finite(distance).T))
-        for name, parts in found.items():
-            columns.setdefault(name, []).append(_in_order(parts, result.t[:-1][rows], np.diff(result.t)[rows]))
-    return [Inequality(name, *_with_gaps(parts)) for name, parts in columns.items()]
+            found.setdefault(replace(meaning, at=0), []).append((meaning.at, _finite(distance).T))
+        for meaning, parts in found.items():
+            columns.setdefault(meaning, []).append(_in_order(parts, result.t[:-1][rows], np.diff(result.t)[rows]))
+    return [Inequality(m.subject, *_with_gaps(parts), m.segment) for m, parts in columns.items()]
 
 
-def _in_order(parts: list[tuple[str, Matrix]], t: Vector, steps: Vector) -> tuple[Vector, Matrix]:
+def _in_order(parts: list[tuple[float, Matrix]], t: Vector, steps: Vector) -> tuple[Vector, Matrix]:
     """Times and values of what is known at some points of every interval."""
-    times = np.array([t + c * steps for c in _abscissae([text for text, _ in parts])])
+    times = np.array([t + c * steps for c, _ in parts])
     order = np.argsort(times.ravel(), kind="stable")
     return times.ravel()[order], np.concatenate([values for _, values in parts])[order]
 
@@ -169,17 +170,9 @@ def _with_gaps(parts: list[tuple[Vector, Matrix]]) -> tuple[Vector, Matrix]:
     return t, values
 
 
-def _abscissae(texts: list[str]) -> list[float]:
-    """Abscissae within an interval; those that are no fractions stand evenly, in their order."""
-    try:
-        return [float(Fraction(text)) for text in texts]
-    except ValueError:
-        return [(i + 0.5) / len(texts) for i in range(len(texts))]
-
-
 def _bounds(module: ControlModule, like: Result) -> tuple[list[Matrix], list[Matrix]]:
     """Least and greatest (q, p, u), infinite where there are none."""
-    if not module.metadata["inequalities"]:
+    if not module.metadata.inequalities:
         tables = [np.full_like(table, np.inf) for table in (like.q, like.p, like.u)]
         return [-table for table in tables], tables
     grid = time_grid(module, like.steps, like.grid)
@@ -203,7 +196,7 @@ def _by_body(table: Matrix, bodies: int) -> Matrix:
 
 def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matrix:
     """The bound of every body, or at every time as well where there are phases, each with its own bounds."""
-    phases = module.metadata.get("phases", 1)
+    phases = module.metadata.phases
     if phases == 1:
         return _constant(table, none)
     steps = len(table) // phases
@@ -218,7 +211,7 @@ def _limits(module: ControlModule, table: Matrix, none: float) -> Vector | Matri
 def _jumps(module: ControlModule, result: Result, name: str) -> tuple[int, ...]:
     """The nodes after which a coordinate or momentum jumps; a coordinate's multiplier jumps with both."""
     names = {name} | ({name[7:], f"p_{name[7:]}"} if name.startswith("lambda_") else set())
-    switches = enumerate(module.metadata.get("jumps", ()), start=1)
+    switches = enumerate(module.metadata.jumps, start=1)
     return tuple(i * result.steps for i, jumping in switches if names & set(jumping))
 
 
@@ -236,13 +229,13 @@ def _drawn(module: ControlModule, result: Result, fine: Vector) -> Matrix:
 
 def _present(module: ControlModule, controls: Matrix, steps: int) -> Matrix:
     """Controls with NaN, which is not drawn, in phases that have no such control."""
-    if "phases" not in module.metadata:
+    if module.metadata.phases == 1:
         return controls
     grid = module.make_grid(steps)
     _, intervals = module.views(grid, np.where(free_unknowns(grid), 0.0, np.nan))
-    inside = module.metadata["interval"]
+    inside = module.metadata.interval
     # The last of a name: multipliers come first, one of which may be called like a control.
-    indices = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata["control_names"]]
+    indices = [len(inside) - 1 - inside[::-1].index(name) for name in module.metadata.control_names]
     return np.asarray(controls + intervals[0][:, indices])
 
 
@@ -255,11 +248,11 @@ def _constant(table: Matrix, none: float) -> Vector:
 
 def _multipliers(module: ControlModule, result: Result, names: tuple[str, ...]) -> Iterator[Quantity]:
     """Multipliers of the equations of motion, in the order of the quantities that they belong to."""
-    metadata, bodies = module.metadata, module.metadata["bodies"]
+    metadata, bodies = module.metadata, module.metadata.bodies
     assert result.multipliers is not None
     table = _by_body(_finite(result.multipliers), bodies)
     none = np.full(bodies, np.inf)
-    columns = multiplier_names(metadata, table.shape[2], names)
+    columns = multiplier_names(metadata, table.shape[2])
     wanted = {f"{stem}_{name}" for stem in ("lambda", "mu") for name in names}
     for i, column in enumerate(columns):
         if column in wanted:
@@ -283,8 +276,8 @@ def inequalities_of_segments(module: ControlModule, result: Result) -> list[Ineq
         return inequalities(module, result)
     duration, parts = float(cut.t[-1] - cut.t[0]), dict[str, list[tuple[Vector, Matrix]]]()
     for own in inequalities(module, cut):
-        name, _, segment = own.name.rpartition(" in segment ")
-        parts.setdefault(name, []).append((own.t + (int(segment) - 1) * duration, own.distance))
+        name = own.name.removesuffix(f" in segment {own.segment}")
+        parts.setdefault(name, []).append((own.t + (own.segment - 1) * duration, own.distance))
     return [
         Inequality(name, np.concatenate([t for t, _ in own]), np.concatenate([values for _, values in own]))
         for name, own in parts.items()

@@ -126,7 +126,7 @@ def _energy(axes: Any, result: Result, stride: int, units: Units) -> None:
 def connect_figure(module: ConnectModule, result: Result) -> Figure:
     """Paths in the plane of the first two coordinates, and the change of H, which the exact motion keeps."""
     assert result.energy is not None, "a motion has energies"
-    dimension = len(module.metadata["coordinates"])
+    dimension = len(module.metadata.coordinates)
     paths = result.q.reshape(result.t.size, -1, dimension)
     second = 1 if dimension > 1 else 0
     figure = new_figure(7.0, 8.6)

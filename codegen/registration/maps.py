@@ -280,5 +280,5 @@ def refined(
 def _with_errors(coarse: Registration, fine: Registration, probe: PointArray) -> tuple[Registration, Registration]:
     """The same registrations, of which the second has twice the steps, with their errors by Richardson's estimate."""
     change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
-    gain = 2.0 ** float(fine.flow.module.metadata["order"])
+    gain = 2.0 ** float(fine.flow.module.metadata.order)
     return replace(coarse, error=change * gain / (gain - 1.0)), replace(fine, error=change / (gain - 1.0))

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from codegen.errors import ModuleError, NumericsError, SchemeError
 from codegen.loading import load
 from codegen.registration.pairs import PointArray
+from codegen.runtime.record import ConnectRecord, Task
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
@@ -41,7 +42,7 @@ THREADED = 400_000
 class FlowModule(Protocol):
     """What is used of a generated module that carries tracer points; a case is what `make_case` returns."""
 
-    metadata: Mapping[str, Any]
+    metadata: ConnectRecord
 
     solve_case: Callable[..., Any]
     make_case: Callable[..., Any]
@@ -58,7 +59,7 @@ class FlowModule(Protocol):
 
 def require_tracers(module: Any) -> FlowModule:
     """The same module, if it carries tracer points; ModuleError tells if it does not."""
-    if not module.metadata.get("passive"):
+    if module.metadata.task != Task.CONNECT or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
 
@@ -195,7 +196,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
 
     made = build(problem_file(), arguments_of(dimension), scheme=scheme)
     module = require_tracers(load(made.path))
-    if module.metadata["adaptive"]:
+    if module.metadata.adaptive:
         raise SchemeError(f"scheme {scheme} chooses its own steps and carries no points", "use midpoint or rk4")
     if not has_machine_code(module):
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)

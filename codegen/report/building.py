@@ -160,7 +160,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         compile_all(module)
     compiled, busy_compiled = time.perf_counter(), time.process_time()
     if is_control(module):
-        steps = few_steps(module, min(10, module.metadata["steps"]))
+        steps = few_steps(module, min(10, module.metadata.steps))
         solving.solve(module, steps=steps)  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
     # Lines and bytes of a module, and lines of its kernels, that is of what is special about the problem.
@@ -175,12 +175,12 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         "compile seconds": compiled - loaded if is_new else None,
         "compile processor seconds": busy_compiled - busy_derived if is_new else None,
         **{"lines": len(lines), "bytes": len(text.encode()), "kernel lines": heads[1] - heads[0] if heads[1:] else 0},
-        "operations": {name: list(counts) for name, counts in module.metadata["operations"].items()},
-        "left out": list(module.metadata["left_out"]),
-        "solver": module.metadata.get("solver"),
+        "operations": {name: list(counts) for name, counts in module.metadata.operations.items()},
+        "left out": list(module.metadata.left_out),
+        "solver": getattr(module.metadata, "solver", None),
         **(_derivations(variant) if variant.general else {}),
-        "order": module.metadata["order"],
-        "steps": module.metadata["steps"],
+        "order": module.metadata.order,
+        "steps": module.metadata.steps,
     }
 
 

@@ -53,7 +53,7 @@ def _solved(workshop: Workshop, variant: Variant, repeat: int) -> Values:
     grid = module.make_grid(HOVERCRAFT_STEPS)
     _, guess, *_ = module.unpack(grid, module.initial_guess(grid))
     optimum = module.solve(HOVERCRAFT_STEPS).q
-    bodies = module.metadata["bodies"]
+    bodies = module.metadata.bodies
     values = solved(module, HOVERCRAFT_STEPS, repeat)
     return {
         **values,
@@ -265,7 +265,7 @@ def _transfer(workshop: Workshop, variant: Variant, revolutions: int, steps: int
 
 def _reintegrated(module: ControlModule, solution: Any, revolutions: int) -> Values:
     """R-K: m (r'' - r phi'^2) = -GM m/r^2 and (m r^2 phi')' = r u, written for r, phi and their velocities."""
-    values = module.metadata["parameters"]
+    values = module.metadata.parameters
     m, gravity, r0, r1 = (values[name] for name in ("m", "GM", "r0", "r1"))
     t = solution.t
     force = CubicSpline(0.5 * (t[1:] + t[:-1]), solution.u[:, 0])

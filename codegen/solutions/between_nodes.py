@@ -9,8 +9,7 @@ beside their multipliers.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.runtime.record import Kind, Meaning, Place, phrase
 
 
 def cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
     """The grid on which every interval is cut in the parts (intervals, parts) of it."""
-    phases = module.metadata.get("phases", 1)
+    phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
     parts /= parts.sum(axis=1, keepdims=True)
     return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
@@ -37,8 +37,8 @@ def carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int,
     result = np.zeros(fine.is_multiplier.size)
     nodes, intervals = module.views(coarse, unknowns)
     new_nodes, new_intervals = module.views(fine, result)
-    order = module.metadata["order"]
-    phases, old, new = module.metadata.get("phases", 1), coarse.nodes / coarse.steps, fine.nodes / fine.steps
+    order = module.metadata.order
+    phases, old, new = module.metadata.phases, coarse.nodes / coarse.steps, fine.nodes / fine.steps
     for phase in range(phases):
         count = intervals.shape[1] // phases
         here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
@@ -73,10 +73,6 @@ NEGLIGIBLE = 1e-7
 INCREMENT = 1e-6
 """Relative increments by which sizes of terms are measured."""
 
-_SLACK = re.compile(r"slack of (?P<name>.*) at 1 of an interval")
-_IN_SEGMENT = re.compile(r" in segment (?P<number>\d+)$")
-_MULTIPLIER = re.compile(r"multiplier of (?:the constraint )?(?P<name>.*)")
-
 
 @dataclass(frozen=True)
 class Excursion:
@@ -86,6 +82,7 @@ class Excursion:
     where the condition holds in parts of the states x, and 1 in the middle of an obstacle, where the gradient vanishes.
     `condition` is the module's name of it, with its segment where a delay cut the motion; `time` is that of the whole
     motion, in the problem's units. Of several bodies `body` is the number of the one that is worst.
+    `segment` is 0 where no delay cut the motion.
     """
 
     condition: str
@@ -93,6 +90,7 @@ class Excursion:
     relative: float
     time: float
     body: int | None = None
+    segment: int = 0
 
     @property
     def is_gross(self) -> bool:
@@ -103,7 +101,7 @@ class Excursion:
     def note(self) -> str:
         """What is to be said of it, and what helps."""
         of_body = "" if self.body is None else f" of body {self.body}"
-        condition = _IN_SEGMENT.sub("", self.condition)
+        condition = self.condition.removesuffix(f" in segment {self.segment}")
         return (
             f"between nodes the motion{of_body} violates {condition} by {self.figures}: the grid is too coarse "
             "for it, and what was found may be no motion at all; take more --steps, or --doublings"
@@ -126,6 +124,7 @@ class _Row:
     equality: bool
     states: tuple[int, ...]
     phases: tuple[int, ...]
+    segment: int
 
 
 def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Excursion]:
@@ -139,7 +138,7 @@ def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: V
     if not rows:
         return []
     coarse = time_grid(module, steps, fractions)
-    intervals = module.metadata.get("phases", 1) * steps
+    intervals = module.metadata.phases * steps
     evenly = _Sampled(module, coarse, unknowns, np.full((intervals, PARTS), 1.0 / PARTS))
     found = list[Excursion]()
     for row in rows:
@@ -162,26 +161,30 @@ def _rows(module: Any) -> Iterator[_Row]:
     first = structure.node
     partners = _partners(structure)
     stride = structure.stride
-    meanings: Mapping[str, str] = metadata["meanings"]
-    every = tuple(range(metadata.get("phases", 1)))
-    for i, name in enumerate(metadata["node"]):
-        met = _MULTIPLIER.fullmatch(meanings.get(name, ""))
+    every = tuple(range(metadata.phases))
+    for i, name in enumerate(metadata.node):
+        meaning = metadata.meanings.get(name)
         beside = partners.get(i, set()) - {i}
         own = {j for j in beside if j < first}
-        if met and structure.is_multiplier[i] and own and not any(first <= j < stride + first for j in beside):
-            yield _Row(met["name"], i, True, tuple(sorted(own)), every)
+        if meaning and structure.is_multiplier[i] and own and not any(first <= j < stride + first for j in beside):
+            yield _Row(_condition(meaning), i, True, tuple(sorted(own)), every, meaning.segment)
     for slack, multiplier in zip(structure.slacks, structure.slack_multipliers, strict=True):
         beside = partners.get(int(multiplier), set()) - {int(slack), int(multiplier)}
         if any(j < stride for j in beside):
             continue  # of the left node, or the interval
         states = tuple(sorted(j - stride for j in beside if j < stride + first))
-        named: dict[str, list[int]] = {}
-        for phase, texts in enumerate(metadata.get("slacks", (meanings,))):
-            met = _SLACK.fullmatch(texts.get(metadata["interval"][slack - first], ""))
-            if met:
-                named.setdefault(met["name"], []).append(phase)
-        for name, where in named.items():
-            yield _Row(name, int(multiplier), False, states, tuple(where))
+        found: dict[Meaning, list[int]] = {}
+        for phase, meanings in enumerate(metadata.slack_meanings):
+            meaning = meanings.get(metadata.interval[slack - first])
+            if meaning and meaning.kind.place == Place.INTERVAL and meaning.at == 1:
+                found.setdefault(meaning, []).append(phase)
+        for meaning, where in found.items():
+            yield _Row(meaning.subject, int(multiplier), False, states, tuple(where), meaning.segment)
+
+
+def _condition(meaning: Meaning) -> str:
+    """The condition of a multiplier: a constraint as its author wrote it."""
+    return meaning.of if meaning.kind == Kind.CONSTRAINT else phrase(meaning, role=False)
 
 
 def _partners(structure: Any) -> dict[int, set[int]]:
@@ -280,7 +283,12 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
         return None
     body, interval, part = np.unravel_index(int(np.argmax(relative)), relative.shape)
     metadata, time = sampled.module.metadata, sampled.times[sampled.parts * interval + part + 1]
-    if met := _IN_SEGMENT.search(row.name):
-        time += (int(met["number"]) - 1) * (sampled.times[-1] - sampled.times[0])
-    worst, own = (body, interval, part), int(body) if metadata["bodies"] > 1 else None
-    return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own)
+    time += max(row.segment - 1, 0) * (sampled.times[-1] - sampled.times[0])
+    worst, own = (body, interval, part), int(body) if metadata.bodies > 1 else None
+    return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own, row.segment)
+
+
+def _of_phases(row: _Row, intervals: int, steps: int) -> NDArray[np.bool_]:
+    """Which intervals belong to the phases of a condition, without the first behind a switch."""
+    phase, number = np.divmod(np.arange(intervals), steps)
+    return np.asarray(np.isin(phase, row.phases) & ((phase == 0) | (number > 0)))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from codegen.errors import PointsError
 from codegen.interfaces import ConnectModule, Vector
+from codegen.runtime.record import Record
 from codegen.solutions.result import (
     ConnectAttempt,
     Outline,
@@ -91,23 +91,23 @@ def _measured(module: ConnectModule, case: Any, path: Any, energy: Vector) -> tu
     finite = bool(np.isfinite(path).all())
     errors, end = module.path_errors(case, path) if finite else (np.full(1, np.nan), np.full(case.start.size, np.nan))
     arrival: Vector = np.abs(end).reshape(case.start.shape)
-    if module.metadata["adaptive"]:
+    if module.metadata.adaptive:
         # The steps are the integrator's own; what remains to be checked is where it arrives.
         return max_norm(end), float(2.0 * case.duration * energy[:-1].mean()), arrival
     cost = float(module.path_cost(case, path)) if finite else math.nan
     return max(max_norm(errors.ravel()), max_norm(end)), cost, arrival
 
 
-def particle_names(metadata: Mapping[str, Any], count: int) -> dict[str, tuple[str, ...]]:
+def particle_names(metadata: Record, count: int) -> dict[str, tuple[str, ...]]:
     """The names of the columns of arrays, coordinates of one particle after the other."""
-    groups = {"q": metadata["coordinates"], "p": metadata["rates"], "u": ()}
+    groups = {"q": metadata.coordinates, "p": metadata.rates, "u": ()}
     return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
 
 
-def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
+def stored_numbers(metadata: Record, run: Run) -> int:
     """How many numbers are kept: states at all nodes with what Newton's method makes of them, and two matrices."""
     count = 0 if run.points is None else len(run.points.start)
-    return 40 * (run.steps + 1) * count * len(metadata["coordinates"]) + 2 * count**2
+    return 40 * (run.steps + 1) * count * len(metadata.coordinates) + 2 * count**2
 
 
 def case_of(module: ConnectModule, run: Run) -> Any:
@@ -115,7 +115,7 @@ def case_of(module: ConnectModule, run: Run) -> Any:
     points = run.points
     if points is None:
         raise PointsError("there are no points to connect", "give a file of points")
-    tolerance = TOLERANCE if run.tolerance is None or module.metadata["adaptive"] else run.tolerance
+    tolerance = TOLERANCE if run.tolerance is None or module.metadata.adaptive else run.tolerance
     try:
         return module.make_case(
             points.start, points.target, run.steps, sigma=points.sigma, tolerance=min(tolerance, 1e-6)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.runtime.record import ControlRecord
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
@@ -66,7 +66,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
     if status == "solved" and not _is_accurate(module, scaled, attempt, conditions, (residual, stationarity)):
         found = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
         status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(attempt))
-    elif metadata["inequalities"] and (beyond := prescribed_beyond(scaled, unknowns)):
+    elif metadata.inequalities and (beyond := prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := ("" if grid.problem.inputs is None else tables_beyond(grid, unknowns))):
         status = "outside a table"
@@ -94,19 +94,19 @@ def control_result(
         **_inner_conditions(module, grid, unknowns),
     }
     summary = {
-        **({"maximum": -verdict.cost} if metadata.get("maximised") else {}),
+        **({"maximum": -verdict.cost} if metadata.maximised else {}),
         "duration": float(t[-1] - t[0]),
         "final_state_miss": _final_state_miss(module, grid, unknowns),
         "largest_control": max_norm(u),
         "stationarity": verdict.stationarity,
         **named,
-        **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if "waypoints" in metadata else {}),
-        **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.get("phases", 1))},
+        **({f"waypoint_{i}": float(t[k]) for i, k in enumerate(grid.inner, 1)} if metadata.waypoints else {}),
+        **{f"switch_{i}": float(t[i * run.steps]) for i in range(1, metadata.phases)},
     }
     return Result(
         **origin(metadata, driver, run, attempt, seconds), **asdict(verdict), t=t, q=q, p=p, u=u,
         multipliers=multipliers, log=attempt.log, unknowns=unknowns, names=component_names(metadata),
-        stage_abscissae=metadata.get("stage_abscissae", ()), summary=summary, grid=run.grid, estimates=estimates,
+        stage_abscissae=metadata.stage_abscissae, summary=summary, grid=run.grid, estimates=estimates,
         labels={name: name for name in named},
     )  # fmt: skip
 
@@ -120,13 +120,13 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
     verdict = control_verdict(module, driver, run, attempt, grid)
     names = ("t", "q", "p", "u", "multipliers")
     arrays = dict(zip(names, attempt.trajectories or module.unpack(grid, attempt.unknowns), strict=True))
-    free = _free_parameters(module, attempt.unknowns) if module.metadata["free_parameters"] else {}
+    free = _free_parameters(module, attempt.unknowns) if module.metadata.free_parameters else {}
     return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns, free)
 
 
 def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:
     """What measurements say of free parameters, where there are any."""
-    if "observations" not in module.metadata:
+    if module.metadata.observations is None:
         return None
     return estimates_of(module, grid, unknowns, held_at_bounds(module, grid, unknowns))
 
@@ -140,10 +140,10 @@ def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArr
     return held
 
 
-def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
+def stored_numbers(metadata: ControlRecord, run: Run) -> int:
     """How many numbers the generated solver keeps: it was measured to need 26 for every unknown."""
-    intervals = run.steps * int(metadata.get("phases", 1))
-    return 26 * (intervals + 1) * (len(metadata["node"]) + len(metadata["interval"]))
+    intervals = run.steps * int(metadata.phases)
+    return 26 * (intervals + 1) * (len(metadata.node) + len(metadata.interval))
 
 
 def _scaled_grid(module: ControlModule, grid: Grid, run: Run) -> Grid:
@@ -208,7 +208,7 @@ class _Conditions:
         self.point = module.evaluate(grid, unknowns)
         self._module, self._grid = module, grid
         self._misses = _misses(module, grid, unknowns)
-        self._distances = bound_distances(module, scaled, unknowns) if module.metadata["inequalities"] else None
+        self._distances = bound_distances(module, scaled, unknowns) if module.metadata.inequalities else None
 
     def norms(self, sizes: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
         """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes, if given."""
@@ -231,7 +231,7 @@ class _Conditions:
 def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
     """Distances of the free primal unknowns from their lower and upper bounds, infinite where there are none."""
     primal = module.primal_unknowns(grid)
-    if not module.metadata["inequalities"]:
+    if not module.metadata.inequalities:
         none = np.full(primal.size, np.inf)
         return none, none
     lower, upper = bounds_of(grid)
@@ -291,8 +291,8 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights
 def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> float:
     """Largest error of the conditions at the end: prescribed values, and equations of the last nodes."""
     metadata = module.metadata
-    bodies, node = metadata["bodies"], len(metadata["node"])
-    chain = grid.steps * (node + len(metadata["interval"])) + node
+    bodies, node = metadata.bodies, len(metadata.node)
+    chain = grid.steps * (node + len(metadata.interval)) + node
     indices = np.arange(unknowns.size)
     at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
     equations = at_end[module.multiplier_unknowns(grid)]
@@ -302,17 +302,17 @@ def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> fl
 def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, float]:
     """The multipliers of conditions on integrals: the rates at which the cost falls as their values grow."""
     first = unknowns.size - module.problem.structure.root
-    integrals = module.metadata.get("integrals", ())
+    integrals = module.metadata.integrals
     return {f"multiplier of {name}": float(unknowns[first + index]) for name, index in integrals}
 
 
 def _inner_conditions(module: ControlModule, grid: Grid, unknowns: Vector) -> dict[str, float]:
     """The multipliers of conditions at inner times, body by body."""
-    if "inner_conditions" not in module.metadata:
+    if not module.metadata.inner_conditions:
         return {}
     nodes, _ = module.views(grid, unknowns)
     found = {}
-    for name, number, index in module.metadata["inner_conditions"]:
+    for name, number, index in module.metadata.inner_conditions:
         for body, of_nodes in enumerate(nodes):
             of_body = f" of body {body}" if len(nodes) > 1 else ""
             found[f"multiplier of {name}{of_body}"] = float(of_nodes[grid.inner[int(number)], int(index)])
@@ -321,6 +321,6 @@ def _inner_conditions(module: ControlModule, grid: Grid, unknowns: Vector) -> di
 
 def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
     """Values of the static parameters that were optimised; they stand before the multipliers of couplings."""
-    names = module.metadata["free_parameters"]
+    names = module.metadata.free_parameters
     last = unknowns.size - module.problem.structure.couplings
     return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))

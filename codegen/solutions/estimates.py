@@ -173,13 +173,13 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
 
     `held` (n,) are unknowns at their bounds.
     """
-    observations, names = module.metadata.get("observations"), tuple(module.metadata["free_parameters"])
+    observations, names = module.metadata.observations, tuple(module.metadata.free_parameters)
     if not observations or not names:
         return None
     last = unknowns.size - module.problem.structure.couplings
     indices = np.arange(last - len(names), last)
     is_free, values = ~held[indices], unknowns[indices]
-    fit, is_estimated = Fit(module, grid, unknowns), all(sigma is None for sigma in observations["sigmas"])
+    fit, is_estimated = Fit(module, grid, unknowns), all(sigma is None for sigma in observations.sigmas)
     reduced = _reduced(module, grid, unknowns, held, indices[is_free])
     reason = "" if reduced else "the optimum is flat in something beside the parameters"
     inverse = _inverse(reduced, values[is_free]) if reduced else None
@@ -192,7 +192,7 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
     deviation = np.sqrt(fit.squares / freedom) if is_estimated and freedom > 0 else np.nan if is_estimated else 1.0
     covariance, motion = np.full((len(names), len(names)), np.nan), np.full(unknowns.size, np.nan)
     if reduced and inverse and not reason:
-        own = _covariance(reduced, inverse, fit, observations["loss"], float(deviation))
+        own = _covariance(reduced, inverse, fit, observations.loss, float(deviation))
         motion = _of_all(reduced, own)
         covariance[np.ix_(is_free, is_free)] = own
         covariance[lost] = covariance[:, lost] = np.nan

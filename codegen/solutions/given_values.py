@@ -29,8 +29,8 @@ def as_number(value: Any) -> float:
 def parameter_arguments(module: Any) -> dict[str, str]:
     """The arguments of a module's functions by the names of parameters, which they may not have in Python."""
     # Where particles begin, or sigma of their targets, and what each of them has for itself, come first.
-    before = 1 + len(module.metadata["own"]) if is_of_particles(module) else 0
-    return dict(zip(module.metadata["parameters"], _keywords(module)[before:], strict=False))
+    before = 1 + len(module.metadata.own) if is_of_particles(module) else 0
+    return dict(zip(module.metadata.parameters, _keywords(module)[before:], strict=False))
 
 
 def duration_arguments(module: Any) -> tuple[str, ...]:
@@ -50,9 +50,9 @@ def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
     Of a simulation these are all values that it starts from; particles have none, since they start from an array.
     """
     if is_simulation(module):
-        return {f"{START}{name}": ("start", name) for name in module.metadata.get("start", ())}
-    ends = [entry.split(" ", 1) for entry in module.metadata.get("boundary", ())]
-    return {f"{end}.{name}": (end, name) for end, name in ends}
+        return {f"{START}{name}": ("start", name) for name in module.metadata.start}
+    ends = (("start", module.metadata.start), ("end", module.metadata.end))
+    return {f"{end}.{name}": (end, name) for end, names in ends for name in names}
 
 
 def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
@@ -61,7 +61,7 @@ def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
         return
     for name in names:
         if name.startswith(START):
-            finding = clause(f"{module.metadata['problem']} has no {name}: its particles start from an array")
+            finding = clause(f"{module.metadata.problem} has no {name}: its particles start from an array")
             raise ArgumentError(finding, "call solve(start=...) of its module, which takes all positions and momenta")
 
 
@@ -72,7 +72,7 @@ def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
     durations = duration_arguments(module)
     for name in names:
         if name in durations:
-            finding = f"{module.metadata['problem']} has delays, which another {name} would change as well"
+            finding = f"{module.metadata.problem} has delays, which another {name} would change as well"
             raise ArgumentError(finding, "change it in the problem, and build that")
 
 

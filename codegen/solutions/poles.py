@@ -12,7 +12,6 @@ Kinetics that change their sign beyond a bound lead to a motion that does not ex
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from codegen.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.runtime.record import Kind
 from codegen.runtime.search.convergence import sizes_of_terms
 from codegen.solutions.between_nodes import carried, cut
 
@@ -40,9 +40,6 @@ SHORTEST, ROOM, LEAST_FRACTION = 1e-5, 2e-10, 1e-8
 intervals without a length; and the shortest interval that can be cut so."""
 NEGLIGIBLE, ROUNDING = 1e-6, 1e-9
 """Parts of the largest value on all intervals, and of the largest terms of equations, below which a change is none."""
-
-_EQUATION = re.compile(r"multiplier of the (?:step|equation of motion) of (?P<name>.*)")
-_STAGE = re.compile(r"(?P<name>.*)_stage\d+")
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector
         closer = _Looked(module, coarse, unknowns, cuts)
         suspects = [suspect.closer(closer) for suspect in suspects]
     return [
-        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata["bodies"] > 1 else None)
+        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata.bodies > 1 else None)
         for s in suspects
         if s.grows_without_end
     ]
@@ -143,12 +140,12 @@ def _suspects(first: _Looked, terms: float, steps: int) -> Iterator[_Suspect]:
 def _equations(module: Any) -> Iterator[_Equation]:
     """The equations of motion of a module's states, without those of stages."""
     metadata = module.metadata
-    nodes = list(metadata["node"])
-    for at_nodes, names in ((True, nodes), (False, metadata["interval"])):
+    nodes = list(metadata.node)
+    for at_nodes, names in ((True, nodes), (False, metadata.interval)):
         for place, name in enumerate(names):
-            met = _EQUATION.fullmatch(metadata["meanings"].get(name, ""))
-            if met and met["name"] in nodes:
-                yield _Equation(met["name"], place, at_nodes)
+            meaning = metadata.meanings.get(name)
+            if meaning and meaning.kind in (Kind.STEP, Kind.MOTION) and meaning.of in nodes:
+                yield _Equation(meaning.of, place, at_nodes)
 
 
 def _around(middle: float, width: float, room: float) -> Vector:
@@ -170,11 +167,11 @@ class _Looked:
         self._unknowns = carried(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
         # Have stages lie between the nodes of the finer grid.
         nodes, intervals = self.module.views(self.grid, self._unknowns)
-        names = list(self.module.metadata["node"])
-        for place, name in enumerate(self.module.metadata["interval"]):
-            met = _STAGE.fullmatch(name)
-            if met and met["name"] in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
-                state = nodes[:, :, names.index(met["name"])]
+        names = list(self.module.metadata.node)
+        for place, name in enumerate(self.module.metadata.interval):
+            of = self.module.metadata.stages.get(name)
+            if of in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
+                state = nodes[:, :, names.index(of)]
                 intervals[:, :, place] = 0.5 * (state[:, :-1] + state[:, 1:])
         self._gradient = module.evaluate(self.grid, self._unknowns).gradient
 
@@ -248,17 +245,17 @@ def stages_beyond(
     `unknowns` (n,) are those of `steps` intervals in each phase, equal ones or those of `fractions`.
     """
     generated: Any = module
-    metadata, meanings = module.metadata, module.metadata["meanings"].values()
-    if not metadata["inequalities"] or any(text.startswith("slack of the bound") for text in meanings):
+    metadata = module.metadata
+    if not metadata.inequalities or any(m.kind == Kind.BOUND_SLACK for m in metadata.meanings.values()):
         return
-    grid, names = time_grid(module, steps, fractions), list(metadata["node"])
+    grid, names = time_grid(module, steps, fractions), list(metadata.node)
     nodes, intervals = generated.views(grid, unknowns)
     limits = [generated.views(grid, bound) for bound in module.variable_bounds(grid)]
     stages = dict[str, list[int]]()
-    for column, name in enumerate(metadata["interval"]):
-        met = _STAGE.fullmatch(name)
-        if met and met["name"] in names and not generated.problem.structure.is_multiplier[len(names) + column]:
-            stages.setdefault(met["name"], []).append(column)
+    for column, name in enumerate(metadata.interval):
+        state = metadata.stages.get(name)
+        if state in names and not generated.problem.structure.is_multiplier[len(names) + column]:
+            stages.setdefault(state, []).append(column)
     times = module.unpack(grid, unknowns)[0] if stages else np.empty(0)
     for state, columns in stages.items():
         if any(np.isfinite(inside[:, :, columns]).any() for _, inside in limits):
@@ -272,7 +269,7 @@ def stages_beyond(
             continue
         body, interval, _ = map(int, worst)
         limit = (lower if values[worst] < lower[body, interval, 0] else upper)[body, interval, 0]
-        own = body if metadata["bodies"] > 1 else None
+        own = body if metadata.bodies > 1 else None
         yield StageBeyond(state, float(values[worst]), float(limit), float(times[interval]), own)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from codegen.author.points import PointSet
 from codegen.errors import ArgumentError, NumericsError
 from codegen.interfaces import Grid, Matrix, Vector
+from codegen.runtime.record import Form, Record
 from codegen.solutions.display import Background, Display
 from codegen.solutions.estimates import Estimates
 
@@ -408,9 +409,9 @@ class Result(Display):
 Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
 
 
-def origin(metadata: Mapping[str, Any], driver: str, run: Run, attempt: Attempt, seconds: float) -> dict[str, Any]:
+def origin(metadata: Record, driver: str, run: Run, attempt: Attempt, seconds: float) -> dict[str, Any]:
     """What a result says of where it comes from, whatever the task."""
-    own = {name: metadata[name] for name in ("problem", "title", "task", "method", "scheme")}
+    own = {name: str(getattr(metadata, name)) for name in ("problem", "title", "task", "method", "scheme")}
     told = {"driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
     return {**own, **told, "units": component_units(metadata)}
 
@@ -433,26 +434,24 @@ def max_norm(values: Vector) -> float:
     return norm if math.isfinite(norm) else math.inf
 
 
-def component_names(metadata: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+def component_names(metadata: Record) -> dict[str, tuple[str, ...]]:
     """What the columns of q, p and u are called; those of several bodies carry the body's number."""
-    coordinates = tuple(metadata["coordinates"])
-    momenta = tuple(metadata["rates"]) if metadata.get("form") == "hamiltonian" else None
+    coordinates = tuple(metadata.coordinates)
+    momenta = tuple(metadata.rates) if metadata.form == Form.HAMILTONIAN else None
     if momenta is None:
-        momenta = () if metadata.get("form") == "first-order" else tuple(f"p_{name}" for name in coordinates)
-    names = {"q": coordinates, "p": momenta, "u": tuple(metadata.get("control_names", ()))}
-    bodies = metadata.get("bodies", 1)
+        momenta = () if metadata.form == Form.FIRST_ORDER else tuple(f"p_{name}" for name in coordinates)
+    names = {"q": coordinates, "p": momenta, "u": tuple(metadata.control_names)}
+    bodies = metadata.bodies
     if bodies == 1:
         return names
     return {key: tuple(f"{name}_{body}" for body in range(bodies) for name in row) for key, row in names.items()}
 
 
-def component_units(metadata: Mapping[str, Any]) -> dict[str, str]:
+def component_units(metadata: Record) -> dict[str, str]:
     """The units of columns by their names, beside those of everything else that has one."""
-    units: dict[str, str] = dict(metadata.get("units", {}))
-    if units and metadata.get("bodies", 1) > 1:
-        for row in component_names({**metadata, "bodies": 1}).values():
-            each = {
-                f"{name}_{body}": units[name] for name in row for body in range(metadata["bodies"]) if name in units
-            }
+    units: dict[str, str] = dict(metadata.units)
+    if units and metadata.bodies > 1:
+        for row in component_names(replace(metadata, bodies=1)).values():
+            each = {f"{name}_{body}": units[name] for name in row for body in range(metadata.bodies) if name in units}
             units |= each
     return units

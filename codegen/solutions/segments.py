@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from codegen.interfaces import Matrix, Vector
+from codegen.runtime.record import ControlRecord, Kind, Method, Record
 from codegen.solutions.result import Accuracy, Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"
@@ -85,22 +86,22 @@ class Segments:
         return stem + own + stage, segment
 
 
-def segments_of(metadata: Mapping[str, Any]) -> Segments | None:
+def segments_of(metadata: Record) -> Segments | None:
     """How a module's problem was cut, if it was."""
-    found = metadata.get("segments")
-    return Segments(found["number"], found["names"]) if found else None
+    found = metadata.segments
+    return Segments(found.number, found.names) if found else None
 
 
-def multiplier_names(metadata: Mapping[str, Any], count: int, names: Sequence[str]) -> list[str]:
-    """What the `count` columns of multipliers are called; `names` are those of the quantities."""
-    if metadata["method"] == "variational":
-        return [f"lambda_{name}" for name in metadata["coordinates"]]
-    own = metadata["interval"]
-    first = next(i for i, name in enumerate(own) if name.startswith("mu_") and name[3:] in {*names, *own})
+def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
+    """What the `count` columns of multipliers are called."""
+    if metadata.method == Method.VARIATIONAL:
+        return [f"lambda_{name}" for name in metadata.coordinates]
+    own = metadata.interval
+    first = next(i for i, name in enumerate(own) if metadata.kind(name) == Kind.STEP)
     return list(own[first : first + count])
 
 
-def put_together(result: Result, metadata: Mapping[str, Any]) -> Result:
+def put_together(result: Result, metadata: Record) -> Result:
     """The result of a problem with delays as its author sees it; that of others as it is."""
     segments = segments_of(metadata)
     if segments is None:
@@ -112,7 +113,7 @@ def put_together(result: Result, metadata: Mapping[str, Any]) -> Result:
     for kind, table in (("q", result.q), ("p", result.p), ("u", result.u)):
         names[kind], columns = segments.columns(result.names[kind])
         tables[kind] = segments.in_order(table, columns, at_nodes=kind != "u")
-    labels = multiplier_names(metadata, result.multipliers.shape[1], [*result.names["q"], *result.names["p"]])
+    labels = multiplier_names(cast(ControlRecord, metadata), result.multipliers.shape[1])
     of_multipliers = segments.columns(labels)[1]
     return replace(
         result,

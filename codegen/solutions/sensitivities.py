@@ -10,6 +10,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.interfaces import Grid, Vector, few_steps, time_grid
+from codegen.runtime.record import Task, phrase
 from codegen.solutions.result import Derivatives, Result, Sensitivities
 from codegen.solutions.segments import put_together, segments_of
 
@@ -20,8 +21,8 @@ UNSOLVED = "the problem was not solved"
 
 def require_sensitive(module: Any) -> None:
     """Refuse a module without what sensitivities need; ArgumentError says how it is made."""
-    task, problem = module.metadata["task"], module.metadata["problem"]
-    if task == "control" and "sensitivities" not in module.metadata:
+    task, problem = module.metadata.task, module.metadata.problem
+    if task == Task.CONTROL and module.metadata.sensitivities is None:
         finding = f"the module of {problem} has no sensitivities"
         raise ArgumentError(finding, "build it with --sensitivities, or give the problem file")
 
@@ -39,7 +40,7 @@ class Rates:
     @property
     def free(self) -> dict[str, Vector]:
         """Derivatives (m,) of free parameters by all quantities."""
-        names, couplings = self.module.metadata["free_parameters"], self.module.problem.structure.couplings
+        names, couplings = self.module.metadata.free_parameters, self.module.problem.structure.couplings
         last = self.found.unknowns.shape[1] - couplings
         columns = self.found.unknowns[:, last - len(names) : last].T
         return dict(zip(names, columns, strict=True))
@@ -57,7 +58,7 @@ def rates_at(
 
     Quantities that are `given` by name follow no others.
     """
-    names, grid = tuple(module.metadata["sensitivities"]), time_grid(module, steps, fractions)
+    names, grid = tuple(module.metadata.sensitivities), time_grid(module, steps, fractions)
     found = module.sensitivities(grid, unknowns, given)
     if found.failure:
         unknowns = _sharpened(module, steps, unknowns, fractions)
@@ -73,7 +74,7 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
     Quantities that are `given` by name follow no others.
     """
     if not result.solved or result.unknowns is None:
-        names = tuple(module.metadata["sensitivities"])
+        names = tuple(module.metadata.sensitivities)
         missing = Sensitivities(names, np.full(len(names), np.nan), UNSOLVED, (), np.nan, {})
         return replace(result, sensitivity=missing)
     rates = rates_at(module, result.steps, result.unknowns, given, result.grid)
@@ -87,7 +88,7 @@ def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ())
 
 def quantity_values(module: Any, result: Result) -> dict[str, Vector]:
     """The values (bodies,) of what there are derivatives by, in a solution with the module's own numbers."""
-    names, parameters = module.metadata["sensitivities"], module.make_grid(few_steps(module, 4)).parameters
+    names, parameters = module.metadata.sensitivities, module.make_grid(few_steps(module, 4)).parameters
     found = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
     return found | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
 
@@ -120,15 +121,15 @@ def _derivatives(result: Result, rates: Rates, i: int) -> Derivatives:
 def _place(module: Any, grid: Grid, index: int) -> str:
     """What an unknown is, and where."""
     metadata = module.metadata
-    node, bodies = len(metadata["node"]), metadata["bodies"]
-    stride = node + len(metadata["interval"])
+    node, bodies = len(metadata.node), metadata.bodies
+    stride = node + len(metadata.interval)
     chain = grid.steps * stride + node
     if index >= bodies * chain:
-        return str(metadata["shared"][index - bodies * chain])
+        return str(metadata.shared[index - bodies * chain])
     body, local = divmod(index, chain)
     k, j = divmod(local, stride)
-    name = metadata["node"][j] if j < node else metadata["interval"][j - node]
-    what = metadata["meanings"].get(name, name).removeprefix("slack of ")
+    name = metadata.node[j] if j < node else metadata.interval[j - node]
+    what = phrase(metadata.meanings[name], role=not metadata.is_slack(name)) if name in metadata.meanings else name
     of_body = f" of body {body}" if bodies > 1 else ""
     return f"{what}{of_body} {'at node' if j < node else 'on interval'} {k}"
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from codegen.interfaces import Matrix, SimulateModule
+from codegen.runtime.record import Record
 from codegen.solutions.result import (
     Outline,
     Result,
@@ -49,7 +48,7 @@ def simulate_result(
     names = component_names(metadata)
     drift, final_change = np.abs(attempt.energy - attempt.energy[0]), attempt.energy[-1] - attempt.energy[0]
     final = dict(zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True))
-    is_kept = metadata.get("conservative", True)
+    is_kept = metadata.conservative
     summary = {
         "duration": float(attempt.t[-1]),
         **{f"final_{name}": float(value) for name, value in final.items()},
@@ -69,9 +68,9 @@ def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: Sim
     return outline_of(simulate_result(module, driver, run, attempt))
 
 
-def stored_numbers(metadata: Mapping[str, Any], run: Run) -> int:
+def stored_numbers(metadata: Record, run: Run) -> int:
     """How many numbers are kept: the path, its positions and momenta, times and energies."""
-    return (run.steps // run.every + 1) * (4 * len(metadata["coordinates"]) + 2)
+    return (run.steps // run.every + 1) * (4 * len(metadata.coordinates) + 2)
 
 
 def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> float:

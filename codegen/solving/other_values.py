@@ -13,6 +13,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, TableError, clause
 from codegen.interfaces import GeneratedModule, Matrix, Vector, few_steps, is_connect
+from codegen.runtime.record import TableRecord
 from codegen.solutions.given_values import (
     apart_from_delays,
     parameter_arguments,
@@ -31,7 +32,7 @@ def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None)
     """
     if not files:
         return module
-    known = module.metadata.get("tables", {})
+    known = module.metadata.tables
     numbers = {name: _numbers(name, Path(file), known) for name, file in files.items()}
     return with_arguments(module, tables=numbers)
 
@@ -45,15 +46,15 @@ def with_arguments(module: Any, **given: Any) -> Any:
     return other
 
 
-def _numbers(name: str, file: Path, known: Mapping[str, Any]) -> Vector:
+def _numbers(name: str, file: Path, known: Mapping[str, TableRecord]) -> Vector:
     if name not in known:
         remedy = f"name one of {', '.join(known)}" if known else "leave it out"
         raise ArgumentError(f"--table {name}={file}: the problem has no table {name}", remedy)
     own = known[name]
-    columns = (own["inputs"], own["output"], own["kind"], own["outside"])
+    columns = (own.inputs, own.output, own.kind, own.outside)
     table = read_table(file, file.as_posix(), name, *columns)
-    if table.shape.sizes != own["sizes"]:
-        found, wanted = (" and ".join(map(str, sizes)) for sizes in (table.shape.sizes, own["sizes"]))
+    if table.shape.sizes != own.sizes:
+        found, wanted = (" and ".join(map(str, sizes)) for sizes in (table.shape.sizes, own.sizes))
         raise TableError(
             f"{file}: table {name} has {found} breakpoints, and the module is built for {wanted}",
             "give as many, or change the problem's own file",
@@ -74,7 +75,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     given: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
-            raise ArgumentError(clause(f"{module.metadata['problem']} has no parameter {name}"), _remedy(name, known))
+            raise ArgumentError(clause(f"{module.metadata.problem} has no parameter {name}"), _remedy(name, known))
         end, quantity = known[name]
         if quantity:
             given.setdefault(end, {})[quantity] = float(value)
@@ -84,7 +85,7 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     try:
         other.make_grid(few_steps(module, 1))
     except ValueError as error:
-        raise NumericsError(f"{module.metadata['problem']}: {error}", "give other values") from error
+        raise NumericsError(f"{module.metadata.problem}: {error}", "give other values") from error
     return other
 
 
@@ -113,14 +114,14 @@ def with_observations(module: GeneratedModule, given: Any) -> Any:
     """
     if given is None:
         return module
-    observations = module.metadata.get("observations")
+    observations = module.metadata.observations
     if observations is None:
         raise ArgumentError("--observations: the problem has no measurements", "leave it out")
-    listed, bodies = list(given) if isinstance(given, (list, tuple)) else [given], module.metadata["bodies"]
+    listed, bodies = list(given) if isinstance(given, (list, tuple)) else [given], module.metadata.bodies
     if len(listed) != bodies:
         finding = f"--observations gives {len(listed)} sets of measurements, and there are {bodies} bodies"
         raise ArgumentError(finding, "give one for each")
-    layout = Layout(observations["time"], tuple(observations["columns"]), tuple(observations["sigmas"]))
+    layout = Layout(observations.time, observations.columns, observations.sigmas)
     return with_arguments(module, observations=tuple(_rows(one, layout) for one in listed))
 
 

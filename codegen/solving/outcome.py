@@ -18,6 +18,7 @@ from codegen.errors import SchemeError
 from codegen.interfaces import GeneratedModule, Matrix, Vector, is_control
 from codegen.machine_code import ahead_of_time
 from codegen.machine_code.processes import Compilers, compilers
+from codegen.runtime.record import Kind, Role
 from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
@@ -197,11 +198,8 @@ def _has_path_inequalities(path: Path) -> bool:
     With a control that is constant on an interval they hold where they are strictest, and that error is of order one
     where there are several stages.
     """
-    meanings: Any = loading.load(path).metadata.get("meanings", {})
-    return any(
-        text.startswith("slack of ") and not text.startswith(("slack of the integral", "slack of the bound"))
-        for text in meanings.values()
-    )
+    kinds = (meaning.kind for meaning in getattr(loading.load(path).metadata, "meanings", {}).values())
+    return any(kind.role == Role.SLACK and kind not in (Kind.INTEGRAL_SLACK, Kind.BOUND_SLACK) for kind in kinds)
 
 
 def _tolerance(request: Request, grid: Matrix | None) -> float | None:
@@ -225,17 +223,17 @@ def _looser(run: Run) -> float:
 
 def points_of(request: Request, module: GeneratedModule) -> PointSet | None:
     """The points that are given, or those of the problem file, where there are any."""
-    file, own = request.points, module.metadata.get("points")
+    file, own = request.points, module.metadata.points
     if file is None and own and not request.is_built:
         file = request.settings.points or request.source.folder / own
     if isinstance(file, Path | str):
-        return read_points(Path(file), len(module.metadata["coordinates"]))
+        return read_points(Path(file), len(module.metadata.coordinates))
     return file
 
 
 def _steps(request: Request, module: Any) -> int:
     """The number of intervals, of each segment where the motion was cut into several."""
-    own: int = module.metadata["steps"]
+    own: int = module.metadata.steps
     segments = segments_of(module.metadata)
     if request.steps is None:
         return own

@@ -124,7 +124,7 @@ class Request:
     def _require_problem(self) -> None:
         """Refuse what is neither a problem nor a module, and choices of a build where there is nothing to build."""
         is_source = isinstance(self.problem, Path | str | ProblemFile | ProblemObject)
-        if not is_source and "task" not in getattr(self.problem, "metadata", ()):
+        if not is_source and not hasattr(getattr(self.problem, "metadata", None), "task"):
             what = type(self.problem).__name__
             remedy = "give the path of a problem file, a Control or the like, or a generated module"
             raise ArgumentError(f"a solve begins with a problem, not with this {what}", remedy)

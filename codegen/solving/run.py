@@ -23,6 +23,7 @@ from codegen.interfaces import ControlModule, GeneratedModule, Matrix, Vector, t
 from codegen.loading import machine_code_counts
 from codegen.machine_code.ahead_of_time import unwritable_cache_error
 from codegen.machine_code.seconds import seconds_of_machine_code
+from codegen.runtime.record import Sites
 from codegen.solutions.result import Result, Run
 from codegen.tasks import Task, task_of
 
@@ -103,7 +104,7 @@ def transferred(
     old_nodes, old_intervals = module.views(old_grid, unknowns)
     new_nodes, new_intervals = module.views(new_grid, result)
     old_times, new_times = old_grid.nodes / old_steps, new_grid.nodes / steps
-    for phase in range(module.metadata.get("phases", 1)):
+    for phase in range(module.metadata.phases):
         first = min(phase, 1)  # the node at a switch belongs to the phase before, since it has the values before a jump
         old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
         new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
@@ -117,8 +118,8 @@ def transferred(
 def source_steps(module: ControlModule, unknowns: Vector) -> int:
     """The number of intervals, of each phase, that a vector of unknowns belongs to."""
     metadata = module.metadata
-    node, bodies = len(metadata["node"]), metadata["bodies"]
-    phase = metadata.get("phases", 1) * (node + len(metadata["interval"]))
+    node, bodies = len(metadata.node), metadata.bodies
+    phase = metadata.phases * (node + len(metadata.interval))
     steps: int
     steps, rest = divmod((unknowns.size - module.problem.structure.root) // bodies - node, phase)
     if rest or steps < 1 or bodies * (steps * phase + node) + module.problem.structure.root != unknowns.size:
@@ -178,8 +179,8 @@ def order_of_optima(module: ControlModule) -> int:
     A control that is constant on each interval, or linear between nodes, approximates a smooth one at order 2, and the
     cost at its minimum no better, whatever the scheme of the motion. With controls at stages it has the scheme's order.
     """
-    order, metadata = int(module.metadata["order"]), module.metadata
-    return min(order, 2) if metadata["control_names"] and metadata["controls"] != "stages" else order
+    order, metadata = int(module.metadata.order), module.metadata
+    return min(order, 2) if metadata.control_names and metadata.controls != Sites.STAGES else order
 
 
 def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:

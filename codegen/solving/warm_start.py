@@ -18,6 +18,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.interfaces import ControlModule, GeneratedModule, Vector
+from codegen.runtime.search.cascade import varied_guess
 from codegen.solutions.result import Result, component_names
 from codegen.solutions.segments import segments_of
 from codegen.solving.run import source_steps
@@ -99,7 +100,7 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
     except NumericsError:
         finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns fit no number of steps of this problem"
         raise ArgumentError(finding, remedy) from None
-    parts = segments.number if segments else module.metadata.get("phases", 1)
+    parts = segments.number if segments else module.metadata.phases
     if saved.nodes is not None and saved.nodes != steps * parts + 1:
         finding = f"--warm {saved.path}: its {saved.unknowns.size} unknowns on {saved.nodes} nodes are others than here"
         raise ArgumentError(finding, remedy)
@@ -110,40 +111,15 @@ def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(names) or "none"
 
 
-WAVES = 3
-"""The number of sines in a curve."""
-SIZE = 0.5
-"""The standard deviation of an amplitude, in units of the quantity's size in the problem's own guess."""
 SAME = 1e-6
 """The relative difference up to which two costs belong to one optimum."""
 
 
 def varied(module: ControlModule, steps: int, seed: int) -> Vector:
-    """The problem's own guess on N = `steps` intervals with a random smooth curve added to every quantity.
-
-    What is given stays, and so do multipliers and what no node owns, such as a free duration. A guess that is zero all
-    over has no size, and curves of the size of one are added to it.
-    """
-    grid, rng = module.make_grid(steps), np.random.default_rng(seed)
-    guess = module.initial_guess(grid)
-    changed = module.primal_unknowns(grid)
-    changed = changed[changed < guess.size - module.problem.structure.root]
-    least = 0.3 * np.abs(guess[changed]).max(initial=0.0) or 1.0
-    change = np.zeros_like(guess)
-    for own, curves in zip(module.views(grid, guess), module.views(grid, change), strict=True):
-        times = np.linspace(0.0, 1.0, own.shape[1])
-        for body in range(own.shape[0]):
-            for index in range(own.shape[2]):
-                size = max(np.abs(own[body, :, index]).max(), least)
-                curves[body, :, index] = SIZE * size * _curve(rng, times)
-    guess[changed] += change[changed]
+    """The problem's own guess on N = `steps` intervals with a random smooth curve added to every quantity."""
+    grid = module.make_grid(steps)
+    guess: Vector = varied_guess(grid, module.initial_guess(grid), seed)
     return guess
-
-
-def _curve(rng: np.random.Generator, times: Vector) -> Vector:
-    waves = np.arange(1, WAVES + 1)
-    amplitudes: Vector = rng.standard_normal(WAVES) / waves
-    return amplitudes @ np.sin(np.pi * waves[:, None] * times)
 
 
 def best_of(solve: Callable[[Vector | None], Result], module: ControlModule, steps: int, starts: int) -> Result:

@@ -13,6 +13,7 @@ from typing import Any
 from codegen.errors import CodegenError
 from codegen.interfaces import is_connect, is_of_particles
 from codegen.loading import load
+from codegen.runtime.record import Form, Record
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
 from codegen.stress.classify import EXPECTATIONS
 from codegen.stress.families.common import registered
@@ -50,7 +51,7 @@ def _schemes(module: Any) -> Sequence[tuple[str | None, str]]:
         from codegen.schemes.particles import PARTICLE_SCHEMES
 
         return [(None, name) for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
-    if module.metadata.get("form") == "first-order":
+    if module.metadata.form == Form.FIRST_ORDER:
         return [(None, scheme.name) for scheme in of_method(FIRST_ORDER) if scheme.order <= 2]
     every = [(method, name) for method, schemes in METHODS.items() for name in schemes]
     return sorted(every, key=lambda scheme: registered(scheme).order > 2)
@@ -63,13 +64,13 @@ def _points(module: Any, problem: Path, arguments: Mapping[str, str]) -> tuple[t
     from codegen.author.sources import settings_of
 
     given = settings_of(problem, arguments).points
-    file = Path(given) if given is not None else problem.parent / module.metadata["points"]
-    read = read_points(file, len(module.metadata["coordinates"]))
+    file = Path(given) if given is not None else problem.parent / module.metadata.points
+    read = read_points(file, len(module.metadata.coordinates))
     return tuple((*map(float, a), *map(float, b)) for a, b in zip(read.start, read.target, strict=True))
 
 
-def _cases(setup: Setup, metadata: Mapping[str, Any], points: tuple[tuple[float, ...], ...]) -> list[Case]:
-    expected, own = EXPECTATIONS[metadata["task"]], int(metadata["steps"])
+def _cases(setup: Setup, metadata: Record, points: tuple[tuple[float, ...], ...]) -> list[Case]:
+    expected, own = EXPECTATIONS[metadata.task], int(metadata.steps)
 
     def case(name: str, reason: str, steps: int = own, values: Values = (), noise: float = 0.0) -> Case:
         return Case(
@@ -80,7 +81,7 @@ def _cases(setup: Setup, metadata: Mapping[str, Any], points: tuple[tuple[float,
     found = [case("as it is", "the problem itself")]
     found += [case(f"{steps} steps", "hardly a grid", steps) for steps in STEPS]
     found.append(case(f"{10 * own} steps", "ten times as many", 10 * own))
-    for name, value in metadata["parameters"].items():
+    for name, value in metadata.parameters.items():
         if isinstance(value, float | int) and value:
             found += [
                 case(f"{name} times {factor:.0e}", "a parameter far from its value", values=((name, factor * value),))

@@ -251,7 +251,7 @@ def stable_limit(module: Any, case: Case) -> float:
 
     Source of the criterion: Hairer, Lubich and Wanner (2006), Geometric numerical integration, VIII.6 and I.5.2.
     """
-    key = (module.metadata["inputs"], case.setup.label)
+    key = (module.metadata.inputs, case.setup.label)
     if key not in _known:
         _known[key] = first_growth(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
     return _known[key]

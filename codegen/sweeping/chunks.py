@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from codegen.drivers import DRIVERS
 from codegen.interfaces import GeneratedModule, Matrix
+from codegen.runtime.record import Task
 from codegen.solutions.result import Run
-from codegen.tasks import task_of
 
 MOST = 4096
 """The most cases of a chunk: finding neighbours takes time in proportion to their square."""
@@ -104,16 +104,16 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
 
     Counted, and not measured, so that the same sweep has the same chunks, and so the same results, on any day.
     """
-    task, metadata = task_of(module), module.metadata
-    if task.name == "control":
-        width = len(metadata["node"]) + len(metadata["interval"])
-        intervals = run.steps * metadata["bodies"] * metadata.get("phases", 1)
+    metadata: Any = module.metadata
+    if metadata.task == Task.CONTROL:
+        width = len(metadata.node) + len(metadata.interval)
+        intervals = run.steps * metadata.bodies * metadata.phases
         seconds = CONTROL_RATE * (iterations + RATES * has_rates) * intervals * width**2
-    elif task.name == "connect":
+    elif metadata.task == Task.CONNECT:
         assert run.points is not None, "there are points to connect"
         seconds = CONNECT_RATE * max(iterations, 1) * run.steps * run.points.start.size**2
     else:
-        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata["coordinates"])
+        seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata.coordinates)
     return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))
 
 

@@ -81,26 +81,25 @@ def shapes_of(module: Any, every: int, sensitivities: bool = False, particles: i
     metadata, task = module.metadata, task_of(module)
     if task.name == "connect":
         own = {name: words for name, words in particle_names(metadata, particles).items() if words}
-        return Shapes(dict.fromkeys(("t", "q", "p", "energy"), "node"), own, 1, 0, 1, metadata["steps"])
+        return Shapes(dict.fromkeys(("t", "q", "p", "energy"), "node"), own, 1, 0, 1, metadata.steps)
     names, segments = component_names(metadata), segments_of(metadata)
     rows: dict[str, str | int] = {"t": "node", "q": "node", "p": "node"}
     columns = {name: names[name] for name in ("q", "p", "u") if names[name]}
     if task.name == "simulate":
-        return Shapes({**rows, "energy": "node"}, columns, 1, 0, every, metadata["steps"])
+        return Shapes({**rows, "energy": "node"}, columns, 1, 0, every, metadata.steps)
     grid = module.make_grid(few_steps(module, 4))
     arrays = module.unpack(grid, module.initial_guess(grid))
-    nodes, bodies = len(arrays[0]), metadata["bodies"]
+    nodes, bodies = len(arrays[0]), metadata.bodies
     for name, array in zip(("u", "multipliers"), arrays[3:5], strict=True):
         rows[name] = "node" if len(array) == nodes else len(array) // (nodes - 1)
-    quantities = [*metadata["coordinates"], *metadata["rates"]]
-    labels = tuple(multiplier_names(metadata, arrays[4].shape[1] // bodies, quantities))
+    labels = tuple(multiplier_names(metadata, arrays[4].shape[1] // bodies))
     columns["multipliers"] = labels if bodies == 1 else tuple(f"{one}_{k}" for k in range(bodies) for one in labels)
     if segments is not None:
         columns = {name: segments.columns(own)[0] for name, own in columns.items()}
     number = segments.number if segments else 0
     return Shapes(
-        rows, columns, metadata.get("phases", 1), number, 1, metadata["steps"] * max(1, number),
-        tuple(metadata["free_parameters"]), tuple(metadata["sensitivities"]) if sensitivities else (),
+        rows, columns, metadata.phases, number, 1, metadata.steps * max(1, number),
+        tuple(metadata.free_parameters), tuple(metadata.sensitivities) if sensitivities else (),
     )  # fmt: skip
 
 

@@ -224,12 +224,12 @@ def _attributes(request: SweepRequest, modules: Modules, work: Work) -> dict[str
     is_one = len(counts) == 1 and not any(quantity.kind == STEPS for quantity in work.quantities)
     steps = {"steps": int(counts.pop())} if is_one else {}
     return {
-        "title": own["title"],
-        "problem": own["problem"],
-        "task": own["task"],
-        "formulation": own["method"],
-        "scheme": own["scheme"],
-        **({"units": json.dumps(component_units(own), ensure_ascii=False)} if "units" in own else {}),
+        "title": own.title,
+        "problem": own.problem,
+        "task": str(own.task),
+        "formulation": str(own.method),
+        "scheme": own.scheme,
+        **({"units": json.dumps(component_units(own), ensure_ascii=False)} if own.units else {}),
         "driver": work.driver,
         **steps,
         "cases": request.origin,

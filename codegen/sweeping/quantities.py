@@ -49,7 +49,7 @@ def quantities(names: Iterable[str], module: Any, arguments: Sequence[str]) -> t
             offered = [word for word in known if word not in refused]
             close = difflib.get_close_matches(name, offered, 3, 0.5)
             nearest = f"did you mean {' or '.join(close)}? " if close else ""
-            remedy = f"{nearest}{module.metadata['problem']} has {', '.join(offered)}"
+            remedy = f"{nearest}{module.metadata.problem} has {', '.join(offered)}"
             raise ArgumentError(clause(f"{name} is nothing that can be varied"), clause(remedy))
         found.append(known[name])
     return tuple(found)
@@ -152,7 +152,7 @@ class Wanted:
         self, module: Any, driver: str, run: Run, attempt: ControlAttempt, values: Mapping[Quantity, float]
     ) -> CaseRates:
         """Those of a case that is solved; `module` has its values."""
-        names = module.metadata["sensitivities"]
+        names = module.metadata.sensitivities
         given = [own.name for own in self.varied if own.name in names]
         try:
             rates = rates_at(module, run.steps, attempt.unknowns, given)

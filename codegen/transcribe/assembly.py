@@ -11,6 +11,7 @@ from codegen.discretise import STEP, OneStepInterval, VariationalInterval, at_no
 from codegen.errors import ExpressionError
 from codegen.model import Model
 from codegen.model.lines import at_guess
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.ends import End, Ends, pinned_at_zero, with_bounds
 from codegen.transcribe.conditions.free_times import Clock, clock_of
 from codegen.transcribe.conditions.inner_times import InnerTerms, inner_terms
@@ -174,10 +175,10 @@ def _placed(program: ControlProgram, inner: InnerTerms, motion: Motion, behind: 
 
 def _controls(model: Model, stages: int) -> tuple[Unknown, ...]:
     """The controls of an interval or a node, or of each stage of an interval, with their bounds."""
-    once = with_bounds([Unknown(u.name, f"control {u.name}") for u in model.controls], model)
+    once = with_bounds([Unknown(u.name, Meaning(Kind.CONTROL, u.name)) for u in model.controls], model)
     return (
         tuple(
-            replace(u, name=f"{u.name}_stage{i}", meaning=f"{u.meaning} at stage {i}")
+            replace(u, name=f"{u.name}_stage{i}", meaning=Meaning(Kind.STAGE_CONTROL, u.meaning.of, i))
             for i in range(1, stages + 1)
             for u in once
         )

@@ -14,6 +14,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise import at_nodes, one_step_interval
 from codegen.model import Boundary, Model
 from codegen.model.conditions.path import nodal_conditions
+from codegen.runtime.record import Kind, Meaning
 from codegen.schemes import FIRST_ORDER, Scheme
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
@@ -90,7 +91,13 @@ def _ends(
         substitution = dict(zip(states, here, strict=True))
         aliased = {name for name, *_ in aliases}
         free = {s: x.name for x, s in zip(states, here, strict=True) if s in unknowns and x.name not in aliased}
-        own = dict(zip(free, with_bounds([Unknown(name, "") for name in free.values()], phase), strict=True))
+        own = dict(
+            zip(
+                free,
+                with_bounds([Unknown(name, Meaning(Kind.STATE, name)) for name in free.values()], phase),
+                strict=True,
+            )
+        )
         imposed = conditioned_end(conditions, cost, substitution, suffix, unknowns, names, own, model.parameters)
         ends.append(values + imposed)
     return ends[0], ends[1] + End(element=periodic.end_share)
@@ -104,16 +111,16 @@ def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: t
     equation_names = [*stage_names, *names]
     multipliers = [f"mu_{name}" for name in equation_names]
     mu = symbols(multipliers, "_k")
-    coordinate = "state" if phase.form == "first-order" else "coordinate"
-    kinds = [coordinate] * len(phase.coordinates) + ["momentum"] * len(phase.rates)
+    coordinate = Kind.STATE if phase.form == "first-order" else Kind.COORDINATE
+    kinds = [coordinate] * len(phase.coordinates) + [Kind.MOMENTUM] * len(phase.rates)
     pairs = zip(multipliers, equation_names, strict=True)
     return Motion(
         method=method,
         scheme=scheme.name,
-        node=tuple(Unknown(n, f"{kind} {n}") for n, kind in zip(names, kinds, strict=True)),
+        node=tuple(Unknown(n, Meaning(kind, n)) for n, kind in zip(names, kinds, strict=True)),
         interval=(
-            *(Unknown(n, f"stage value {n}") for n in stage_names),
-            *(Unknown(m, f"multiplier of the step of {n}", True) for m, n in pairs),
+            *(Unknown(n, Meaning(Kind.STAGE_VALUE, n)) for n in stage_names),
+            *(Unknown(m, Meaning(Kind.STEP, n)) for m, n in pairs),
         ),
         interval_symbols=(*interval.stages, *mu),
         discrete=interval,
@@ -132,7 +139,7 @@ def _given_values(model: Model, phase: Model, boundary: Boundary, suffix: str, k
     fixed |= {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}
     quantities = (*phase.coordinates, *phase.rates)
     node = dict(zip(quantities, symbols([s.name for s in quantities], suffix), strict=True))
-    names, terms, conditions = list[str](), list[Expr](), list[tuple[str, Expr]]()
+    extra, terms, conditions = list[Unknown](), list[Expr](), list[tuple[str, Expr]]()
     for i, value in enumerate(boundary.rates):
         if value is None:
             continue
@@ -144,13 +151,14 @@ def _given_values(model: Model, phase: Model, boundary: Boundary, suffix: str, k
             conditions.append((phase.rates[i].name, momentum))
             continue
         velocity = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
-        names.append(f"nu_{model.rates[i].name}")
+        name = model.rates[i].name
+        extra.append(Unknown(f"nu_{name}", Meaning(Kind.VELOCITY, name)))
         terms.append(velocity - value)
-        conditions.append((model.rates[i].name, velocity))
-    multipliers = symbols(names, suffix)
+        conditions.append((name, velocity))
+    multipliers = symbols([unknown.name for unknown in extra], suffix)
     return End(
         pins=tuple(pins),
-        extra=tuple(Unknown(n, f"multiplier of the condition on {n.removeprefix('nu_')}", True) for n in names),
+        extra=tuple(extra),
         element=sum((nu * term for nu, term in zip(multipliers, terms, strict=True)), S.Zero),
         conditions=tuple(conditions),
     )

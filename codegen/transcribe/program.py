@@ -8,17 +8,27 @@ from sympy import Expr, S, Symbol
 
 from codegen.discretise import STEP, at_nodes
 from codegen.model import Integral, Model
+from codegen.runtime.record import Kind, Meaning, Role
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One unknown: its name, what it means, whether it multiplies an equation, and its bounds (of parameters)."""
+    """One unknown: its name, what it is, and its bounds (of parameters)."""
 
     name: str
-    meaning: str
-    multiplier: bool = False
+    meaning: Meaning
     lower: Expr | None = None
     upper: Expr | None = None
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of the unknown."""
+        return self.meaning.kind
+
+    @property
+    def multiplier(self) -> bool:
+        """True if the unknown multiplies an equation."""
+        return self.kind.role is Role.MULTIPLIER
 
 
 @dataclass(frozen=True)

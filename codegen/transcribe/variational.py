@@ -14,6 +14,7 @@ from codegen.discretise import VariationalInterval, at_nodes, variational_interv
 from codegen.errors import BoundaryError, SchemeError
 from codegen.model import Model, legendre
 from codegen.model.conditions.path import nodal_conditions
+from codegen.runtime.record import Kind, Meaning
 from codegen.schemes import Scheme
 from codegen.transcribe.assembly import Motion, assemble
 from codegen.transcribe.boundary import with_symbolic_boundaries
@@ -109,15 +110,12 @@ def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraint
         method="variational",
         scheme=scheme.name,
         node=(
-            *(Unknown(name, f"coordinate {name}") for name in names),
-            *(Unknown(m, f"multiplier of the equation of motion of {name}", True) for m, name in pairs),
+            *(Unknown(name, Meaning(Kind.COORDINATE, name)) for name in names),
+            *(Unknown(m, Meaning(Kind.MOTION, name)) for m, name in pairs),
         ),
         interval=(
-            *(Unknown(q.name, f"inner value {q.name}") for q in interval.inner),
-            *(
-                Unknown(m, f"multiplier of the equation of motion of {q.name}", True)
-                for m, q in zip(inner_multipliers, interval.inner, strict=True)
-            ),
+            *(Unknown(q.name, Meaning(Kind.INNER_VALUE, q.name)) for q in interval.inner),
+            *(Unknown(m, Meaning(Kind.MOTION, q.name)) for m, q in zip(inner_multipliers, interval.inner, strict=True)),
         ),
         interval_symbols=(*interval.inner, *inner),
         discrete=interval,

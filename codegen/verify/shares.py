@@ -286,7 +286,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
                         filled[i] = curvatures[a * len(indices) + b] + filled[i]
 
     return Share(
-        name=f"the condition {coupling.multiplier.meaning}",
+        name=f"the condition {coupling.multiplier.meaning.of}",
         scalar=coupling.expression,
         beside=coupling.expression,
         unknowns=tuple(every[index] for index in read),

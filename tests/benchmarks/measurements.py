@@ -22,6 +22,8 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from dataclasses import replace
+
 import numpy as np
 from compiled_modules import compiled
 from published_references import PUBLISHED
@@ -62,21 +64,21 @@ def solved(name: str, module: Any, steps: int) -> Any:
     solution = module.solve(steps)
     seconds = perf_counter() - begin
     error = solution.cost / REFERENCES[name].value - 1.0
-    row = f"{name:14} {module.metadata['scheme']:16} {steps:6} {solution.cost:.9e} {error:+.1e}"
+    row = f"{name:14} {module.metadata.scheme:16} {steps:6} {solution.cost:.9e} {error:+.1e}"
     print(f"{row} {solution.iterations:4} {1e3 * seconds:8.1f}")
     return solution
 
 
 def with_more_samples(name: str, module: Any, solution: Any, folder: Path, factor: int = 10) -> Path:
     """The problem with as many times as many samples, of the fitted motion at times in between."""
-    told, rows = module.metadata["observations"], module.OBSERVATIONS[0]
+    told, rows = module.metadata.observations, module.OBSERVATIONS[0]
     times = np.interp(np.linspace(0, len(rows) - 1, factor * len(rows)), np.arange(len(rows)), rows[:, 0])
     given = np.full((times.size, rows.shape[1]), 1.0)
     given[:, 0] = times
-    fit = Fit(module, module.make_grid(module.metadata["steps"], observations=given), solution.unknowns)
+    fit = Fit(module, module.make_grid(module.metadata.steps, observations=given), solution.unknowns)
     (folder / "data").mkdir(exist_ok=True)
     (folder / "published").mkdir(exist_ok=True)
-    lines = [",".join([told["time"], *told["columns"]])]
+    lines = [",".join([told.time, *told.columns])]
     lines += [",".join(map(repr, map(float, (t, *values)))) for t, values in zip(times, fit.fitted, strict=True)]
     (folder / "data" / f"{name}.csv").write_text("\n".join(lines) + "\n")
     path = folder / "published" / f"{name}.py"
@@ -91,10 +93,11 @@ def coverage(module: Any, sets: int) -> None:
     assert found is not None
     truth, own = Fit(module, grid, best.unknowns).fitted, module.OBSERVATIONS[0]
     generator, columns = np.random.default_rng(20), truth.shape[1]
+    original = module.metadata
     for known in (False, True):
         held, failed, begin = np.zeros(len(found.names)), 0, perf_counter()
-        original = module.metadata["observations"]["sigmas"]
-        module.metadata["observations"]["sigmas"] = (found.deviation,) * columns if known else (None,) * columns
+        sigmas = (found.deviation,) * columns if known else (None,) * columns
+        module.metadata = replace(original, observations=replace(original.observations, sigmas=sigmas))
         for _ in range(sets):
             rows = own.copy()
             rows[:, 1 : 1 + columns] = truth + found.deviation * generator.standard_normal(truth.shape)
@@ -108,7 +111,7 @@ def coverage(module: Any, sets: int) -> None:
             assert one is not None
             low, high = one.intervals.T
             held += (low <= found.values) & (found.values <= high)
-        module.metadata["observations"]["sigmas"] = original
+        module.metadata = original
         shares = ", ".join(f"{n} {100 * h / (sets - failed):.1f} %" for n, h in zip(found.names, held, strict=True))
         sigma = "given" if known else "estimated"
         seconds = perf_counter() - begin
@@ -127,7 +130,7 @@ def main() -> None:
         for problem in NAMES:
             path = PROBLEMS / "published" / f"{problem}.py"
             module, seconds = timed_build(path, folder / "own")
-            solution = modules[problem] = solved(problem, module, module.metadata["steps"])
+            solution = modules[problem] = solved(problem, module, module.metadata.steps)
             solved(problem, timed_build(path, folder / "own", "hermite-simpson")[0], FINE_STEPS)
             more, longer = timed_build(with_more_samples(problem, module, solution, folder), folder / "more")
             assert more.solve().status == "solved"

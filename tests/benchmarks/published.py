@@ -64,7 +64,7 @@ def solve_here(reference: Published, driver: str, steps: int | None, scheme: str
 
     path = ROOT / "problems" / "published" / f"{reference.problem}.py"
     module: Any = compiled(build(path, dict(reference.arguments), scheme=scheme).path)
-    request, function = Run(steps or module.metadata["steps"]), drivers.find(driver).function("control")
+    request, function = Run(steps or module.metadata.steps), drivers.find(driver).function("control")
     function(module, replace(request, max_iterations=1))
     begin = perf_counter()
     attempt = function(module, request)

@@ -28,9 +28,9 @@ FAR, MOST = 0.1, 600
 def iterations_of(name: str, steps: int, sizes: np.ndarray | None, count: int) -> tuple[list[int], int]:
     """The iterations from so many starts, and from how many no solution was found."""
     module = codegen.Controller(PROBLEMS / f"{name}.py", steps=steps, scaling="none").module
-    names = [entry.split(" ", 1)[1] for entry in module.metadata["boundary"] if entry.startswith("start ")]
+    names = module.metadata.start
     grid, solution = module.make_grid(steps), module.solve(steps, scaling="none")
-    first = len(module.metadata["parameters"])
+    first = len(module.metadata.parameters)
     start, generator = grid.parameters[0, first : first + len(names)].copy(), np.random.default_rng(0)
     sizes = 0.3 * np.maximum(1.0, np.abs(start)) if sizes is None else sizes
     found, unsolved = [], 0

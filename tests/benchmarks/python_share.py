@@ -57,7 +57,7 @@ class Clock:
 def row(path: Path, steps: int, solves: int) -> tuple[str, ...] | None:
     """What one problem takes on so many intervals; None where that is no optimisation, or is not solved."""
     module: Any = compiled(build(path).path)
-    if module.metadata["task"] != "control":
+    if module.metadata.task != "control":
         return None
     solution = module.solve(steps)
     if solution.status != "solved":

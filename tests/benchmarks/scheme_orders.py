@@ -47,7 +47,7 @@ def main() -> None:
         path = cache_folder() / f"bench_{name.replace('-', '_')}.py"
         emit.write(path, text_of(model_of("pendulum-hamiltonian"), name, "hamiltonian"))
         module = load(path)
-        order = module.metadata["order"]
+        order = module.metadata.order
         counts, start = STEPS[order], (0.0, MOMENTUM)
         errors = []
         for n in counts:

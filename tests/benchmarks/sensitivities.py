@@ -108,7 +108,7 @@ def compare(name: str, steps: int | None, verbose: bool) -> dict[str, Any]:
     """One line of the table."""
     path = ROOT / "problems" / f"{name}.py"
     module: Any = compiled(build(path, {}, sensitivities=True).path)
-    steps = steps or module.metadata["steps"]
+    steps = steps or module.metadata.steps
     times = []
     for _ in range(5):
         begin = perf_counter()

@@ -57,7 +57,7 @@ def compare(name: str, factor: float, scaling: str, folder: Path) -> int:
         flush=True,
     )
     for unit in UNITS:
-        if unit not in module.metadata["parameters"]:  # nothing of the problem depends on it
+        if unit not in module.metadata.parameters:  # nothing of the problem depends on it
             continue
         for value in (1.0 / factor, factor):
             solution = module.solve(steps, **{unit: value}, scaling=scaling)

@@ -85,7 +85,7 @@ def test_slacks_of_conditions_that_are_not_met_leave_a_minimum_strict(prepared, 
     (finding,) = checks.apply("second-order condition", context)
     assert finding.passed
     assert "a strict local minimum" in finding.detail
-    left_out = context.module.metadata["left_out"]
+    left_out = context.module.metadata.left_out
     assert "derivatives of the dynamics by x: no right-hand side depends on x" in left_out
 
 

@@ -44,9 +44,9 @@ def effort(bound: float | None = None) -> Control:
 )
 def test_a_step_that_needs_no_iteration_is_the_same_by_newtons_method(scheme, method):
     own, general = (of_problem(swing(), scheme=scheme, method=method, general=g) for g in (False, True))
-    assert (own.metadata["solver"], general.metadata["solver"]) == ("explicit", "newton")
-    assert len(general.metadata["unknowns"]) == len(general.metadata["stages"]) + 2
-    assert len(general.metadata["left_out"]) < len(own.metadata["left_out"])
+    assert (own.metadata.solver, general.metadata.solver) == ("explicit", "newton")
+    assert len(general.metadata.unknowns) == len(general.metadata.stages) + 2
+    assert len(general.metadata.left_out) < len(own.metadata.left_out)
     one, other = own.solve(20), general.solve(20)
     assert other.status == "solved"
     assert one.iterations == 0
@@ -65,7 +65,7 @@ def test_an_optimum_is_the_same_by_an_interior_point_method_with_everything_in_p
         solution = module.solve(20)
         assert solution.status == "solved"
         assert solution.cost == pytest.approx(exact, rel=1e-9)
-    assert [(m.metadata["inequalities"], m.metadata["shared"]) for m in (own, general)] == [
+    assert [(m.metadata.inequalities, m.metadata.shared) for m in (own, general)] == [
         (False, ()),
         (True, ("idle",)),
     ]

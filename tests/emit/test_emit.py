@@ -21,6 +21,8 @@ from codegen.compiler import build
 from codegen.errors import FileError
 from codegen.lower.module import ControlModule, Origin, SimulateModule
 from codegen.lower.particles.module import ConnectModule, ParticlesModule
+from codegen.runtime.record import Task
+from codegen.solutions.notes import record_in
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
@@ -150,19 +152,17 @@ def test_generated_modules_define_every_name_once_and_use_every_function(tree):
     assert len(unused) <= 3, unused  # callbacks that only other optimisers call
 
 
-def test_names_that_generated_functions_use_are_marked(tree):
+def test_names_that_generated_functions_use_are_marked(name, tree):
     """A parameter of the same name as a local or a function that its own module calls would shadow it."""
-    metadata = ast.literal_eval(
-        next(n.value for n in tree.body if isinstance(n, ast.Assign) and isinstance(n.value, ast.Dict))
-    )
-    own = {*metadata["parameters"], *metadata.get("own", ()), "t"}
+    metadata = record_in(text_of(name))
+    own = {*metadata.parameters, *getattr(metadata, "own", ()), "t"}
     for function in [node for node in tree.body if isinstance(node, ast.FunctionDef)]:
         if not own & {argument.arg for argument in function.args.kwonlyargs}:
             continue
         names = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
         names |= {argument.arg for argument in (*function.args.args, *function.args.kwonlyargs)}
         # Points that move one by one have locals of their own kind, which no symbol is called.
-        task = "particles" if "own" in metadata and metadata["task"] == "simulate" else metadata["task"]
+        task = "particles" if metadata.of_particles and metadata.task == Task.SIMULATE else metadata.task
         lacking = {n for n in names - own if mangling.marked(n, task, (), moving=False) == n}
         assert not lacking, function.name
 
@@ -220,7 +220,7 @@ def test_templates_name_nothing_that_is_not_supplied(template, kind):
         tree = environment.parse(environment.loader.get_source(environment, left.pop())[0])
         wanted |= meta.find_undeclared_variables(tree)
         left += meta.find_referenced_templates(tree)
-    made = {"numba_imports", "imports", "title_code", "left_out_code", "identity", "loops", "public"}
+    made = {"numba_imports", "imports", "record_type", "record_lines", "identity", "loops", "public"}
     supplied = {field.name for owner in (kind, Origin) for field in fields(owner)}
     inherited = {"kernel", "visit"}  # by an include, from a loop
     assert wanted - inherited <= supplied | made

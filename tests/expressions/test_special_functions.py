@@ -66,8 +66,8 @@ def test_values_and_two_derivatives(name):
     function, exact = FUNCTIONS[name]
     module = interpreted.without_compilation(interpreted.text_of(with_cost(function)))
     grid = module.make_grid(2)
-    node = len(module.metadata["node"])
-    stride = node + len(module.metadata["interval"])
+    node = len(module.metadata.node)
+    stride = node + len(module.metadata.interval)
     for at in (0.3, 0.9, 1.7, 6.5):
         with mpmath.workdps(30):
             expected = [float(mpmath.diff(exact, mpmath.mpf(at), order)) for order in range(3)]

@@ -13,8 +13,7 @@ import codegen
 from codegen.horizons import controller as controllers
 from codegen.horizons.judgement import BestIterate, Candidate, better
 from codegen.runtime.search import descent
-from codegen.runtime.search.iterates import search_on
-from codegen.runtime.search.newton import stored
+from codegen.runtime.search.iterates import search_on, stored
 from codegen.runtime.search.scaling import scaled_grid
 
 H = HORIZON / STEPS

@@ -10,6 +10,7 @@ from golden import names, text_of
 
 from codegen.lower.control.statement import description
 from codegen.model.from_file import load_problem
+from codegen.solutions.notes import record_in
 from codegen.transcribe import transcribe
 
 FOLDER = Path(__file__).parents[2] / "problems"
@@ -134,18 +135,17 @@ def test_no_unknown_bound_or_given_value_of_the_gallery_is_left_out(problem):
     text = text_of(name)
     tree = ast.parse(text)
     statement = ast.get_docstring(tree)
-    assigned = {ast.unparse(node.targets[0]): node.value for node in tree.body if isinstance(node, ast.Assign)}
-    metadata = ast.literal_eval(assigned["metadata"])
+    metadata = record_in(text)
     goal = joined(statement.split("\n\n")[1])
-    for unknown in (*metadata["coordinates"], *metadata["control_names"], *metadata["free_parameters"]):
+    for unknown in (*metadata.coordinates, *metadata.control_names, *metadata.free_parameters):
         assert re.search(rf"\b{unknown}\b", goal), unknown
     bounded = re.findall(r"^    (?:lower|upper)_(?:nodes|intervals|common)\[.*# (\w+)$", text, re.MULTILINE)
-    for unknown in set(bounded) - set(metadata["meanings"]):
+    for unknown in set(bounded) - set(metadata.meanings):
         assert re.search(rf"<= {unknown}\b|\b{unknown} [<>]= ", statement), unknown
     ends = dict(re.findall(r"At the (start|end):\n\n((?:    .*\n?)*)", statement))
-    for value in metadata["boundary"]:
-        where, quantity = value.split()
-        assert re.search(rf"(?:^    |, ){quantity} = ", ends[where], re.MULTILINE), value
+    for where, quantities in (("start", metadata.start), ("end", metadata.end)):
+        for quantity in quantities:
+            assert re.search(rf"(?:^    |, ){quantity} = ", ends[where], re.MULTILINE), (where, quantity)
 
 
 def test_bounds_are_stated_as_they_were_written_and_those_of_an_end_with_it():

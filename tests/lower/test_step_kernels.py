@@ -53,10 +53,10 @@ def test_a_corrupted_jacobian_is_noticed() -> None:
 
 def test_names_of_the_module_are_marked() -> None:
     for module in (module_of("coupled", "variational", "midpoint"), module_of("kepler", "hamiltonian", "midpoint")):
-        kernels = [getattr(module, name) for name in module.metadata["operations"]]
+        kernels = [getattr(module, name) for name in module.metadata.operations]
         for function in (module.solve, module.make_grid, module.initial_state, *kernels):
             code = inspect.unwrap(getattr(function, "function", function)).__code__
-            own = {*module.metadata["parameters"], "dict", "isinstance"}
+            own = {*module.metadata.parameters, "dict", "isinstance"}
             local = {n for n in (*code.co_varnames, *code.co_names) if not n.endswith(("_k", "_k1")) and n not in own}
             local -= {n for n in local if n.startswith(("x", "start_")) or n in ("t", "sin", "cos", "array", "values")}
             assert all(mangling.marked(n, "simulate", (), moving=False) != n for n in local)

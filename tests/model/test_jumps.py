@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from made_records import control_record
 from sympy import And, Piecewise, Symbol, exp
 
 from codegen.model.jumps import jumps
@@ -31,5 +32,5 @@ def test_jumps(expression, expected):
 
 
 def test_note():
-    (note,) = notes({"discontinuities": ("x < 1",)})
+    (note,) = notes(control_record(discontinuities=("x < 1",)))
     assert "jumps where x < 1 changes" in note

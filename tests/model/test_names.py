@@ -138,9 +138,9 @@ def test_names_change_nothing(make, choices):
         names = [str(name) for name in generator.choice(NASTY, 10, replace=False)]
         module, found = solved(make, names, choices)
         assert abs(found - expected) <= 1e-12 * abs(expected), names
-        assert [*module.metadata["parameters"]] == names[:3]
+        assert [*module.metadata.parameters] == names[:3]
         assert MARK not in str(module.metadata)
-        assert names[6] in module.metadata["coordinates"]
+        assert names[6] in module.metadata.coordinates
 
 
 def pair_text(names, task):
@@ -174,7 +174,7 @@ def test_names_of_particles_change_nothing(names):
     expected = interpreted.without_compilation(pair_text("a b c e".split(), "simulate")).solve()
     module = interpreted.without_compilation(pair_text(names.split(), "simulate"))
     np.testing.assert_allclose(module.solve().q, expected.q, rtol=1e-13)
-    assert (module.metadata["own"], [*module.metadata["parameters"]]) == ((names.split()[2],), names.split()[3:])
+    assert (module.metadata.own, [*module.metadata.parameters]) == ((names.split()[2],), names.split()[3:])
 
 
 def test_arguments_have_underscores_and_everything_else_the_authors_names():
@@ -183,14 +183,14 @@ def test_arguments_have_underscores_and_everything_else_the_authors_names():
     assert solution.status == "solved"
     assert solution.t.size == 9
     assert "steps_ for steps, lambda_ for lambda, theta for θ" in module.__doc__
-    assert module.metadata["free_parameters"] == ("guess",)
-    assert module.metadata["boundary"][0] == "start h"
+    assert module.metadata.free_parameters == ("guess",)
+    assert module.metadata.start[0] == "h"
 
 
 def test_an_underscore_more_where_the_name_with_one_is_taken():
     module = interpreted.of_problem(lagrangian("steps steps_ steps__ guess t u q v".split()))
     assert module.solve(steps_=3.0, steps___=2.0, steps__=1.5).status == "solved"
-    assert [*module.metadata["parameters"]] == ["steps", "steps_", "steps__"]
+    assert [*module.metadata.parameters] == ["steps", "steps_", "steps__"]
 
 
 def test_only_names_in_code_are_renamed():

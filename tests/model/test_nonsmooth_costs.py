@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from made_records import control_record
 from sympy import Abs, Max, Min, Symbol, cos
 
 from codegen.model.nonsmooth_costs import kinks
@@ -31,6 +32,6 @@ def test_kinks(cost, expected):
 
 
 def test_note():
-    (note,) = notes({"kinks": ("Abs(u)",)})
+    (note,) = notes(control_record(kinks=("Abs(u)",)))
     assert "the cost has a kink in Abs(u)" in note
     assert "a + b" in note

@@ -31,9 +31,9 @@ def test_guesses_are_functions_of_the_time_of_the_whole_motion():
     grid = module.make_grid(8)
     _, q, _, u_, _ = module.unpack(grid, module.initial_guess(grid))
     segments = segments_of(module.metadata)
-    states_ = segments.in_order(q, segments.columns(module.metadata["coordinates"])[1], at_nodes=True)
+    states_ = segments.in_order(q, segments.columns(module.metadata.coordinates)[1], at_nodes=True)
     np.testing.assert_allclose(states_[1:, 0], np.cos(np.linspace(0, 2, 33))[1:], atol=1e-14)
-    chosen = segments.in_order(u_, segments.columns(module.metadata["control_names"])[1], at_nodes=False)
+    chosen = segments.in_order(u_, segments.columns(module.metadata.control_names)[1], at_nodes=False)
     np.testing.assert_allclose(chosen[:, 0], (np.arange(32) + 0.5) / 16, atol=1e-14)
 
 

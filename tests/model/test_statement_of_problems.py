@@ -56,8 +56,8 @@ def test_the_greatest_value_is_minus_the_least_cost():
     assert greatest.status == "solved"
     assert -greatest.cost == pytest.approx(8 - least.cost, rel=1e-13)
     np.testing.assert_allclose(greatest.u, least.u, rtol=1e-12)
-    assert module.metadata["maximised"]
-    assert "maximised" not in interpreted.of_problem(pushed(cost=lambda x, v, u: u**2)).metadata
+    assert module.metadata.maximised
+    assert not interpreted.of_problem(pushed(cost=lambda x, v, u: u**2)).metadata.maximised
 
 
 @pytest.mark.parametrize("other", ["cost", "terminal_cost"])
@@ -82,7 +82,7 @@ def test_phases_and_bodies_maximise_alike():
     both = interpreted.of_problem(together(one, other))
     single = interpreted.of_problem(pushed(cost=lambda x, v, u: u**2)).solve().cost
     assert both.solve().cost == pytest.approx(3 * single, rel=1e-12)
-    assert both.metadata["maximised"]
+    assert both.metadata.maximised
 
 
 def test_conditions_have_names_in_metadata_and_messages():
@@ -97,8 +97,8 @@ def test_conditions_have_names_in_metadata_and_messages():
     assert "speed limit" in solution.message
     assert "v**2" not in solution.message
     grid = module.make_grid(4)
-    first = len(module.metadata["node"])
-    names = [unknown_name(grid, solution.unknowns, first + i) for i in range(len(module.metadata["interval"]))]
+    first = len(module.metadata.node)
+    names = [unknown_name(grid, solution.unknowns, first + i) for i in range(len(module.metadata.interval))]
     slacks = [name for name in names if name.startswith("the slack of ")]
     assert {name.split(" at ")[0] for name in slacks} == {"the slack of speed limit", "the slack of lift"}
     assert all(name.endswith(" of interval 0 (t = 0)") for name in slacks)

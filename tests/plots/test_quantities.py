@@ -41,7 +41,7 @@ class TestQuantities:
         # The distance at the middle of each interval, whatever the slack says.
         np.testing.assert_allclose(shown.distance[:, 0], 3.0 - np.array([0.125, 0.375, 0.625, 0.875]))
         violated = result.unknowns.copy()
-        module.views(module.make_grid(), violated)[1][0, 1, module.metadata["interval"].index("f")] = 4.0
+        module.views(module.make_grid(), violated)[1][0, 1, module.metadata.interval.index("f")] = 4.0
         (shown,) = inequalities(module, replace(result, unknowns=violated))
         assert shown.distance[1, 0] == pytest.approx(3.0 - 4.375)
         assert shown.active()[:, 0].tolist() == [False, True, False, False]

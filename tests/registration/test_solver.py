@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from made_records import connect_record
 
 from codegen.errors import ModuleError, SchemeError
 from codegen.registration import solver as place
@@ -30,7 +31,7 @@ def test_a_checkout_uses_its_own_problem():
 
 
 def test_schemes_without_steps_of_their_own_are_refused_before_anything_is_compiled(tmp_path, monkeypatch):
-    made = SimpleNamespace(metadata={"adaptive": "dop853", "passive": True})
+    made = SimpleNamespace(metadata=connect_record(adaptive="dop853", passive=True))
     monkeypatch.setattr("codegen.compiler.build", lambda *_, **__: SimpleNamespace(path=tmp_path / "module.py"))
     monkeypatch.setattr(place, "load", lambda path: made)
     with pytest.raises(SchemeError, match="dop853"):

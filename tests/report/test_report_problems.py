@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from interpreted import without_compilation
+from made_records import control_record
 
 from codegen import solving
 from codegen.cli import main
@@ -329,7 +330,9 @@ def test_reports_of_different_problems_are_not_compared():
 def test_a_satellite_without_thrust_comes_back():
     """The equations of R-K, written by hand, on a circular orbit with Kepler's period; thrust leads astray."""
     gravity, radius = 0.4, 5.0
-    module = SimpleNamespace(metadata={"parameters": {"m": 100.0, "GM": gravity, "r0": radius, "r1": radius}})
+    module = SimpleNamespace(
+        metadata=control_record(parameters={"m": 100.0, "GM": gravity, "r0": radius, "r1": radius})
+    )
     times = np.linspace(0.0, 4.0 * np.pi * np.sqrt(radius**3 / gravity), 21)
     idle = SimpleNamespace(t=times, u=np.zeros((20, 1)))
     found = thesis._reintegrated(module, idle, 2)

@@ -29,7 +29,7 @@ LENGTHS = (2e-4, 1e-4)
 @pytest.mark.parametrize(("name", "text", "choices"), [*VARIANTS, *MORE])
 def test_changes_of_variants(interpreted, name, text, choices):
     module = interpreted(f"{name}_changes" if text else name, text, sensitivities=True, **choices)
-    steps = max(STEPS, module.metadata.get("inner_times", 0) + 2)
+    steps = max(STEPS, module.metadata.inner_times + 2)
     require_exact(module, steps, seed=3, scale=0.02)
 
 
@@ -79,7 +79,7 @@ def require_exact(module, steps, seed, scale):
             moved = module.make_grid(steps, **given_to({quantity: value + length}))
             there = module.with_pinned_values(moved, unknowns + length * own[i])
             point = module.evaluate(moved, there)
-            bounds = module.variable_bounds(moved) if module.metadata["inequalities"] else ()
+            bounds = module.variable_bounds(moved) if module.metadata.inequalities else ()
             duration = module.duration_of(moved, there)
             return point.gradient, lagrangian(moved, point), duration, there, bounds
 
@@ -90,7 +90,7 @@ def require_exact(module, steps, seed, scale):
         assert values[i] == pytest.approx(change, rel=2e-7, abs=about), quantity.name
         assert moves[i] == pytest.approx(motion, rel=1e-8, abs=1e-8), quantity.name
         lengths = module.duration_rates(grid, unknowns, moves, rates, duration)
-        if "phases" not in module.metadata:
+        if module.metadata.phases == 1:
             assert lengths[i].sum() == pytest.approx(length, rel=1e-7, abs=1e-8), quantity.name
         if hasattr(module, "bound_rates"):
             for found, expected in zip(module.bound_rates(grid, rates[i]), bounds, strict=True):

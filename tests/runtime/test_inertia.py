@@ -124,7 +124,7 @@ def test_excess_of_negative_eigenvalues(interpreted, name, text, choices, steps,
     """`factor_kkt` counts far from any minimum too: exactly, or too low where there are too many."""
     module = interpreted(name, text, **choices)
     # Barrier terms shift the Hessian wherever there are bounds; one interval between shared ends has no inner node.
-    assume(shift > 0.0 or not module.metadata["inequalities"])
+    assume(shift > 0.0 or not module.metadata.inequalities)
     grid = module.make_grid(steps)
     assume(steps > 1 or not grid.structure.shared)
     unknowns = trial_point(module, grid, seed, 0.2)

@@ -167,7 +167,7 @@ def test_steps_that_are_short_in_turn_raise_the_shift_and_whole_ones_lower_it() 
     status, point, _ = minimise(grid, guess_of(grid), 1e-10, 300, False, iterates)
     assert status == "solved"
     assert point.cost == pytest.approx(7.0, rel=1e-12)
-    costs, _, _, shifts, lengths = np.array(iterates.rows).T
+    costs, _, _, shifts, lengths = iterates.table().T
     assert (shifts[:7] == 0.0).all()
     assert (lengths[1:11] <= 0.25).all()
     assert shifts[7:12] == pytest.approx(4e-5 * 4.0 ** np.arange(5))
@@ -233,4 +233,4 @@ def test_a_search_that_returns_after_each_iteration_goes_on_as_if_it_had_not(nam
     for start, is_warm, whole in ((guess_of(grid), False, cold), (beside, True, warm)):
         watched = Log(watch=lambda number, row: None)
         minimise(grid, start, 1e-10, 300, is_warm, watched)
-        assert watched.rows == whole.rows
+        np.testing.assert_array_equal(watched.table(), whole.table())

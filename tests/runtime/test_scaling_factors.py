@@ -57,7 +57,7 @@ def factors_by_name(module, steps: int) -> dict[str, float]:
     """The scaling factors of unknowns of a node and an interval, by their names."""
     grid = time_grid(module, steps)
     scaled = scaled_grid(grid, module.initial_guess(grid))
-    return dict(zip([*module.metadata["node"], *module.metadata["interval"]], scaled.sizes, strict=False))
+    return dict(zip([*module.metadata.node, *module.metadata.interval], scaled.sizes, strict=False))
 
 
 @pytest.mark.parametrize("controls_on", ["interval", "stages"])
@@ -173,10 +173,10 @@ def test_an_angle_is_one_radian_at_most(choices):
     module = without_compilation(text_of(spiral(), **choices))
     grid = module.make_grid(30)
     scaled = scaled_grid(grid, module.initial_guess(grid))
-    angles = [i for i, name in enumerate((*module.metadata["node"], *module.metadata["interval"])) if name[0] == "a"]
+    angles = [i for i, name in enumerate((*module.metadata.node, *module.metadata.interval)) if name[0] == "a"]
     assert angles
     assert scaled.sizes[angles] == pytest.approx(1.0)
-    assert module.metadata["angles"]["a"] == 0.5
+    assert module.metadata.angles["a"] == 0.5
 
 
 def test_a_guess_out_of_bounds_does_not_tell_sizes():
@@ -224,7 +224,7 @@ def test_a_sample_where_derivatives_leave_all_measure_does_not_count():
     grid = time_grid(module, 40)
     sizes = dict(
         zip(
-            [*module.metadata["node"], *module.metadata["interval"]],
+            [*module.metadata.node, *module.metadata.interval],
             scaled_grid(grid, module.initial_guess(grid)).sizes,
             strict=False,
         )

@@ -23,7 +23,7 @@ def atoms():
 
 @pytest.mark.parametrize(("name", "index"), [("m", 0), ("eps", 1), ("sigma", 2)])
 def test_a_parameter_of_particles_is_the_one_that_was_named(atoms, name, index):
-    own = list(atoms.metadata["parameters"].values())
+    own = list(atoms.metadata.parameters.values())
     given = with_values(atoms, {name: 2.5}).make_grid(1).parameters
     assert [*given] == [2.5 if k == index else value for k, value in enumerate(own)]
     (varied,) = quantities([name], atoms, ())
@@ -33,8 +33,8 @@ def test_a_parameter_of_particles_is_the_one_that_was_named(atoms, name, index):
 
 def test_each_particle_s_own_come_first(interpreted):
     planets = interpreted("outer_solar_system")
-    assert planets.metadata["own"], "what is tested"
-    assert set(parameter_arguments(planets)) == set(planets.metadata["parameters"])
+    assert planets.metadata.own, "what is tested"
+    assert set(parameter_arguments(planets)) == set(planets.metadata.parameters)
     for name, argument in parameter_arguments(planets).items():
         given = with_values(planets, {name: 0.25}).make_grid(1)
         assert argument.rstrip("_") == name

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import pytest
+from made_records import control_record
 
 from codegen import solving
 from codegen.solutions.output import as_record, as_table
@@ -48,7 +50,7 @@ def test_in_tables(solution):
 
 
 def test_of_several_bodies():
-    metadata = {"coordinates": ("x",), "rates": ("dx",), "control_names": ("u",), "bodies": 2, "form": "lagrangian"}
-    found = component_units({**metadata, "units": {"x": "m", "u": "N", "t": "s"}})
+    metadata = control_record(coordinates=("x",), rates=("dx",), control_names=("u",), bodies=2)
+    found = component_units(replace(metadata, units={"x": "m", "u": "N", "t": "s"}))
     assert found == {"x": "m", "u": "N", "t": "s", "x_0": "m", "x_1": "m", "u_0": "N", "u_1": "N"}
     assert component_units(metadata) == {}

@@ -77,7 +77,7 @@ def test_the_guessed_way_where_its_circle_is_a_line(module, start, target):
 @pytest.mark.parametrize("scheme", ["explicit-euler", "midpoint", "stormer-verlet", "rk4", "yoshida-4-of-midpoint"])
 def test_order_against_an_adaptive_reference(module, scheme):
     reference = solving.solve(module("dop853"), points=few(), steps=2, tolerance=1e-13).cost
-    order = module(scheme).metadata["order"]
+    order = module(scheme).metadata.order
     coarse, fine = (abs(module(scheme).solve(START, TARGET, n).cost - reference) for n in (4, 8))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.45)
 

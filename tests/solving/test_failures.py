@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from failing_problems import DEPENDENT_END, FAILING, HEAD, RANK_DEFICIENT, STEEP, Failing, mass, plane, row
 from interpreted import of_problem, silent_math, without_compilation
+from made_records import control_record
 from sympy import Eq
 from typer.testing import CliRunner
 
@@ -91,7 +92,7 @@ def test_conditions_that_are_left_out_are_told(tmp_path, uncompiled):
 
 def test_long_conditions_are_shortened():
     name = "acos((x_0 - x_1)*(x_1 - x_2)/sqrt((x_0 - x_1)**2*(x_1 - x_2)**2)) - pi/2 = 0"
-    metadata = {"coupling_conditions": 4, "redundant_conditions": ((3, name), (4, "x_0 = 0"))}
+    metadata = control_record(coupling_conditions=4, redundant_conditions=((3, name), (4, "x_0 = 0")))
     (note,) = notes(metadata)
     assert note.startswith("2 of 4 conditions between bodies follow from the others and were left out")
     assert note.endswith("number 3 (acos((x_0 - x_1)*(x_1 - x_2)/sqrt((x_0 - ...), number 4 (x_0 = 0)")

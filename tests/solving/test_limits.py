@@ -301,7 +301,7 @@ def test_an_inequality_is_off_by_what_it_exceeds(interpreted):
     unknowns = module.initial_guess(grid)
     nodes, intervals = module.views(grid, unknowns)
     nodes[0, :, :2], intervals[0, :, module.problem.structure.slacks - module.problem.structure.node] = 0.0, 0.0
-    controls = intervals[0, :, list(module.metadata["interval"]).index("u")]
+    controls = intervals[0, :, list(module.metadata.interval).index("u")]
     controls[2] = 7.0
     intervals[0, 1, module.problem.structure.slacks - module.problem.structure.node] = 3e12
     point = module.evaluate(grid, unknowns)

@@ -225,10 +225,10 @@ def test_what_is_called_like_a_stage_does_not_start_like_one(folder):
         text = text.replace(old, new)
     (folder / "decay.py").write_text(text.replace("steps=30", "path=[y <= 9], scale={y: 7}, steps=30"))
     module = interpreted(folder / "decay.py", scheme="hermite-simpson")
-    assert "y_1" in module.metadata["interval"]
-    assert module.metadata["scale"] == {"y": 7.0}
-    assert module.metadata["stages"]["y_stage2"] == "y"
-    assert "y_1" not in module.metadata["stages"]
+    assert "y_1" in module.metadata.interval
+    assert module.metadata.scale == {"y": 7.0}
+    assert module.metadata.stages["y_stage2"] == "y"
+    assert "y_1" not in module.metadata.stages
     grid = module.make_grid(12)
     assert not module.initial_guess(grid)[np.asarray(grid.is_multiplier)].any()
 

@@ -54,7 +54,7 @@ def test_argon_does_not_drift(argon):
                                     "blanes-moan-4"])  # fmt: skip
 def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, scheme):
     module = interpreted("outer_solar_system", scheme=scheme)
-    masses, positions, G = sun.OWN[:, 0], sun.START[0], sun.metadata["parameters"]["G"]
+    masses, positions, G = sun.OWN[:, 0], sun.START[0], sun.metadata.parameters["G"]
 
     def field(_, y):
         q, v = y.reshape(2, 6, 3)
@@ -67,7 +67,7 @@ def test_the_solar_system_against_an_adaptive_integrator(interpreted, sun, schem
 
     start = np.concatenate([positions.ravel(), (sun.START[1] / masses[:, None]).ravel()])
     exact = solve_ivp(field, (0, 400), start, "DOP853", rtol=1e-12, atol=1e-14).y[:18, -1]
-    order = module.metadata["order"]
+    order = module.metadata.order
     errors = [np.abs(module.solve(n, duration=400.0).q[-1] - exact).max() for n in (10, 20)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 

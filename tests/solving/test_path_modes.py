@@ -12,6 +12,7 @@ from sympy import Eq, Symbol, cos, pi, sin
 from codegen import Control, controls, coordinates, parameters, states, time
 from codegen.discretise import at_nodes
 from codegen.model import normalise
+from codegen.runtime.record import phrase
 from codegen.transcribe import transcribe
 
 
@@ -111,7 +112,7 @@ def test_around_a_disc():
 def points(problem: Control, scheme: str, method: str | None = None) -> list[str]:
     """Where the path condition is imposed."""
     program = transcribe(normalise(problem), scheme, method)
-    return [unknown.meaning.partition(" at ")[2] for unknown in program.interval[-program.path_multipliers :]]
+    return [phrase(unknown.meaning).partition(" at ")[2] for unknown in program.interval[-program.path_multipliers :]]
 
 
 MIDDLE, RIGHT = "1/2 of an interval", "1 of an interval"

@@ -239,7 +239,7 @@ def test_first_order_phases_against_an_independent_program(mixed_module):
 
 
 def test_layout_in_time(mixed_module):
-    assert mixed_module.metadata["phases"] == 3
+    assert mixed_module.metadata.phases == 3
     for steps in (1, 7, 49):
         grid = mixed_module.make_grid(steps)
         assert grid.steps == 3 * steps
@@ -260,7 +260,7 @@ def test_bounds_at_switches(mixed_module):
     # v: bounded in the first phase, at whose end it is free.
     np.testing.assert_array_equal(upper[:, 1], [infinite, 0.9, 0.9] + [infinite] * 4)
     lower, _ = (mixed_module.views(grid, side)[1][0] for side in mixed_module.variable_bounds(grid))
-    slacks = [mixed_module.metadata["interval"].index(name) for name in ("s_1", "s_2")]
+    slacks = [mixed_module.metadata.interval.index(name) for name in ("s_1", "s_2")]
     # Every phase has one inequality at least, and the last one has two.
     np.testing.assert_array_equal(lower[:, slacks[0]], [0.0] * 6)
     np.testing.assert_array_equal(lower[:, slacks[1]], [-infinite] * 4 + [0.0] * 2)

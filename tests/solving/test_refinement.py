@@ -54,7 +54,7 @@ def test_costs_are_extrapolated_by_the_order_of_optima(interpreted):
     """With a control that is constant on intervals the cost is of order 2, also by Gauss' method of order 4."""
     module = interpreted("double_integrator_effort", scheme="gauss-4")
     result = solving.solve(module, steps=4, doublings=2)
-    assert module.metadata["order"] == 4
+    assert module.metadata.order == 4
     assert order_of_optima(module) == 2
     assert result.summary["observed_order"] == pytest.approx(2.0, abs=0.1)
     assert abs(result.summary["cost_extrapolated"] - 12.0) < 0.02 * abs(result.cost - 12.0)

@@ -55,7 +55,7 @@ class TestProblems:
             start = found[0].unknowns
 
     def test_defaults_are_the_problem_s_own(self, path):
-        assert codegen.solve(path).steps == codegen.load(path).metadata["steps"]
+        assert codegen.solve(path).steps == codegen.load(path).metadata.steps
 
     def test_choices_of_a_build(self, uncompiled):
         result = codegen.solve(EFFORT, steps=4, scheme="gauss-4", method="hamiltonian")

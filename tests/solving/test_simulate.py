@@ -117,7 +117,7 @@ def test_order_of_convergence(method: str, scheme: str) -> None:
     module = module_of("pendulum-hamiltonian", method, scheme)
     start, duration = (0.5, 1.4), 2.0
     exact = exact_pendulum(start, duration)
-    errors, claimed = [], module.metadata["order"]
+    errors, claimed = [], module.metadata.order
     for steps in STEPS[claimed]:
         solution = module.solve(steps, duration=duration, start=start)
         errors.append(np.abs(np.array([*solution.q[-1], *solution.p[-1]]) - exact).max())
@@ -240,7 +240,7 @@ def test_parameters_are_arguments(build: Callable[..., Any]) -> None:
     module = module_of("kepler", "hamiltonian", "stormer-verlet")
     circle = module.solve(1000, GM=4.0, duration=np.pi, start=(1.0, 0.0, 0.0, 2.0), every=1000)
     np.testing.assert_allclose(circle.q[-1], [1.0, 2 * np.pi], atol=1e-4)
-    assert module.metadata["parameters"] == {"GM": 1.5}
+    assert module.metadata.parameters == {"GM": 1.5}
 
 
 def test_residual_of_a_path_is_measured_outside_the_solver() -> None:

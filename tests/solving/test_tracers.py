@@ -130,7 +130,7 @@ def test_order_against_an_adaptive_integrator(module, arrival, scheme, steps):
     for count in (steps, 2 * steps):
         case, _, stages = motion(made, count)
         errors.append(np.abs(made.carry(case, stages, POINTS)[0] - arrival).max())
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(made.metadata["order"], abs=0.3)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(made.metadata.order, abs=0.3)
 
 
 # ---- Where points do not move, or cannot ----
@@ -221,7 +221,7 @@ def test_systems_that_have_no_passive_points(tmp_path: Path, pair, alone, messag
 
 def test_modules_that_carry_nothing_say_so(interpreted):
     made = interpreted("image_registration", arguments={"kernel": "gauss"}, scheme="midpoint")
-    assert any("passive=True" in line for line in made.metadata["left_out"])
+    assert any("passive=True" in line for line in made.metadata.left_out)
     assert not hasattr(made, "carry")
     with pytest.raises(ModuleError, match="carries no points"):
         solver.require_tracers(made)

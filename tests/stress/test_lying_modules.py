@@ -98,7 +98,7 @@ def test_forces_written_by_hand_are_those_of_the_problem_file(problem):
     grid = module.make_grid(1)
     random = np.random.default_rng(3)
     q, p = 1.0 + 0.1 * random.standard_normal((2, len(grid.start) // 2))
-    values = dict(module.metadata["parameters"])
+    values = dict(module.metadata.parameters)
     for i in range(len(q)):
         step = np.zeros(2 * len(q))
         step[i] = 1e-5

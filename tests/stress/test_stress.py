@@ -9,6 +9,7 @@ import pytest
 from conftest import PROBLEMS
 from idle_worker import SOLVED as GOOD
 from idle_worker import serve
+from made_records import control_record
 from stress_cases import PLAIN, every_case
 from typer.testing import CliRunner
 
@@ -164,7 +165,7 @@ def test_the_command_wants_one_thing(words, tmp_path):
 def test_generic_cases_vary_one_parameter_at_a_time():
     from codegen.stress.generic import FACTORS, STEPS, _cases
 
-    metadata = {"task": "control", "steps": 50, "parameters": {"m": 2.0, "zero": 0.0}}
+    metadata = control_record(steps=50, parameters={"m": 2.0, "zero": 0.0})
     cases = _cases(Setup(OWN_PROBLEMS / "arm.py"), metadata, ())
     varied = [case.values for case in cases if case.values]
     assert varied == [(("m", 2.0 * factor),) for factor in FACTORS]

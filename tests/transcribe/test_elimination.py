@@ -33,9 +33,9 @@ NEWTON_UNKNOWNS = {
 @pytest.mark.parametrize(("method", "scheme"), NEWTON_UNKNOWNS)
 def test_newton_keeps_only_what_cannot_be_solved(method: str, scheme: str) -> None:
     systems = ("pendulum-hamiltonian", "double-pendulum", "kepler", "coupled")
-    left = tuple(len(module_of(s, method, scheme).metadata["unknowns"]) for s in systems)
+    left = tuple(len(module_of(s, method, scheme).metadata.unknowns) for s in systems)
     assert left == NEWTON_UNKNOWNS[method, scheme]
-    assert len(module_of("pendulum-lagrangian", method, scheme).metadata["unknowns"]) == left[0]
+    assert len(module_of("pendulum-lagrangian", method, scheme).metadata.unknowns) == left[0]
 
 
 @pytest.mark.parametrize(("method", "scheme"), [c for c, n in NEWTON_UNKNOWNS.items() if n[0] == 0])
@@ -48,7 +48,7 @@ def test_an_explicit_module_holds_no_newton_method(method: str, scheme: str) -> 
 def left_out(name: str, method: str) -> set[str]:
     """What a module leaves out, before the reasons."""
     program = transcribe(model_of(name), "midpoint", method)
-    return {entry.partition(":")[0] for entry in lower(program, derivatives(program)).left_out}
+    return {entry.partition(":")[0] for entry in lower(program, derivatives(program)).metadata.left_out}
 
 
 def test_a_module_knows_what_it_leaves_out() -> None:
@@ -98,7 +98,7 @@ def test_elimination_trusts_no_coefficient_that_depends_on_the_state() -> None:
 @pytest.mark.parametrize(("count", "solver"), [(3, "explicit"), (6, "constant")])
 def test_linear_systems_take_no_iteration(count: int, solver: str) -> None:
     module = without_compilation(text_of(chain(count), "midpoint", "variational"))
-    assert module.metadata["solver"] == solver
+    assert module.metadata.solver == solver
     solution = module.solve(50)
     assert solution.status == "solved"
     # The midpoint rule of a linear system is the Cayley transform of its matrix.
@@ -118,8 +118,8 @@ def test_linear_systems_take_no_iteration(count: int, solver: str) -> None:
 
 def test_linear_equations_with_a_variable_matrix_take_one_solve() -> None:
     module = without_compilation(text_of(rough_plane(), "rectangle", "variational"))
-    assert module.metadata["solver"] == "linear"
-    assert module.metadata["unknowns"] == ("da_k", "db_k")
+    assert module.metadata.solver == "linear"
+    assert module.metadata.unknowns == ("da_k", "db_k")
     solution = module.solve(100)
     assert solution.iterations == 100
     assert solution.residual < 1e-13

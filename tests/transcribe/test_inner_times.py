@@ -72,7 +72,7 @@ def solved(module, steps: int, **given):
 
 
 def multiplier(module, solution, number: int = 0) -> float:
-    _, time, index = module.metadata["inner_conditions"][number]
+    _, time, index = module.metadata.inner_conditions[number]
     grid = module.make_grid(solution.t.size - 1)
     return float(module.views(grid, solution.unknowns)[0][0, grid.inner[time], index])
 

@@ -47,7 +47,7 @@ def solved(problem: Control | Phases, steps: int, **choices: str):
 
 def multipliers(module, solution) -> list[float]:
     first = solution.unknowns.size - module.problem.structure.root
-    return [float(solution.unknowns[first + index]) for _, index in module.metadata["integrals"]]
+    return [float(solution.unknowns[first + index]) for _, index in module.metadata.integrals]
 
 
 @pytest.mark.parametrize("form", ["lagrangian", "hamiltonian", "dynamics"])
@@ -106,7 +106,7 @@ def test_each_body_has_its_own():
     at_rest = {x: number, x.partner: 0}
     problem = replace(problem, start=at_rest, end=at_rest, integral=[sympy.Eq(x, AREA)])
     module, solution = solved(problem, 10)
-    assert [name for name, _ in module.metadata["integrals"]] == [f"x = 0.1 of body {i}" for i in range(3)]
+    assert [name for name, _ in module.metadata.integrals] == [f"x = 0.1 of body {i}" for i in range(3)]
     found = multipliers(module, solution)
     # Around x = i the area that is left to enclose is a - i, and the discrete cost is quadratic in it.
     single = multipliers(*solved(with_area(), 10))[0] / AREA
@@ -143,7 +143,7 @@ def test_each_phase_has_its_own():
     parts = [m**2 / 0.5 + 12 * (a - m * 0.25) ** 2 / 0.125 for a in (0.3, -0.1)]
     switch = sympy.solve(sympy.diff(sum(parts), m), m)[0]
     assert solution.cost == pytest.approx(float(sum(parts).subs(m, switch)), rel=2e-3)
-    assert [name for name, _ in module.metadata["integrals"]] == ["x = 0.3 in phase 1", "rest of the area in phase 2"]
+    assert [name for name, _ in module.metadata.integrals] == ["x = 0.3 in phase 1", "rest of the area in phase 2"]
     wanted = [-24 * (a - switch * 0.25) / 0.125 for a in (0.3, -0.1)]
     assert multipliers(module, solution) == pytest.approx([float(w) for w in wanted], rel=2e-3)
 

@@ -9,6 +9,7 @@ from codegen import Control, Phases, control, controls, coordinate, coordinates,
 from codegen.derive import control_derivatives
 from codegen.errors import ArgumentError
 from codegen.model import normalise
+from codegen.runtime.record import phrase
 from codegen.transcribe import transcribe
 from codegen.transcribe.phases.guesses import with_guesses
 
@@ -73,7 +74,7 @@ def test_what_a_phase_lacks_vanishes_by_its_square():
             symbol = sympy.Symbol(f"{name}_k", real=True)
             assert sympy.diff(phase.regular.element, symbol) == symbol
     assert [program.interval[i].name for i in program.slack_multipliers] == ["y_1", "y_2"]
-    assert program.interval[2].meaning.startswith("multiplier of u + v <= 3")
+    assert phrase(program.interval[2].meaning).startswith("multiplier of u + v <= 3")
 
 
 def test_all_hessians_have_one_pattern():
@@ -103,7 +104,7 @@ def test_what_a_phase_says_of_its_end_holds_before_the_jump():
     program = program_of(two(first | said, second, jumps=(lambda x, v: {v: -v},)))
     assert names(program.shared) == ["nu_1", "nu_2", "s_1"]
     assert [unknown.multiplier for unknown in program.shared] == [True, True, False]
-    assert program.shared[0].meaning == "multiplier of x = 2 at switch 1"
+    assert phrase(program.shared[0].meaning) == "multiplier of x = 2 at switch 1"
     nu_1, nu_2, s_1, x, v = (sympy.Symbol(n, real=True) for n in ("nu_1", "nu_2", "s_1", "x_k", "v_k"))
     element = program.phases[1].switch.element
     assert sympy.expand(element.diff(nu_1) - (x - 2)) == 0

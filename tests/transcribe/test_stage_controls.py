@@ -93,7 +93,7 @@ def as_result(module, solution) -> Result:
     empty = dict.fromkeys(("problem", "title", "task", "method", "scheme", "driver", "status", "message"), "")
     return Result(
         **empty, steps=5, residual=0.0, iterations=0, t=solution.t, q=solution.q, p=solution.p, u=solution.u,
-        names={}, summary={}, stage_abscissae=module.metadata["stage_abscissae"],
+        names={}, summary={}, stage_abscissae=module.metadata.stage_abscissae,
     )  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def test_between_stages_controls_are_polynomials_through_them(scheme):
         middle = result.u.reshape(4, 4)[:, 1:3].mean(axis=1)
         np.testing.assert_allclose(at_stages.reshape(4, 4)[:, 1], middle, rtol=1e-9)
     else:
-        inner = (np.array(module.metadata["stage_abscissae"] * 4) > 0.0).nonzero()[0]
+        inner = (np.array(module.metadata.stage_abscissae * 4) > 0.0).nonzero()[0]
         np.testing.assert_allclose(at_stages[inner], result.u[inner], rtol=1e-9)
 
 

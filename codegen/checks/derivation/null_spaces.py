@@ -40,6 +40,7 @@ from codegen.discretise import STEP, PathValue, at_nodes, one_step_interval, var
 from codegen.expressions import checks as expressions
 from codegen.model import Condition, Model
 from codegen.model.conditions.path import nodal_conditions
+from codegen.runtime.record import phrase
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.callbacks import submatrix
 from codegen.schemes import Scheme
@@ -183,7 +184,7 @@ def _named(program: ControlProgram, intervals: int, null: Any, rows: Any, touche
     weights[rows] = np.abs(null)
     bound = _TAKES_PART * weights.max()
     meanings = flat.meanings()
-    equations = dict.fromkeys(meanings[i].removeprefix("multiplier of ") for i in np.flatnonzero(weights > bound))
+    equations = dict.fromkeys(phrase(meanings[i], role=False) for i in np.flatnonzero(weights > bound))
     conditions = dict[str, None]()
     for body in range(program.bodies):
         for where, end, k in (("start", program.start, 0), ("end", program.end, flat.steps)):
@@ -320,7 +321,7 @@ def check_path_modes(context: Context) -> Iterator[Finding]:
 
 def _excursions(context: Context) -> dict[str, Excursion] | None:
     """What the solution violates inside intervals, by the names of conditions; None without a solution."""
-    solution, phases = context.solution, context.module.metadata.get("phases", 1)
+    solution, phases = context.solution, context.module.metadata.phases
     if solution.status != "solved":
         return None
     found = excursions(context.module, solution.unknowns, (solution.t.size - 1) // phases, None)

@@ -24,6 +24,7 @@ from codegen.expressions import checks as expressions
 from codegen.expressions.special_functions import NUMPY
 from codegen.model import Model, legendre
 from codegen.model.definitions import prescribed
+from codegen.runtime.record import Kind
 from codegen.transcribe.program import ControlProgram
 
 
@@ -153,7 +154,7 @@ def _equations(program: ControlProgram) -> list[Expr]:
         multipliers = program.left_symbols[size : 2 * size]
     else:
         pairs = zip(program.interval, program.interval_symbols, strict=True)
-        multipliers = tuple(symbol for u, symbol in pairs if u.meaning.startswith("multiplier of the step"))
+        multipliers = tuple(symbol for u, symbol in pairs if u.kind is Kind.STEP)
     return [sympy.diff(program.element, multiplier) for multiplier in multipliers]
 
 

@@ -28,6 +28,7 @@ from codegen.checks.module.flat_vector import FlatVector, few_steps, other_symbo
 from codegen.expressions import checks as expressions
 from codegen.model import Model
 from codegen.model.definitions import prescribed
+from codegen.runtime.record import Kind, Role
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.transcribe.forms import in_velocities
@@ -373,9 +374,9 @@ def _at_inner_times(program: ControlProgram, flat: FlatVector, body: int, bounds
 def _written(model: Model, program: ControlProgram) -> list[_Limits]:
     """The bounds of every phase by name."""
     common: _Limits = {free.symbol.name: (free.lower, free.upper) for free in model.free_parameters}
-    common |= {u.name: (sympy.S.Zero, None) for u in program.shared if u.meaning.startswith("slack")}
+    common |= {u.name: (sympy.S.Zero, None) for u in program.shared if u.kind.role is Role.SLACK}
     common |= {slack.name: (slack.lower, None) for slack in program.slacks}
-    common |= {u.name: (u.lower, None) for u in program.node if u.meaning.startswith(("slack", "pace"))}
+    common |= {u.name: (u.lower, None) for u in program.node if u.kind.role is Role.SLACK or u.kind is Kind.PACE}
     models = model.phases or (model,)
     return [common | {bound.symbol.name: (bound.lower, bound.upper) for bound in own.bounds} for own in models]
 

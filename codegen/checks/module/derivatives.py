@@ -162,7 +162,7 @@ def _written_conditions(model: Model, program: ControlProgram) -> list[Expr]:
     shifts = dict(model.periodic)
     shifted = {v.symbol: v.symbol + shifts.get(model.coordinates[v.coordinate], 0) for v in model.end_values}
     written = {condition.name: condition.expression for condition in model.couplings}
-    return [written[coupling.multiplier.meaning].xreplace(shifted) for coupling in program.couplings]
+    return [written[coupling.multiplier.meaning.of].xreplace(shifted) for coupling in program.couplings]
 
 
 def _assembled(module: Any, shared: list[float], parameters: Any, count: int) -> tuple[Any, Any, Any]:

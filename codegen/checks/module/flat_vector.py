@@ -22,6 +22,7 @@ from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
 from codegen.lower.control.layout import parameters
 from codegen.lower.control.phases import named_elements
+from codegen.runtime.record import Meaning
 from codegen.transcribe.program import ControlProgram, IntervalElement, Unknown
 from codegen.verify.control import part_of_chain
 from codegen.verify.points import Values, with_time
@@ -148,31 +149,26 @@ class FlatVector:
 
     def names(self) -> list[str]:
         """What to call every unknown, as in `lambda_x at node 3 of body 0`."""
-        return self._listed("name")
-
-    def meanings(self) -> list[str]:
-        """What every unknown means, wherever it lives."""
-        return self._listed("meaning")
-
-    def _listed(self, attribute: str) -> list[str]:
-        program = self.program
-        several = program.bodies > 1
-        with_whereabouts = attribute == "name"
-
-        def label(unknown: Unknown, where: str, body: int) -> str:
-            text = str(getattr(unknown, attribute))
-            return f"{text}{where}{f' of body {body}' if several else ''}" if with_whereabouts else text
-
+        program, several = self.program, self.program.bodies > 1
         listed = []
         for body in range(program.bodies):
+            of_body = f" of body {body}" if several else ""
             for k in range(self.steps):
-                listed += [label(u, f" at node {k}", body) for u in program.node]
-                listed += [label(u, f" on interval {k}", body) for u in self.inside[len(program.node) :]]
-            listed += [label(u, f" at node {self.steps}", body) for u in program.node]
+                listed += [f"{u.name} at node {k}{of_body}" for u in program.node]
+                listed += [f"{u.name} on interval {k}{of_body}" for u in self.inside[len(program.node) :]]
+            listed += [f"{u.name} at node {self.steps}{of_body}" for u in program.node]
         for body in range(program.bodies):
-            listed += [label(u, "", body) for u in program.shared[: program.own]]
-        listed += [str(getattr(u, attribute)) for u in program.shared[program.own :]]
-        return listed + [str(getattr(c.multiplier, attribute)) for c in program.couplings]
+            listed += [f"{u.name} of body {body}" if several else u.name for u in program.shared[: program.own]]
+        listed += [u.name for u in program.shared[program.own :]]
+        return listed + [c.multiplier.name for c in program.couplings]
+
+    def meanings(self) -> list[Meaning]:
+        """What every unknown is, wherever it lives."""
+        program = self.program
+        chain = [*[u.meaning for u in self.inside] * self.steps, *[u.meaning for u in program.node]]
+        own, common = program.shared[: program.own], program.shared[program.own :]
+        of_bodies = [*chain * program.bodies, *[u.meaning for u in own] * program.bodies]
+        return [*of_bodies, *(u.meaning for u in common), *(c.multiplier.meaning for c in program.couplings)]
 
 
 def other_symbols(program: ControlProgram) -> list[Symbol]:

@@ -21,6 +21,7 @@ from codegen.checks.module.derivatives import step_lengths
 from codegen.checks.module.flat_vector import FlatVector, few_steps, kernel_stems, other_symbols, parameter_vector
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
+from codegen.runtime.record import Record
 from codegen.runtime.search.grid import free_unknowns
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
@@ -52,7 +53,8 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     names = {
         "node": tuple(u.name for u in program.node),
         "interval": tuple(u.name for u in flat.inside[len(program.node) :]),
-        "boundary": tuple(f"{v.where} {v.quantity}" for v in program.boundary_values),
+        "start": tuple(v.quantity for v in program.boundary_values if v.where == "start"),
+        "end": tuple(v.quantity for v in program.boundary_values if v.where == "end"),
         "parameters": tuple(p.name for p in program.model.parameters),
     }
     return (
@@ -66,11 +68,11 @@ def _control_difference(module: Any, program: ControlProgram) -> str:
     )
 
 
-def _differing_metadata(recorded: Mapping[str, Any], names: Mapping[str, tuple[str, ...]]) -> str:
+def _differing_metadata(recorded: Record, names: Mapping[str, tuple[str, ...]]) -> str:
     for key, marked in names.items():
         wanted = tuple(mangling.plain(name) for name in marked)
-        if tuple(recorded.get(key, ())) != wanted:
-            return f"{key} is {tuple(recorded.get(key, ()))}, expected {wanted}"
+        if (found := tuple(getattr(recorded, key))) != wanted:
+            return f"{key} is {found}, expected {wanted}"
     return ""
 
 
@@ -322,7 +324,7 @@ def _run(module: Any, name: str, inputs: Any, adds: bool = False, **outputs: tup
 
 def compare(file: Path, module: Any, inputs: str, text: str) -> Iterator[Finding]:
     """Compare the recorded hash of the inputs, and the text line by line, with those of a fresh derivation."""
-    recorded = module.metadata.get("inputs")
+    recorded = module.metadata.inputs
     same = recorded == inputs
     detail = "the recorded hash is that of the problem file, its arguments and versions"
     if not same:

@@ -33,7 +33,7 @@ from codegen.solutions.segments import put_together, segments_of
 
 def free_values(module: Any, solution: Any) -> NDArray[np.float64]:
     """The free parameters at a solution, in the order in which they were declared."""
-    count = len(module.metadata["free_parameters"])
+    count = len(module.metadata.free_parameters)
     end = solution.unknowns.size - module.problem.structure.couplings
     return np.asarray(solution.unknowns[end - count : end])
 

@@ -133,7 +133,7 @@ def check_second_order(context: Context) -> Iterator[Finding]:
         yield not_measured("second-order condition", subject, "equations depend on each other at the solution")
         return
     passed, detail = judged
-    if module.metadata["inequalities"]:
+    if module.metadata.inequalities:
         detail += f" ({np.count_nonzero(diagonal > _HELD)} unknowns are held by bounds)"
     yield Finding("second-order condition", subject, passed, detail)
 
@@ -165,7 +165,7 @@ def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagona
 def held_by_bounds(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """The diagonal z / distance of the unknowns that push against a bound; z is the gradient of the Lagrangian."""
     diagonal = np.zeros(unknowns.size)
-    if not module.metadata["inequalities"]:
+    if not module.metadata.inequalities:
         return diagonal
     gradient = np.where(grid.is_multiplier, 0.0, module.evaluate(grid, unknowns).gradient)
     lower, upper = module.variable_bounds(grid)
@@ -243,7 +243,7 @@ class _Direction:
 def check_sensitivities(context: Context) -> Iterator[Finding]:
     """Compare along two directions."""
     module, solution = context.module, context.solution
-    if "sensitivities" not in module.metadata:
+    if module.metadata.sensitivities is None:
         yield does_not_apply(_NAME, "the module has none, unless it is built with --sensitivities")
         return
     subject = f"solution on {solution.t.size - 1} intervals"
@@ -258,7 +258,7 @@ def check_sensitivities(context: Context) -> Iterator[Finding]:
 
 def _directions(module: Any, grid: Any) -> Iterator[_Direction]:
     """Changes of everything by itself, and of parameters, which all else follows."""
-    names, count = module.QUANTITIES, len(module.metadata["parameters"])
+    names, count = module.QUANTITIES, len(module.metadata.parameters)
     values = (*grid.parameters[:, : module.OWN_QUANTITIES].T, grid.steps * grid.h)[: len(names)]
     own = tuple(v if i >= count else float(np.max(v)) for i, v in enumerate(values))
     sizes = np.array([max(float(np.abs(value).max()), 0.1) for value in own])

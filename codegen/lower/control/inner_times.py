@@ -56,15 +56,3 @@ def grid_code(program: ControlProgram, duration: str) -> str:
     """Code that makes the grid of a duration, which has the inner times among its nodes."""
     made = f"checked_grid(problem, steps, {duration}, parameters, grid)"
     return f"with_inner_times({made})" if program.inner.times else made
-
-
-def metadata(program: ControlProgram) -> list[tuple[str, str]]:
-    """How many times there are, whether they are free, and where multipliers of conditions are."""
-    inner = program.inner
-    if not inner.times:
-        return []
-    return [
-        ("inner_times", repr(len(inner.times))),
-        *([("waypoints", "True")] if inner.clock is not None else []),
-        ("inner_conditions", repr(inner.multipliers)),
-    ]

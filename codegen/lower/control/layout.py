@@ -12,6 +12,7 @@ from codegen.derive import ControlDerivatives
 from codegen.lower.control.sizes import motion_indices, pinned, sizes
 from codegen.lower.kernels import Line
 from codegen.lower.printer import array_code, scalar_code
+from codegen.runtime.record import Kind
 from codegen.transcribe.program import ControlProgram, Unknown
 
 
@@ -280,7 +281,7 @@ def views(program: ControlProgram) -> dict[str, Any]:
         of_interval += f".reshape(BODIES, -1, {m})"
     variational, nodal = program.method == "variational", program.nodal_controls
     rates = 2 * n if program.model.rates else n
-    equations = sum(u.multiplier and u.meaning.startswith("multiplier of the step") for u in program.interval)
+    equations = sum(u.kind is Kind.STEP for u in program.interval)
     steps_first = next((i for i, u in enumerate(program.interval) if u.multiplier), kept)
     last_node = len(program.node)
     return {

@@ -14,11 +14,10 @@ from codegen.expressions.table_functions import tables_of
 from codegen.lower.control import guesses, inner_times, layout, phases, sensitivities
 from codegen.lower.control.coupling import Couplings, lower_couplings
 from codegen.lower.control.mixed_kernels import choices
-from codegen.lower.control.notable import notable
-from codegen.lower.control.samples import data_arguments, sample_constants, sample_kernels, sample_metadata
+from codegen.lower.control.samples import data_arguments, sample_constants, sample_kernels
 from codegen.lower.control.sizes import sizes
 from codegen.lower.control.statement import description
-from codegen.lower.control.text import left_out, metadata
+from codegen.lower.control.text import record
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.lower.module import ControlModule, arguments_of
 from codegen.lower.printer import array_code, scalar_code
@@ -28,7 +27,6 @@ from codegen.lower.tables import (
     guess_kernels,
     table_constants,
     table_kernels,
-    table_metadata,
 )
 from codegen.tables.data import TableData
 from codegen.transcribe.program import ControlProgram, EndElement
@@ -54,14 +52,7 @@ def lower_control(
         name=model.name,
         title=model.title,
         description=tuple(description(program, kernels, described_tables(tables))),
-        left_out=tuple(left_out(program, derivatives)),
-        metadata=(
-            *metadata(program, kernels),
-            *notable(program),
-            *table_metadata(tables),
-            *sample_metadata(program),
-            *added.metadata,
-        ),
+        metadata=record(program, derivatives, kernels, tables, added.quantities),
         constants=(*_own_constants(program, derivatives, couplings, ranged), *added.constants),
         kernels=(*table_kernels(tables, first), *guess_kernels(guessed), *kernels),
         structure=layout.structure(program, derivatives),

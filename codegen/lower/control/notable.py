@@ -1,51 +1,49 @@
-"""Entries of a control module's metadata that are there only where a user should know of something."""
+"""Fields of the record of a control module that are there only where a user should know of something."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import sympy
 from sympy import Dummy, expand
 
 from codegen.discretise import at_nodes
-from codegen.lower.control import inner_times
 from codegen.model import Model
 from codegen.model.definitions import expressions_of, prescribed
 from codegen.model.jumps import jumps
 from codegen.model.nonsmooth_costs import kinks
 from codegen.model.singular_guesses import singular_at_guess
+from codegen.runtime.record import SegmentRecord
 from codegen.transcribe.program import ControlProgram
 
 
-def notable(program: ControlProgram) -> list[tuple[str, str]]:
-    """The entries of a program."""
-    redundant, unseen = program.redundant_couplings, _unseen_controls(program)
-    model = program.model
-    entries = [("unseen_controls", repr(unseen))] if unseen else []
-    entries += [("unused", repr(model.unused))] if model.unused else []
-    entries += [("maximised", "True")] if model.maximised else []
-    if jumps := _jumps_from_history(model.authored):
-        entries.append(("history_jumps", repr(jumps)))
-    if (segments := model.segments) and segments.number > 1:
-        names = {own: (whole, number) for own, whole, number in segments.names}
-        entries.append(("segments", repr({"number": segments.number, "names": names})))
-    if integrals := _integral_multipliers(program):
-        entries.append(("integrals", repr(integrals)))
-    entries += inner_times.metadata(program)
-    if bends := _kinks(program):
-        entries.append(("kinks", repr(bends)))
-    if steps := _jumps(program):
-        entries.append(("discontinuities", repr(steps)))
-    singular = dict.fromkeys(one for own in model.phases or (model,) for one in singular_at_guess(own))
-    if singular:
-        entries.append(("singular_at_guess", repr(tuple(singular))))
-    if redundant:
-        entries.append(("coupling_conditions", repr(len(program.couplings) + len(redundant))))
-        entries.append(("redundant_conditions", repr(redundant)))
+def notable(program: ControlProgram) -> dict[str, Any]:
+    """The fields of a record that are empty for most programs."""
+    model, redundant, inner = program.model, program.redundant_couplings, program.inner
+    models = model.phases or (model,)
+    segments = None
+    if model.segments and model.segments.number > 1:
+        names = {own: (whole, number) for own, whole, number in model.segments.names}
+        segments = SegmentRecord(model.segments.number, names)
     ends = (("start", program.start), ("end", program.end))
-    if dependent := tuple((name, where) for where, end in ends for name in end.dependent):
-        entries.append(("dependent_values", repr(dependent)))
-    if decided := tuple((name, where) for where, end in ends for _, name in end.determined if name):
-        entries.append(("decided_conditions", repr(tuple(dict.fromkeys(decided)))))
-    return entries
+    decided = dict.fromkeys((name, where) for where, end in ends for _, name in end.determined if name)
+    return {
+        "unseen_controls": _unseen_controls(program),
+        "maximised": model.maximised,
+        "history_jumps": _jumps_from_history(model.authored),
+        "segments": segments,
+        "integrals": _integral_multipliers(program),
+        "inner_times": len(inner.times),
+        "waypoints": inner.clock is not None,
+        "inner_conditions": inner.multipliers,
+        "kinks": _kinks(program),
+        "discontinuities": _jumps(program),
+        "singular_at_guess": tuple(dict.fromkeys(one for own in models for one in singular_at_guess(own))),
+        "coupling_conditions": len(program.couplings) + len(redundant) if redundant else 0,
+        "redundant_conditions": redundant,
+        "dependent_values": tuple((name, where) for where, end in ends for name in end.dependent),
+        "decided_conditions": tuple(decided),
+    }
 
 
 def _jumps_from_history(model: Model) -> tuple[tuple[str, str, str], ...]:

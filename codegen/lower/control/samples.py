@@ -11,6 +11,7 @@ from sympy import Symbol, sstr
 from codegen.derive import ControlDerivatives
 from codegen.lower.control.layout import parameters
 from codegen.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.runtime.record import ObservationRecord
 from codegen.tables.data import TableData
 from codegen.tables.measurements import MeasurementData
 from codegen.transcribe.program import ControlProgram
@@ -96,14 +97,11 @@ def data_arguments(program: ControlProgram, tables: Sequence[TableData], grid_co
     return {"data_arguments": tuple(arguments), "grid_code": code}
 
 
-def sample_metadata(program: ControlProgram) -> list[tuple[str, str]]:
+def sample_record(program: ControlProgram) -> ObservationRecord | None:
     """What a reader of other measurements, and of estimates, has to know."""
     model = program.model
     if not model.measurements:
-        return []
-    layout = model.measurements[0].layout
-    entry = {
-        "sources": tuple(data.source for data in model.measurements), "time": layout.time, "columns": layout.columns,
-        "sigmas": layout.sigmas, "values": tuple(sstr(o.expression) for o in model.observed), "loss": model.loss,
-    }  # fmt: skip
-    return [("observations", repr(entry))]
+        return None
+    layout, values = model.measurements[0].layout, tuple(sstr(o.expression) for o in model.observed)
+    sources = tuple(data.source for data in model.measurements)
+    return ObservationRecord(sources, layout.time, layout.columns, layout.sigmas, values, model.loss)

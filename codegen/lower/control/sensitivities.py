@@ -22,7 +22,7 @@ class Added:
 
     kernels: tuple[Kernel, ...] = ()
     constants: tuple[Line, ...] = ()
-    metadata: tuple[tuple[str, str], ...] = ()
+    quantities: tuple[str, ...] | None = None
     text: tuple[SensitivityText, ...] = ()
 
 
@@ -33,7 +33,7 @@ def added(program: ControlProgram, found: ControlSensitivities | None, codes: Co
     return Added(
         kernels=kernels_of(program, found, codes),
         constants=tuple(_constants(program, found)),
-        metadata=(("sensitivities", repr(quantities(program))),),
+        quantities=quantities(program),
         text=(text_of(program),),
     )
 

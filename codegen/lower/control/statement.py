@@ -16,6 +16,7 @@ from codegen.lower.kernels import Kernel
 from codegen.lower.printer import readable
 from codegen.model import Model
 from codegen.model.conditions.table import CONDITIONS
+from codegen.runtime.record import Kind, Role
 from codegen.transcribe.program import ControlProgram, EndElement, Phase, Unknown
 
 _WIDTH = 110
@@ -114,7 +115,7 @@ def _is_stated(program: ControlProgram, symbol: Symbol) -> bool:
 
 def _quantity(unknown: Unknown) -> str:
     """What an unknown is called in mathematics; the velocity at one end may have another name in the module."""
-    return unknown.meaning.split()[1] if unknown.meaning.endswith(" at an end") else unknown.name
+    return unknown.meaning.of if unknown.kind is Kind.END_VELOCITY else unknown.name
 
 
 def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
@@ -191,7 +192,7 @@ def _heading(program: ControlProgram, number: int, phase: Phase) -> str:
 
 def _phase_lines(phase: Phase, model: Model) -> list[str]:
     lacking = {phase.inside[i].name for i in phase.regular.lacking}
-    present = [u for u in (*phase.node, *phase.inside) if u.name not in lacking and not u.meaning.startswith("slack")]
+    present = [u for u in (*phase.node, *phase.inside) if u.name not in lacking and u.kind.role is not Role.SLACK]
     return [*_bounds(present), *_conditions(model), *_equations(phase.equations)]
 
 
@@ -217,11 +218,11 @@ def _balance(program: ControlProgram) -> Iterator[list[str]]:
     both = " + f+_{k-1} + f-_k" if forced else ""
     lead = f"{'Forced discrete' if forced else 'Discrete'} Euler-Lagrange equations at inner nodes"
     force = left = right = ""
-    if kappa := ", ".join(u.name for u in program.node if u.meaning.startswith("force along the normal")):
+    if kappa := ", ".join(u.name for u in program.node if u.kind is Kind.NORMAL_FORCE):
         lead += f", with G the derivative of the constraints and kappa of entries {kappa}"
         force, left, right = (f" {part} G(q_k)^T kappa_k" for part in ("+ h", "- h/2", "+ h/2"))
     lines = [f"0 = D2 Ld(q_{{k-1}}, q_k) + D1 Ld(q_k, q_{{k+1}}){both}{force}"]
-    inner = [u.name for u in program.interval if u.meaning.startswith("inner value")]
+    inner = [u.name for u in program.interval if u.kind is Kind.INNER_VALUE]
     equations = chain(program.equations, *(phase.equations for phase in program.phases))
     acting = {label for label, _ in equations}
     lines += [f"0 = dLd/d{name}" + f" + f_{name}" * (f"f_{name}" in acting) for name in inner]

@@ -1,4 +1,4 @@
-"""What a control module says about itself beside the problem that it solves: what was left out, metadata."""
+"""What a control module says about itself beside the problem that it solves: what was left out, its record."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ from sympy import cos, sin
 from codegen import schemes
 from codegen.derive import ControlDerivatives
 from codegen.lower.control.layout import has_nonlinear_ends
+from codegen.lower.control.notable import notable
+from codegen.lower.control.samples import sample_record
 from codegen.lower.control.sizes import carries_right_hand_side
 from codegen.lower.kernels import Kernel
+from codegen.lower.module import record_fields
+from codegen.lower.tables import table_records
 from codegen.model import Model
+from codegen.runtime.record import ControlRecord, Form, Kind, Meaning, Method, Role, Sites
+from codegen.tables.data import TableData
 from codegen.transcribe.program import ControlProgram
 
 
@@ -56,40 +62,54 @@ def left_out(program: ControlProgram, derivatives: ControlDerivatives) -> list[s
     return out
 
 
-def metadata(program: ControlProgram, kernels: Sequence[Kernel]) -> list[tuple[str, str]]:
-    """Entries of the module's metadata, as code."""
-    model = program.model
+def record(
+    program: ControlProgram,
+    derivatives: ControlDerivatives,
+    kernels: Sequence[Kernel],
+    tables: Sequence[TableData],
+    sensitivities: tuple[str, ...] | None,
+) -> ControlRecord:
+    """The record of the module, with the quantities that derivatives of solutions are by, if any are."""
+    model, given = program.model, program.boundary_values
     own, common = program.shared[: program.own], program.shared[program.own :]
     shared = [
         f"{u.name} of body {body}" if program.bodies > 1 else u.name for body in range(program.bodies) for u in own
     ]
     shared += [u.name for u in common] + [c.multiplier.name for c in program.couplings]
-    return [
-        ("task", repr("control")),
-        ("method", repr(program.method)),
-        ("scheme", repr(program.scheme)),
-        ("order", repr(schemes.find(program.scheme, program.method).order)),
-        ("controls", repr(program.controlled)),
-        ("form", repr(model.form)),
-        ("bodies", repr(program.bodies)),
-        ("coordinates", repr(tuple(s.name for s in model.coordinates))),
-        ("rates", repr(tuple(s.name for s in model.rates))),
-        ("control_names", repr(tuple(s.name for s in model.controls))),
-        ("free_parameters", repr(tuple(p.symbol.name for p in model.free_parameters))),
-        ("node", repr(tuple(u.name for u in program.node))),
-        ("interval", repr(tuple(u.name for u in (*program.interval, *program.controls, *program.slacks)))),
-        ("shared", repr(tuple(shared))),
-        ("meanings", _meanings(program)),
-        ("inequalities", repr(program.has_inequalities)),
-        ("boundary", repr(tuple(f"{v.where} {v.quantity}" for v in program.boundary_values))),
-        ("operations", repr({k.name: (k.operations_before, k.operations_after) for k in kernels})),
-        *((("units", repr(dict(model.units))),) if model.units else ()),
-        *((("stages", repr(stages)),) if (stages := _stages(program)) else ()),
-        *((("scale", repr({x.name: size for x, size in model.scales})),) if model.scales else ()),
-        *((("angles", repr(angles)),) if (angles := _angles(model)) else ()),
-        *((("stage_abscissae", repr(_stage_abscissae(program))),) if program.controlled == "stages" else ()),
-        *(_of_phases(program) if program.phases else ()),
-    ]
+    return ControlRecord(
+        **record_fields(model),
+        method=Method(program.method),
+        scheme=program.scheme,
+        order=schemes.find(program.scheme, program.method).order,
+        form=Form(model.form),
+        coordinates=tuple(s.name for s in model.coordinates),
+        rates=tuple(s.name for s in model.rates),
+        start=tuple(v.quantity for v in given if v.where == "start"),
+        end=tuple(v.quantity for v in given if v.where == "end"),
+        units=dict(model.units),
+        tables=table_records(tables),
+        operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
+        left_out=tuple(left_out(program, derivatives)),
+        controls=Sites(program.controlled),
+        bodies=program.bodies,
+        phases=len(program.phases) or 1,
+        control_names=tuple(s.name for s in model.controls),
+        free_parameters=tuple(p.symbol.name for p in model.free_parameters),
+        node=tuple(u.name for u in program.node),
+        interval=tuple(u.name for u in (*program.interval, *program.controls, *program.slacks)),
+        shared=tuple(shared),
+        inequalities=program.has_inequalities,
+        meanings=_meanings(program),
+        slacks=_slacks(program),
+        jumps=tuple(phase.broken for phase in program.phases[1:]),
+        stages=_stages(program),
+        stage_abscissae=_stage_abscissae(program) if program.controlled == "stages" else (),
+        scale={x.name: size for x, size in model.scales},
+        angles=_angles(model),
+        observations=sample_record(program),
+        sensitivities=sensitivities,
+        **notable(program),
+    )
 
 
 def _stages(program: ControlProgram) -> dict[str, str]:
@@ -121,22 +141,18 @@ def _stage_abscissae(program: ControlProgram) -> tuple[float, ...]:
     return tuple(float(point.abscissa) for point in points)
 
 
-def _of_phases(program: ControlProgram) -> list[tuple[str, str]]:
-    """How many phases there are, which coordinates and momenta jump at each switch, what slacks mean in each phase."""
+def _slacks(program: ControlProgram) -> tuple[dict[str, Meaning], ...]:
+    """What slacks are in each of several phases."""
     first = len(program.interval) + len(program.controls)
-    slacks = [
+    found = tuple(
         {p.inside[i].name: p.inside[i].meaning for i in range(first, len(p.inside)) if i not in p.regular.lacking}
         for p in program.phases
-    ]
-    return [
-        ("phases", repr(len(program.phases))),
-        ("jumps", repr(tuple(p.broken for p in program.phases[1:]))),
-        ("slacks", repr(tuple(slacks))),
-    ]
+    )
+    return found if any(found) else ()
 
 
-def _meanings(program: ControlProgram) -> str:
-    """What multipliers mean, and other unknowns whose names do not say it: slacks of the author's conditions."""
+def _meanings(program: ControlProgram) -> dict[str, Meaning]:
+    """What multipliers, slacks and forces of constraints are; the names of other unknowns say it."""
     unknowns = (*program.node, *program.interval, *program.slacks, *program.shared)
     named = [*unknowns, *(coupling.multiplier for coupling in program.couplings)]
-    return repr({u.name: u.meaning for u in named if u.multiplier or u.name.split("_")[-1].isdigit()})
+    return {u.name: u.meaning for u in named if u.kind.role is not Role.VALUE or u.kind is Kind.NORMAL_FORCE}

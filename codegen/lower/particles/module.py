@@ -16,7 +16,7 @@ from codegen.lower.particles.gathered import GROUP, gathered_loops
 from codegen.lower.particles.pair_writer import STATE, PairLoop, views
 from codegen.lower.particles.pairwise import pair_loops, separable_loops
 from codegen.lower.particles.particle_loops import ParticleLoop, particle_loops
-from codegen.lower.particles.text import description, left_out, metadata
+from codegen.lower.particles.text import description, left_out, record
 from codegen.lower.particles.tracers import BLOCK, tracer_loops
 from codegen.lower.printer import scalar_code
 from codegen.transcribe.connect import PairwiseProgram
@@ -73,8 +73,12 @@ def lower_connect(program: PairwiseProgram, derivatives: PairDerivatives) -> Con
         **_common(program, loops, around),
         template="connect.py.j2",
         description=tuple(description(program, all_loops)),
-        left_out=tuple(left_out(program, derivatives, singles, implicit=implicit, gathered=bool(gathered))),
-        metadata=tuple(metadata(program, derivatives, all_loops)),
+        metadata=record(
+            program,
+            derivatives,
+            all_loops,
+            left_out(program, derivatives, singles, implicit=implicit, gathered=bool(gathered)),
+        ),
         constants=tuple(constants),
         public=_public(program, derivatives, loops),
         record=_record(program, derivatives, _names(loops, around, gathered, carried)),
@@ -100,8 +104,9 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         **_common(program, loops, around),
         template="particles.py.j2",
         description=tuple(description(program, loops)),
-        left_out=tuple(left_out(program, derivatives, singles, implicit=implicit, by_turns=by_turns)),
-        metadata=tuple(metadata(program, derivatives, loops)),
+        metadata=record(
+            program, derivatives, loops, left_out(program, derivatives, singles, implicit=implicit, by_turns=by_turns)
+        ),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         public=("OWN", "START", "energy", "make_grid", "metadata", "path_residual", "problem", "solve", "step"),
         record=_record(program, derivatives, _names(loops, around)),

@@ -1,4 +1,4 @@
-"""What a module about particles says about itself: its equations, what was left out, metadata."""
+"""What a module about particles says about itself: its equations, what was left out, its record."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from sympy import Rational, S, Symbol, sstr
 
 from codegen.derive.pairwise import PairDerivatives
+from codegen.lower.module import record_fields
 from codegen.lower.particles.blocks import BlockLoop
 from codegen.lower.particles.pair_writer import PairLoop
+from codegen.runtime.record import ConnectRecord, Form, Method, ParticleRecord
 from codegen.transcribe.connect import PairwiseProgram
 
 
@@ -104,29 +106,25 @@ def left_out(
     return [reason for lacks, reason in reasons if lacks]
 
 
-def metadata(
-    program: PairwiseProgram, derivatives: PairDerivatives, loops: Sequence[PairLoop | BlockLoop]
-) -> list[tuple[str, str]]:
-    """Entries of the module's metadata, as code; those of a simulation name the coordinates of every particle."""
+def record(
+    program: PairwiseProgram,
+    derivatives: PairDerivatives,
+    loops: Sequence[PairLoop | BlockLoop],
+    reasons: Sequence[str],
+) -> ParticleRecord:
+    """The record of the module; that of a simulation names the coordinates of every particle."""
     model = program.model
-    coordinates, momenta = model.coordinates, model.momenta
-    if not model.connects:
-        numbers = range(1, len(model.start[0]) + 1)
-        coordinates, momenta = (tuple(f"{name}_{i}" for i in numbers for name in g) for g in (coordinates, momenta))
-    names = [("coordinates", repr(coordinates)), ("rates", repr(momenta))]
-    return [
-        ("task", repr(model.task)),
-        ("method", repr(program.method)),
-        ("scheme", repr(program.scheme)),
-        ("order", repr(program.order)),
-        ("form", repr("hamiltonian")),
-        *([("adaptive", repr(program.adaptive)), *names] if model.connects else []),
-        ("own", repr(model.own)),
-        *([("points", repr(model.points))] if model.connects else []),
-        ("separable", repr(derivatives.separable)),
-        ("quadratic", repr(derivatives.quadratic)),
-        *([("passive", "True")] if model.passive else []),
-        *([("unused", repr(model.unused))] if model.unused else []),
-        ("operations", repr({v.name: (v.operations_before, v.operations_after) for v in loops})),
-        *([] if model.connects else names),
-    ]
+    fields = record_fields(model) | {
+        "method": Method(program.method), "scheme": program.scheme, "order": program.order, "form": Form.HAMILTONIAN,
+        "operations": {v.name: (v.operations_before, v.operations_after) for v in loops}, "left_out": tuple(reasons),
+        "own": model.own, "separable": derivatives.separable, "quadratic": derivatives.quadratic,
+    }  # fmt: skip
+    if model.connects:
+        return ConnectRecord(
+            **fields, coordinates=model.coordinates, rates=model.momenta, adaptive=program.adaptive,
+            points=model.points, passive=model.passive,
+        )  # fmt: skip
+    numbers = range(1, len(model.start[0]) + 1)
+    groups = (model.coordinates, model.momenta)
+    coordinates, momenta = (tuple(f"{name}_{i}" for i in numbers for name in group) for group in groups)
+    return ParticleRecord(**fields, coordinates=coordinates, rates=momenta)

@@ -135,7 +135,7 @@ def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
     if wanted.hasty and previous is not None:
         if method["align"] == "auto":  # another alignment in the middle of a drag would move everything else
             method["align"] = previous.matching.align
-        rough = previous.flow.module.metadata["order"] == 1
+        rough = previous.flow.module.metadata.order == 1
         for steps in HASTY_STEPS_OF_FIRST_ORDER if rough else HASTY_STEPS:
             with suppress(RegistrationError):
                 return in_pixels(register(**given, **method, steps=steps, start=previous, quick=True))

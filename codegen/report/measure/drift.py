@@ -96,7 +96,7 @@ def random_walk(module: SimulateModule, states: Any, steps: int) -> float:
 
 def drift_values(module: SimulateModule, steps: int) -> Values:
     """Over so many steps of the problem's own length: trend, oscillation, rounding, and the defect of a step."""
-    grid = module.make_grid(int(module.metadata["steps"]))
+    grid = module.make_grid(int(module.metadata.steps))
     try:
         defect = (
             symplecticity_defect(module, grid.h, np.ravel(grid.start)) if grid.start.size <= _MOST_FREEDOM else None

@@ -206,7 +206,7 @@ def _solved(settings: Settings, kernel: str, dimension: int, count: int) -> Valu
         "iterations": solution.iterations,
         "seconds": least_time(lambda: module.solve_case(case), repeats),
         "seconds of a trajectory": least_time(lambda: module.trajectory(case, momenta), 20),
-        "operations": list(module.metadata["operations"]["hamiltonian_gradient"]),
+        "operations": list(module.metadata.operations["hamiltonian_gradient"]),
     }
 
 
@@ -310,7 +310,7 @@ def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
 def _fewest_steps(settings: Settings, scheme: str, target: float, exact: float) -> Values:
     """Steps by the power of N with which the scheme's order lets the error fall; not reached where N would be huge."""
     module = settings.module(scheme)
-    order, steps, error = module.metadata["order"], 1, math.inf
+    order, steps, error = module.metadata.order, 1, math.inf
     while steps <= _MOST_STEPS:
         result = _fastest_solved(settings, scheme, {"steps": steps})
         error = abs(result.cost - exact) if result.solved else math.inf

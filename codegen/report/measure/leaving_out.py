@@ -60,7 +60,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 def _compared(workshop: Workshop, general: Variant, repeat: int) -> Values:
     """Status and seconds of a solve by either form, and how far the answers are apart."""
     modules = workshop.module(replace(general, general=False)), workshop.module(general)
-    steps = min(MOST_STEPS, int(modules[0].metadata["steps"]))
+    steps = min(MOST_STEPS, int(modules[0].metadata.steps))
     try:
         own, other = (well_timed(module, "newton", repeat, steps=steps) for module in modules)
     except CodegenError as error:

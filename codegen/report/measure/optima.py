@@ -179,7 +179,7 @@ def sequence(module: ControlModule, first: int, seconds: float) -> Values:
         steps *= 2
     between = _between(found) if changes and len(found.steps) > 2 else []
     return {
-        "order": module.metadata["order"], "expected order": order_of_optima(module), "steps": found.steps,
+        "order": module.metadata.order, "expected order": order_of_optima(module), "steps": found.steps,
         "costs": found.costs, "switching": changes, "more steps": [n for n, _ in between],
         "more costs": [cost for _, cost in between], "failure": found.failure, "seconds": seconds - found.seconds,
     }  # fmt: skip
@@ -191,7 +191,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     A bound is active where its multiplier, the slope of the Lagrangian, exceeds the distance from it. Inequalities
     of the path have unknowns of their own, which are bounded.
     """
-    if not module.metadata["inequalities"]:
+    if not module.metadata.inequalities:
         return []
     grid, unknowns = module.make_grid(result.steps), result.unknowns
     assert unknowns is not None
@@ -199,7 +199,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     active = np.zeros(unknowns.size)
     active[module.primal_unknowns(grid)] = np.abs(callbacks.stationarity(grid, unknowns)) > np.minimum(below, above)
     nodes, intervals = module.views(grid, active)
-    names, phases = [*module.metadata["node"], *module.metadata["interval"]], module.metadata.get("phases", 1)
+    names, phases = [*module.metadata.node, *module.metadata.interval], module.metadata.phases
     changes = np.zeros(len(names), dtype=bool)
     for first in range(0, phases * result.steps, result.steps):  # between phases lies a node, wherever it is
         inner = nodes[:, first + 1 : first + result.steps], intervals[:, first : first + result.steps]
@@ -290,7 +290,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
     store, built = workshop.store, workshop.built(variants)
     for variant in built:
-        own = _module(workshop, variant).metadata["steps"]
+        own = _module(workshop, variant).metadata.steps
         for steps in ladder(own, extent.control_doublings):
             name = case_name(variant, steps)
             yield Case(
@@ -309,7 +309,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
     yield Case(references_of(problem), "cost", lambda: _reference(store, problem, trusted, exact))
     module = _module(workshop, built[0])
-    steps = ladder(module.metadata["steps"], 0)[0]
+    steps = ladder(module.metadata.steps, 0)[0]
     if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
         return
     for driver in DRIVERS:
@@ -322,7 +322,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
 
 def _sequence(workshop: Workshop, variant: Variant, extent: Extent) -> Values:
     module = _module(workshop, variant)
-    return sequence(module, ladder(module.metadata["steps"], 0)[0], extent.sequence_seconds)
+    return sequence(module, ladder(module.metadata.steps, 0)[0], extent.sequence_seconds)
 
 
 def _module(workshop: Workshop, variant: Variant) -> ControlModule:
@@ -343,7 +343,7 @@ def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton
     return {
         "status": result.status, "steps": steps, "cost": result.cost, "seconds": result.seconds_solve,
         "iterations": result.iterations, "residual": result.residual, "stationarity": result.stationarity,
-        "order": module.metadata["order"], "expected order": order_of_optima(module),
+        "order": module.metadata.order, "expected order": order_of_optima(module),
         "load seconds": result.seconds_code,
     }  # fmt: skip
 

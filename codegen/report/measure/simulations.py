@@ -110,7 +110,7 @@ def conserved(module: SimulateModule) -> dict[str, Callable[[Any], Any]]:
     rates = [field(0.0, z) for z in states]
     found: dict[str, Callable[[Any], Any]] = {}
     if not hasattr(module, "DIMENSION"):
-        for i, name in enumerate(module.metadata.get("momenta") or module.metadata["rates"]):
+        for i, name in enumerate(module.metadata.momenta or module.metadata.rates):
             if all(rate[half + i] == 0.0 for rate in rates):
                 found[f"momentum {name}"] = partial(_momenta, first=half + i, axes=2 * half)
         return found
@@ -294,7 +294,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
             variant.label,
             lambda v=variant: order_values(_simulation(workshop, v), spans, extent.limit),  # type: ignore[misc]
         )
-        own_steps = int(workshop.module(variant).metadata["steps"])
+        own_steps = int(workshop.module(variant).metadata.steps)
         rungs = ladder(own_steps, extent.simulation_doublings)
         for steps in rungs:
             name = case_name(variant, steps)
@@ -350,7 +350,7 @@ def _errors(
         return {"status": "refused", "message": str(error), "steps": steps, "seconds": None}
     found: dict[str, Any] = {
         "status": result.status, "steps": steps, "seconds": result.seconds_solve, "iterations": result.iterations,
-        "residual": result.residual, "order": module.metadata["order"],
+        "residual": result.residual, "order": module.metadata.order,
     }  # fmt: skip
     if not result.solved:
         return found

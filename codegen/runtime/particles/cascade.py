@@ -300,7 +300,7 @@ def solve_case(case, guess=None, method=None):
 
     Never raises when the numerics fail.
     """
-    found = run_cascade(case, method or case.problem.metadata["method"], guess)
+    found = run_cascade(case, method or case.problem.metadata.method, guess)
     outcome, path, points, iterations, tangents, residual, attempts = found
     status = "solved" if outcome > 0 else "not connected"
     message = (

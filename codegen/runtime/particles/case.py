@@ -34,7 +34,7 @@ def checked_case(problem, start, target, sigma, own, parameters, steps, duration
     if not np.isfinite(sigma).all() or (sigma < 0.0).any():
         raise ValueError("sigma must be finite and not negative")
     own = np.array([np.broadcast_to(np.asarray(values, dtype=float), (count,)) for values in own]).reshape(-1, count).T
-    for name, column in zip(problem.metadata["own"], own.T, strict=True):
+    for name, column in zip(problem.metadata.own, own.T, strict=True):
         if not np.isfinite(column).all():
             raise ValueError(f"{name} must be finite, got {column}")
     for what, points in (("start", start), ("target", target)):

@@ -1,6 +1,5 @@
 """What is special about particles that interact in pairs, as their generated module states it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,7 +20,7 @@ class PairProblem:
 
     Attributes
     ----------
-    metadata : mapping
+    metadata : Record
         Names and meanings.
     dimension, blocks : int
         Coordinates of a particle, d, and rows of H_pp for each particle: 1 if it acts on all components alike, else d.
@@ -50,7 +49,7 @@ class PairProblem:
         Where on an interval the discrete action takes H.
     """
 
-    metadata: Mapping[str, Any]
+    metadata: Any
     dimension: int
     hamiltonian: Value
     blocks: int = 1

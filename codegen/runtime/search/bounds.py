@@ -1,6 +1,7 @@
 """Bounds of unknowns: active ones, and those that prescribed values violate."""
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.point import evaluate
@@ -47,41 +48,42 @@ def prescribed_beyond(grid, unknowns):
     if grid.steps == 1 or grid.problem.variable_bounds is None:
         return ""
     s, metadata = grid.problem.structure, grid.problem.metadata
-    units, (lower, upper) = units_of(grid), bounds_of(grid)
-    index, inner = first_beyond(s, unknowns, units, lower, upper, grid.steps, 0.0)
+    units, (lower, upper), sizes = units_of(grid), bounds_of(grid), (s.bodies, s.stride, s.node, grid.steps)
+    index, inner = first_beyond(*sizes, unknowns, units, lower, upper, 0.0)
     if index >= 0 and free_unknowns(grid)[index]:
         # Conditions at the end determine it, no better than they hold.
         unsure = UNSURE * evaluate(grid, unknowns / units).residual
-        index, inner = first_beyond(s, unknowns, units, lower, upper, grid.steps, unsure)
+        index, inner = first_beyond(*sizes, unknowns, units, lower, upper, unsure)
     if index < 0:
         return ""
     local = index % (grid.steps * s.stride + s.node)
     end, i = END_NAMES[local >= s.stride], local % s.stride
     if i < s.node:
         limits = f"{units[index] * lower[inner]:g} to {units[index] * upper[inner]:g}"
-        return f"{metadata['node'][i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
-    name = metadata["interval"][i - s.node]
-    condition = metadata["meanings"].get(name, name).removeprefix("slack of ").partition(" at ")[0]
+        return f"{metadata.node[i]} is prescribed as {unknowns[index]:g} at the {end}, beyond its bounds {limits}"
+    name = metadata.interval[i - s.node]
+    condition = metadata.meanings[name].subject if name in metadata.meanings else name
     return f"what is prescribed at the {end} violates {condition}"
 
 
-def first_beyond(s, unknowns, units, lower, upper, steps, unsure):
+@njit(cache=True, error_model="numpy")
+def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, unsure):
     """Return the index of the first unknown at an end that is beyond the bounds farther inside, and its neighbour's.
 
     `unknowns`, `units`, `lower` and `upper` are (n,). Values that are given have no bounds themselves, and are known
     but for what is `unsure`; slacks of what is prescribed have no least value. Both are -1 where there is no such
     unknown.
     """
-    for body in range(s.bodies):
-        for i in range(s.stride):
-            start = body * (steps * s.stride + s.node) + i
-            end = start + (steps if i < s.node else steps - 1) * s.stride
-            for index, inner in ((start, start + s.stride), (end, end - s.stride)):
+    for body in range(bodies):
+        for i in range(stride):
+            start = body * (steps * stride + node) + i
+            end = start + (steps if i < node else steps - 1) * stride
+            for index, inner in ((start, start + stride), (end, end - stride)):
                 value, least, greatest = unknowns[index] / units[index], lower[inner], upper[inner]
-                margin = max(unsure, 1e-9 * max(1.0, abs(value))) if i < s.node else LEAST_SLACK
+                margin = max(unsure, 1e-9 * max(1.0, abs(value))) if i < node else LEAST_SLACK
                 is_below = lower[index] < least and value < least - margin
                 is_above = upper[index] > greatest and value > greatest + margin
                 is_given = lower[index] == -np.inf and upper[index] == np.inf
-                if (i < s.node and is_given and (is_below or is_above)) or (i >= s.node and is_below):
+                if (i < node and is_given and (is_below or is_above)) or (i >= node and is_below):
                     return index, inner
     return -1, -1

@@ -1,32 +1,35 @@
 """The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed."""
 
 import numpy as np
-from numba import njit
 
-from codegen.runtime.search.convergence import is_at_rounding_level, is_solved, sizes_of_terms
-from codegen.runtime.search.descent import relaxation
+from codegen.runtime.search.convergence import is_at_rounding_level, is_solved
+from codegen.runtime.search.descent import (
+    FROM_AFAR,
+    IS_BESIDE,
+    LEAST_RELAXATION,
+    WITH_NEIGHBOUR,
+    WITH_UNKNOWNS,
+    X,
+    begin_beside,
+)
 from codegen.runtime.search.exact_bounds import within_bounds
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
     CASCADE,
     CASCADE_WITH_BOUNDS,
-    FROM_AFAR,
     FROM_GUESS,
     FROM_NEIGHBOUR,
-    LARGEST_DUAL,
     NEARBY,
-    Iterate,
     barrier_curvature,
     begin,
     central_duals,
-    has_multipliers,
     keep_storage,
     measured_point,
     newton_system,
     on_grid,
     predicted_cost,
-    pushed_inside,
     search_on,
+    stored,
 )
 from codegen.runtime.search.linear_system import factor_kkt
 from codegen.runtime.search.newton import UNLUCKY, descend, restored
@@ -36,17 +39,14 @@ from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is
 from codegen.runtime.search.termination import VIOLATED
 
 BULGE = 0.1  # part of its size by which a guess is bent
+WAVES, AMPLITUDE = 3, 0.5  # of a varied guess: sines in a curve, their standard deviation in units of a quantity's size
 WITHOUT_WAY = ("stalled", "infeasible", "rank-deficient")  # after these the violation itself is minimised
 
-GROSS = 0.03  # residuals above this part of the equations' terms are a gross violation
 NEARBY_ITERATIONS = 100  # largest number for a search from a point near such a guess
 FROM_ANYWHERE = np.array([[np.inf, -np.inf]])  # the pairs of a filter that accepts everything
-WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
-CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
-NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
 
 
-def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, search=None, is_factored=False):
+def minimise(grid, unknowns, tolerance, max_iterations, warm, log, search=None, is_factored=False):
     """Find a local minimum; return (status, point, iterations).
 
     Where the search from the guess fails, a globalisation cascade follows: searches that begin in other ways. If none
@@ -54,62 +54,65 @@ def minimise(grid, unknowns, tolerance, max_iterations, warm, log, known=None, s
     search keeps its multipliers, without bounds only where it is near, and the next, without them, begins with a
     small weight of the barrier and leaves unknowns close to their bounds. A row (cost, residual, stationarity,
     Hessian's shift, step length) is appended to `log` at every iterate, and the barrier's weight where there is
-    one. `max_iterations` is for all searches together; steps of the restoration are not counted. `known` is the
-    point without multipliers, if it has been evaluated. `search` is what `search_on` gave for a grid with the same
-    bounds, if there was one: its storage serves again. `is_factored`: `factor_nearby` has factored its linear system
-    for unknowns beside these, and the first step takes its factors.
+    one. `max_iterations` is for all searches together; steps of the restoration are not counted. `search` is what
+    `search_on` gave for a grid with as many bounds, if there was one: its storage serves again. `is_factored`:
+    `factor_nearby` has factored its linear system for unknowns beside these, and the first step takes its factors.
     """
-    first, total, is_passing = None, 0, search is None
-    if search is not None:
-        search = on_grid(search, grid)
-    else:
-        search = search_on(grid)
-        lower, upper = search.box
-        if (lower > upper).any():
-            return "infeasible", evaluate(grid, unknowns), 0
-    cascade = FROM_NEIGHBOUR if warm else FROM_GUESS, *(CASCADE_WITH_BOUNDS if search.is_bounded else CASCADE)
-    guess = begin_nearby(search, unknowns, tolerance) if warm else None
-    if guess is not None:
+    is_passing = search is None
+    search = search_on(grid) if is_passing else on_grid(search, grid)
+    if (search.bounds.lower > search.bounds.upper).any():
+        return "infeasible", evaluate(grid, unknowns), 0
+    found = minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_factored)
+    if is_passing:
+        keep_storage(search)
+    return found
+
+
+def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_factored=False):
+    """Find a local minimum, as `minimise` does, of a search whose bounds do not contradict each other."""
+    grid, cascade = search.grid, CASCADE_WITH_BOUNDS if search.is_bounded else CASCADE
+    guess, first, stage = np.where(grid.is_multiplier, 0.0, unknowns), FROM_GUESS, WITH_UNKNOWNS
+    start = guess
+    if warm:
+        start, first, stage = unknowns, FROM_NEIGHBOUR, WITH_NEIGHBOUR
+    status, iterate, total = leave_saddles(
+        search, start, first, tolerance, max_iterations, log, stage=stage, is_factored=is_factored
+    )
+    if search.work.integers[IS_BESIDE]:
         cascade = FROM_NEIGHBOUR, *cascade
-        is_factored = is_factored and guess.mu < FROM_AFAR.weight
-    else:
-        guess = first_iterate(search, without_multipliers(grid, unknowns, known), cascade[0], known)
-        is_factored = False
-    if not search.is_bounded and guess.point.error < np.inf and is_gross(search, guess.point):
-        status, iterate, total = from_nearby(search, guess, tolerance, max_iterations, log)
-        if status in ("solved", "time limit"):
-            if is_passing:
-                keep_storage(search)
-            return status, iterate.point, total
-        is_factored = False
+    if status == "gross":
+        begun = iterate
+        status, iterate, total = from_nearby(search, begun, tolerance, max_iterations, log)
+        if status not in ("solved", "time limit"):
+            left = max_iterations - total
+            status, iterate, iterations = leave_saddles(search, begun, first, tolerance, left, log)
+            total += iterations
+    if status == "solved":
+        return status, within_bounds(search, iterate, tolerance), total
+    ended = status, iterate
     for attempt in cascade:
-        iterate, status = guess, "restored"
-        if first:
-            primal = without_multipliers(grid, unknowns, known)
-            iterate = begin(search, bulged_guess(grid, primal, attempt.bulge), attempt)
-        elif is_factored:
-            attempt = attempt._replace(is_factored=True)
-        if attempt.nearby < 1.0 and iterate.point.error < np.inf:
-            status, iterate = restored(search, iterate, attempt.nearby, FROM_ANYWHERE, log)
+        if ended[0] not in UNLUCKY or total >= max_iterations:
+            break
+        beside = begin(search, bulged_guess(grid, guess, attempt.bulge), attempt)
+        status, iterate = "restored", beside
+        if attempt.nearby < 1.0 and beside.point.error < np.inf:
+            status, iterate = restored(search, beside, attempt.nearby, FROM_ANYWHERE, log)
         if status == "restored":
             left = max_iterations - total
             status, iterate, iterations = leave_saddles(search, iterate, attempt, tolerance, left, log)
             total += iterations
-            first = first or (status, iterate)
-        if first and first[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
-            first = status, iterate  # equations that contradict each other are dependent as well
-        if status == "solved" or first[0] not in UNLUCKY or total >= max_iterations:
+        if ended[0] == "rank-deficient" and status == "infeasible" and iterate.point.residual > tolerance:
+            ended = status, iterate  # equations that contradict each other are dependent as well
+        if status == "solved":
             break
     if status != "solved":
-        status, iterate = first
+        status, iterate = ended
     if status in WITHOUT_WAY and iterate.point.residual > VIOLATED and total < max_iterations:
         left = max_iterations - total
-        status, iterate, iterations = from_least_violation(search, iterate, guess, status, tolerance, left, log)
+        start = (begin_nearby(search, unknowns, tolerance) if warm else None) or begin(search, guess, first)
+        status, iterate, iterations = from_least_violation(search, iterate, start, status, tolerance, left, log)
         total += iterations
-    point = within_bounds(search, iterate, tolerance) if search.is_bounded else iterate.point
-    if is_passing:
-        keep_storage(search)
-    return status, point, total
+    return status, within_bounds(search, iterate, tolerance), total
 
 
 def from_least_violation(search, iterate, guess, status, tolerance, max_iterations, log):
@@ -153,24 +156,6 @@ def violating_starts(search, iterate, guess):
     yield begin(search, bent, CASCADE[0]), NONE_HELD
 
 
-def without_multipliers(grid, unknowns, known):
-    """Return unknowns (n,) with zeros for multipliers; of a point without multipliers if it is `known`."""
-    return np.where(grid.is_multiplier, 0.0, unknowns) if known is None else known.unknowns
-
-
-def first_iterate(search, unknowns, attempt, known):
-    """Return the iterate without multipliers at a guess, whose point may be `known`."""
-    if not search.is_bounded and known is not None:
-        return Iterate(known, 0.0, search.bounds.side, search.bounds.side)
-    return begin(search, unknowns, attempt)
-
-
-def is_gross(search, point):
-    """Return True if the residual is more than a small part of the equations' largest terms."""
-    terms, _ = sizes_of_terms(search.grid, point.unknowns, search.system)
-    return point.residual > GROSS * terms
-
-
 def from_nearby(search, guess, tolerance, max_iterations, log):
     """Return (status, iterate, iterations) of a search from a point near the guess that nearly obeys the equations.
 
@@ -197,15 +182,34 @@ def bulged_guess(grid, unknowns, part):
     return np.where(free_unknowns(grid) & ~grid.is_multiplier, unknowns + bulge, unknowns)
 
 
-def leave_saddles(search, iterate, attempt, tolerance, max_iterations, log):
+def varied_guess(grid, unknowns, seed):
+    """Return a guess (n,) with a random smooth curve added to every quantity: a sum of a few sines, zero at both ends.
+
+    What is given stays, and so do multipliers and linking variables, such as a free duration. A guess that is zero all
+    over has no size, and curves of the size of one are added to it.
+    """
+    rng, root, is_changed = np.random.default_rng(seed), grid.problem.structure.root, ~grid.is_multiplier
+    is_changed[unknowns.size - root :] = False
+    is_changed &= free_unknowns(grid)
+    least = 0.3 * np.abs(unknowns[is_changed]).max(initial=0.0) or 1.0
+    change, waves = np.zeros_like(unknowns), np.arange(1, WAVES + 1)
+    for own, curves in zip(views(grid, unknowns), views(grid, change), strict=True):
+        sines = np.sin(np.pi * waves[:, None] * np.linspace(0.0, 1.0, own.shape[1]))
+        for body in range(own.shape[0]):
+            for index in range(own.shape[2]):
+                size = max(np.abs(own[body, :, index]).max(), least)
+                curves[body, :, index] = AMPLITUDE * size * ((rng.standard_normal(WAVES) / waves) @ sines)
+    return np.where(is_changed, unknowns + change, unknowns)
+
+
+def leave_saddles(search, start, attempt, tolerance, max_iterations, log, **how):
     """Descend; where that ends in a saddle point go on beside it, to either side, and ever farther away from it.
 
     Where there is no way down it was none: multipliers that are not unique may belong to an indefinite Hessian.
     """
-    status, saddle, total = descend(search, iterate, attempt, tolerance, max_iterations, log)
+    status, saddle, total = descend(search, start, attempt, tolerance, max_iterations, log, **how)
     failed, escapes = False, 0
     while status == "saddle point" and escapes < ESCAPES and total < max_iterations:
-        attempt = attempt._replace(is_factored=False)
         known = predicted_cost(search, saddle)
         for beside in escaping_iterates(search, saddle, attempt, escapes):
             ended, other, iterations = descend(search, beside, attempt, tolerance, max_iterations - total, log, known)
@@ -231,40 +235,11 @@ def escaping_iterates(search, saddle, attempt, escapes):
 
 
 def begin_nearby(search, unknowns, tolerance):
-    """Return the warm start at a neighbour's unknowns, multipliers among them; None without any.
-
-    Nor is there one far from the equations, unless there are bounds. Duals of bounds follow from the multipliers: where
-    the Lagrangian falls towards a bound, by more than the distance to it, the bound is active, and its dual is that
-    slope; the others are on the central path. The barrier's weight begins where it ends, and unknowns stay close to
-    their bounds. Far from the equations, as after a push, other bounds become active: then the start is farther inside.
-    Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming, SIAM J.
-    Optim. 12: the larger the change of the data, the larger the weight of the barrier from which to begin.
-    """
-    grid, bounds = search.grid, search.bounds
-    if not has_multipliers(unknowns, grid.is_multiplier):
-        return None
-    if not search.is_bounded:
-        iterate = Iterate(evaluate(grid, unknowns), 0.0, bounds.side, bounds.side)
-        return iterate if iterate.point.residual <= NEAR and iterate.point.error < np.inf else None
-    mu, unknowns = WARM_WEIGHT * tolerance, pushed_inside(search, unknowns, CLOSE)
-    point = evaluate(grid, unknowns)
-    if point.residual > NEAR:
-        iterate = begin(search, unknowns, FROM_AFAR)
-    else:
-        distance, duals = np.empty(bounds.side.size), np.empty(bounds.side.size)
-        fill_active(unknowns, point.gradient, *bounds, mu, search.least, distance, duals)
-        iterate = Iterate(point, mu, distance, duals)
-    return iterate if iterate.point.error < np.inf else None
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def fill_active(unknowns, gradient, indices, value, side, magnitude, mu, least, distance, duals):
-    """Fill the distances (m,) to bounds, and duals (m,), where bounds that the Lagrangian falls towards are active."""
-    relaxed = relaxation(mu, least)
-    for j in range(indices.size):
-        distance[j] = side[j] * (unknowns[indices[j]] - value[j]) + relaxed * magnitude[j]
-        slope = side[j] * gradient[indices[j]]
-        duals[j] = slope if slope > distance[j] else min(mu / distance[j], LARGEST_DUAL)
+    """Return the warm start at a neighbour's unknowns, with its multipliers, or None; see `descent.begin_beside`."""
+    work, (problem, data, _, bounds) = search.work, search.arguments
+    work.vectors[X], work.reals[LEAST_RELAXATION] = unknowns, search.least
+    begin_beside(problem, data, bounds, tolerance, work.reals, work.integers, work.vectors, work.barriers)
+    return stored(search) if work.integers[IS_BESIDE] else None
 
 
 def factor_nearby(grid, unknowns, tolerance, search):
@@ -275,7 +250,7 @@ def factor_nearby(grid, unknowns, tolerance, search):
     """
     search = on_grid(search, grid)
     iterate = begin_nearby(search, unknowns, tolerance)
-    if iterate is None or iterate.mu == FROM_AFAR.weight:
+    if iterate is None or iterate.mu == FROM_AFAR[0]:
         return False
     _, diagonal = newton_system(search, iterate, iterate.point.gradient, 0.0, 0.0)
     return factor_kkt(grid, iterate.point.unknowns, 1.0, diagonal, search.system) == 0

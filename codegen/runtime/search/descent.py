@@ -24,7 +24,9 @@ from codegen.runtime.search.linear_system import call_hessians, factor_at, globa
 from codegen.runtime.search.point import measured_gradient
 
 # Why the function returns.
-CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM = range(10)
+(
+    CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS,
+) = range(11)  # fmt: skip
 WORDS = (
     "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
 )  # fmt: skip
@@ -44,14 +46,30 @@ BARRIERS = 10
 (
     MU, LEAST_RELAXATION, SHORTEST, SMALL_VIOLATION, FIRST_COST, DELTA_W, LAST_DELTA_W, DAMPING, LENGTH, LAST_ERROR,
     WATCH_VIOLATION, WATCH_OBJECTIVE, WATCH_SLOPE, WATCH_LONGEST, KNOWN, COST, RESIDUAL, VIOLATION,
-    STATIONARITY, ERROR, LOOSE_MU, LAST_COST,
-) = range(22)  # fmt: skip
-REALS = 22
+    STATIONARITY, ERROR, LOOSE_MU, LAST_COST, PUSH, FUNNEL, FIRST_MU, FIRST_VIOLATION, FIRST_ERROR,
+) = range(27)  # fmt: skip
+REALS = 27
 (
     PAIRS, REFUSED, IN_TURN, EMPTIED, LATE, SHORTENED, WATCHING, IN_VAIN, DOUBTFUL, ENOUGH, LOWERED, WAS_SINGULAR,
-    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN,
-) = range(21)  # fmt: skip
-INTEGERS = 21
+    ITERATIONS, IS_WARM, IS_FACTORED, HAS_KNOWN, IS_COSTLESS, HAS_LOOSE, FACTORISATIONS, AT_REST, SEEN, STAGE, ON_PATH,
+    LOOKS, IS_BESIDE,
+) = range(25)  # fmt: skip
+INTEGERS = 25
+
+# The stage of a search: it goes on; it begins with an iterate, with primal unknowns, or with those of a neighbour.
+GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
+
+# The start.
+AT_GUESS, BESIDE, FROM_AFAR = (0.1, 1e-2), (1e-5, 1e-4), (0.1, 0.1)
+"""First weight of the barrier and push of a search from a guess; of a warm start; of one whose equations do not hold:
+close to their bounds, unknowns would be stopped by these step after step."""
+WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
+CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
+NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
+LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
+LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
+FILTERED = 1e-4  # part of the first violation up to which the switching condition asks for descent
+GROSSLY = 0.03  # residuals above this part of the equations' terms are a gross violation
 
 # Sizes of residuals and terms.
 UNIT_ROUNDOFF = 2.2e-16
@@ -115,7 +133,7 @@ def sum_of_logarithms(distance):
     return total + np.log(product)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def relaxation(mu, least):
     """Return the relaxation of bounds for the weight mu, relative to their magnitudes."""
     return min(RELAXED, max(least, PER_WEIGHT * mu))
@@ -137,7 +155,7 @@ def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
     return sum_of_logarithms(closer), moves
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, spare):
     """Return measures of the optimality conditions with the duals of bounds.
 
@@ -176,7 +194,7 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
         problem[0], unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, vectors[SCALED][: sizes.size],
         gradient,
     )  # fmt: skip
-    indices, side, _ = bounds
+    indices, side = bounds[0], bounds[1]
     measured = optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, vectors[SPARE])
     if error < np.inf:
         stationarity = measured[0]
@@ -185,11 +203,11 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
 
 
 @njit(error_model="numpy")
-def measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors):
-    """Return what `evaluated` does for an iterate that has been evaluated: its gradient and measures are there."""
-    cost, residual, violation, stationarity, error = reals[COST], reals[RESIDUAL], reals[VIOLATION], np.inf, np.inf
+def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors):
+    """Return what `evaluated` does where gradient and measures are `known`, but for duals of bounds."""
+    cost, residual, violation, stationarity, error = known[0], known[1], known[2], np.inf, np.inf
     measured = optimality(g, x, is_multiplier, bounds[0], bounds[1], distance, duals, vectors[SPARE])
-    if reals[ERROR] < np.inf:
+    if known[4] < np.inf:
         stationarity = measured[0]
         error = max(residual, stationarity)
     return (cost, residual, violation, stationarity, error), measured
@@ -207,7 +225,7 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def terms(problem, grid, system, x, is_costless, vectors):
     """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition.
 
@@ -318,10 +336,10 @@ def is_acceptable(problem, grid, system, x, measures, measured, tolerance, is_co
     return is_solved(problem, grid, system, x, measures[1], scaled, tolerance, is_costless, vectors)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, right, diagonal):
     """Fill right-hand side and diagonal of Newton's equations (13), given the gradient of the Lagrangian."""
-    is_multiplier, (indices, side, _) = grid[4], bounds
+    is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     for i in range(g.size):
         is_rounding = indices.size > 0 and is_multiplier[i] and abs(g[i]) <= ROUNDING
         right[i] = 0.0 if is_rounding else g[i]
@@ -332,7 +350,7 @@ def fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, delta_c, r
         diagonal[indices[j]] += duals[j] * inverse
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     """Fill `dual_step`; return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
 
@@ -341,7 +359,7 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     again. A step that is far longer than its right-hand side is one of rounding. Lengths keep 1 - tau of every distance
     and of every dual (15).
     """
-    is_multiplier, (indices, side, _) = grid[4], bounds
+    is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     slope = size = largest = 0.0
     for i in range(x.size):
         slope += right[i] * (x[i] if is_multiplier[i] else step[i])
@@ -357,13 +375,13 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     return slope, size > SINGULAR_STEP * largest, tau / primal, tau / dual
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed):
     """Fill the trial after parts of a step, its distances and duals; return the sum of logarithms of distances.
 
     Rounding must not make a distance vanish; duals are kept within a factor of 1e10 of mu / d (16).
     """
-    indices, side, _ = bounds
+    indices, side = bounds[0], bounds[1]
     for i in range(x.size):
         trial[i] = x[i] + length * step[i]
     if indices.size == 0:
@@ -534,7 +552,7 @@ def refined(problem, grid, system, x, vectors, room):
     return True
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping, careful, reals, integers, vectors,
                barriers, room):  # fmt: skip
     """Find a Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step.
@@ -634,11 +652,171 @@ def copy(source, target):
         target[i] = source[i]
 
 
+@njit(error_model="numpy")
+def has_multipliers(unknowns, is_multiplier):
+    """Return True if any multiplier is not zero."""
+    has_any = False
+    for i in range(unknowns.size):
+        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
+    return has_any
+
+
+@njit(error_model="numpy")
+def tie(grid, x):
+    """Give unknowns that equal linking variables their values."""
+    sizes, ties = grid[5], grid[8]
+    for j in range(ties.shape[0]):
+        i, other = ties[j, 0], ties[j, 1]
+        x[i] = x[other] * sizes[other] / sizes[i] if sizes.size else x[other]
+
+
+@njit(cache=True, error_model="numpy")
+def push_inside(grid, bounds, push, x):
+    """Move unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
+    indices, lower, upper = bounds[0], bounds[4], bounds[5]
+    for i in indices:
+        width = push * (upper[i] - lower[i])
+        if lower[i] > -np.inf:
+            x[i] = max(x[i], lower[i] + min(push * max(1.0, abs(lower[i])), width))
+        if upper[i] < np.inf:
+            x[i] = min(x[i], upper[i] - min(push * max(1.0, abs(upper[i])), width))
+    tie(grid, x)
+
+
+@njit(cache=True, error_model="numpy")
+def begin(problem, grid, bounds, reals, integers, vectors, barriers):
+    """Put the iterate at the primal unknowns X, which are pushed inside their bounds, into the work space.
+
+    Duals are one, or `ON_PATH`, the central path. The weight of the barrier and the push are in the work space.
+    """
+    x, distance, duals, mu = vectors[X], barriers[DISTANCE], barriers[DUALS], reals[MU]
+    indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
+    if indices.size > 0:
+        push_inside(grid, bounds, reals[PUSH], x)
+        relaxed = relaxation(mu, reals[LEAST_RELAXATION])
+        for j in range(indices.size):
+            distance[j] = side[j] * (x[indices[j]] - value[j]) + relaxed * magnitude[j]
+            duals[j] = min(mu / distance[j], LARGEST_DUAL) if integers[ON_PATH] else 1.0
+    evaluate_iterate(problem, grid, reals, vectors)
+
+
+@njit(error_model="numpy")
+def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
+    """As `begin`, with duals on the central path, and weight and push as in BESIDE or FROM_AFAR."""
+    reals[MU] = start[0] if bounds[0].size else 0.0
+    reals[PUSH], integers[ON_PATH], integers[IS_FACTORED] = start[1], 1, 0
+    begin(problem, grid, bounds, reals, integers, vectors, barriers)
+
+
+@njit(cache=True, error_model="numpy")
+def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers):
+    """Put the warm start at a neighbour's unknowns X into the work space; IS_BESIDE tells if it has its multipliers.
+
+    It has none if the neighbour has none, nor far from the equations, unless there are bounds. Duals of bounds follow
+    from the multipliers: where the Lagrangian falls towards a bound, by more than the distance to it, the bound is
+    active, and its dual is that slope; the others are on the central path. The barrier's weight begins where it ends,
+    and unknowns stay close to their bounds. Far from the equations, as after a push, other bounds become active: then
+    the start is farther inside.
+    Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming, SIAM J.
+    Optim. 12: the larger the change of the data, the larger the weight of the barrier from which to begin.
+    """
+    x, g, distance, duals, is_multiplier = vectors[X], vectors[G], barriers[DISTANCE], barriers[DUALS], grid[4]
+    indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
+    integers[IS_BESIDE] = has_multipliers(x, is_multiplier)
+    if integers[IS_BESIDE]:
+        if indices.size:
+            push_inside(grid, bounds, CLOSE, x)
+        evaluate_iterate(problem, grid, reals, vectors)
+        is_near = reals[RESIDUAL] <= NEAR
+        if indices.size and not is_near:
+            begin_at(FROM_AFAR, problem, grid, bounds, reals, integers, vectors, barriers)
+        else:
+            reals[MU] = WARM_WEIGHT * tolerance if indices.size else 0.0
+            relaxed = relaxation(reals[MU], reals[LEAST_RELAXATION])
+            for j in range(indices.size):
+                distance[j] = side[j] * (x[indices[j]] - value[j]) + relaxed * magnitude[j]
+                slope = side[j] * g[indices[j]]
+                duals[j] = slope if slope > distance[j] else min(reals[MU] / distance[j], LARGEST_DUAL)
+        integers[IS_BESIDE] = reals[ERROR] < np.inf and (is_near or indices.size > 0)
+    if not integers[IS_BESIDE]:
+        for i in range(x.size):
+            x[i] = 0.0 if is_multiplier[i] else x[i]
+        begin_at(BESIDE, problem, grid, bounds, reals, integers, vectors, barriers)
+
+
+@njit(error_model="numpy")
+def evaluate_iterate(problem, grid, reals, vectors):
+    """Evaluate the iterate of the work space; duals of bounds take no part in its measures."""
+    steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
+    measures = measured_gradient(
+        problem[0], vectors[X], sizes, weight, steps, h, nodes, parameters, is_multiplier,
+        vectors[SCALED][: sizes.size], vectors[G],
+    )  # fmt: skip
+    for i in range(5):
+        reals[COST + i] = measures[i]
+
+
+@njit(cache=True, error_model="numpy")
+def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers):
+    """Give an iterate the multipliers that solve stationarity by least squares (36), none if these are huge.
+
+    All its multipliers are zero.
+    """
+    is_multiplier, indices, side, duals = grid[4], bounds[0], bounds[1], barriers[DUALS]
+    x, g, right, diagonal, step = vectors[X], vectors[G], vectors[RIGHT], vectors[DIAGONAL], vectors[STEP]
+    if indices.size == 0 and reals[STATIONARITY] == 0.0:
+        return
+    for i in range(x.size):
+        right[i] = 0.0 if is_multiplier[i] else g[i]
+        diagonal[i] = -1e-12 if is_multiplier[i] else 1.0
+    for j in range(indices.size):
+        right[indices[j]] -= side[j] * duals[j]
+    excess = factored(problem, grid, system, x, 0.0, vectors, True)
+    if excess == SINGULAR or excess > 0:
+        return
+    for i in range(x.size):
+        if is_multiplier[i] and not abs(step[i]) <= LARGEST_MULTIPLIER:
+            return
+    for i in range(x.size):
+        if is_multiplier[i]:
+            x[i] = step[i]
+    evaluate_iterate(problem, grid, reals, vectors)
+
+
+@njit(error_model="numpy")
+def enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs):
+    """Prepare the state of a search that begins with the iterate in the work space.
+
+    Multipliers that are all zero are estimated; others are those of a neighbour.
+    """
+    integers[IS_WARM] = has_multipliers(vectors[X], grid[4])
+    if not integers[IS_WARM]:
+        estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers)
+    first = max(1.0, reals[VIOLATION])
+    reals[SMALL_VIOLATION], reals[FIRST_COST], reals[LAST_ERROR] = FILTERED * first, reals[COST], np.inf
+    reals[FIRST_MU], reals[FIRST_VIOLATION], reals[FIRST_ERROR] = reals[MU], reals[VIOLATION], reals[ERROR]
+    pairs[0, 0], pairs[0, 1], integers[PAIRS], integers[ENOUGH] = reals[FUNNEL] * first, -np.inf, 1, 2
+    integers[STAGE] = GO_ON
+
+
+@njit(error_model="numpy")
+def is_gross(problem, grid, system, reals, vectors):
+    """Return True if the residual of the iterate is more than a small part of the equations' largest terms."""
+    if not reals[ERROR] < np.inf:
+        return False
+    of_equations, _ = terms(problem, grid, system, vectors[X], False, vectors)
+    return reals[RESIDUAL] > GROSSLY * of_equations
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def descend(
     problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
 ):
-    """Follow Newton's steps from the iterate in the work space; return why that ends, a number.
+    """Follow Newton's steps; return why that ends, a number.
+
+    At the STAGE of a search that begins, this is from the iterate in the work space, or from the primal unknowns or the
+    neighbour's unknowns there.
+    A search without bounds that LOOKS ends at once, GROSS, where the equations are grossly violated.
 
     Parameters
     ----------
@@ -650,7 +828,7 @@ def descend(
         Storage of the linear system: tables, factors, orders, entries, scaled, costless, inverses, counts, equations,
         rows, columns; see `linear_system.System`.
     bounds : tuple
-        indices, side, magnitude (m,).
+        indices, side, magnitude, value (m,) of all finite bounds; least and greatest values (n,), or empty without any.
     tolerance : float
         Of residual and stationarity, as `is_solved` has it.
     limit, most : int
@@ -666,14 +844,22 @@ def descend(
     log : (most + 1, 6)
         Rows of all iterates: cost, residual, stationarity, shift of the Hessian, step length, mu.
     """
-    indices, side, magnitude = bounds
+    indices, side, magnitude = bounds[0], bounds[1], bounds[2]
     n, m, is_multiplier = vectors.shape[1], indices.size, grid[4]
     x, g, trial, tg = vectors[X], vectors[G], vectors[TRIAL], vectors[TRIAL_G]
     distance, duals, moved, pushed = barriers[DISTANCE], barriers[DUALS], barriers[MOVED], barriers[PUSHED]
     right, step, right2, step2 = vectors[RIGHT], vectors[STEP], vectors[RIGHT2], vectors[STEP2]
     dual_step, dual_step2 = barriers[DUAL_STEP], barriers[DUAL_STEP2]
     is_costless, least_mu, done, status = integers[IS_COSTLESS], LEAST_PART * tolerance, 0, CONTINUE
-    measures, measured = measured_again(bounds, is_multiplier, reals, x, g, distance, duals, vectors)
+    if integers[STAGE] == WITH_UNKNOWNS:
+        begin(problem, grid, bounds, reals, integers, vectors, barriers)
+    elif integers[STAGE] == WITH_NEIGHBOUR:
+        begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers)
+    if integers[STAGE] != GO_ON:
+        if m == 0 and integers[LOOKS] and is_gross(problem, grid, system, reals, vectors):
+            return GROSS
+        enter(problem, grid, system, bounds, reals, integers, vectors, barriers, pairs)
+    measures, measured = measured_again(bounds, is_multiplier, reals[COST : COST + 5], x, g, distance, duals, vectors)
     logarithms = sum_of_logarithms(distance)
     t_measures, t_measured, t_logarithms = measures, measured, logarithms
     while True:
@@ -717,7 +903,7 @@ def descend(
                 status = SADDLE
         elif m > 0 and largest > LARGEST:
             status = UNBOUNDED
-        elif cost < -UNBOUNDED_BELOW * max(1.0, reals[FIRST_COST]):
+        elif cost < -UNBOUNDED_BELOW * max(1.0, abs(reals[FIRST_COST])):
             # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
             of_equations, _ = terms(problem, grid, system, x, is_costless, vectors)
             if residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * of_equations):

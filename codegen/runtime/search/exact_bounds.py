@@ -8,8 +8,9 @@ relaxation then lead back to its optimum.
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search.iterates import measured_point, moved, newton_step, with_tied_values
-from codegen.runtime.search.point import evaluate
+from codegen.runtime.search import descent
+from codegen.runtime.search.iterates import moved, newton_step, with_tied_values
+from codegen.runtime.search.point import Point, evaluate
 
 LAST_STEPS = 3
 WORSE = 2.0  # largest growth of an error above the tolerance
@@ -18,7 +19,7 @@ WORSE = 2.0  # largest growth of an error above the tolerance
 def within_bounds(search, iterate, tolerance):
     """Return the point of an iterate inside its bounds, with its errors, or as it is if that costs accuracy."""
     point = iterate.point
-    if not point.error < np.inf:
+    if not (search.is_bounded and point.error < np.inf):
         return point
     clipped = inside = on_bounds(search, iterate)
     for _ in range(LAST_STEPS):
@@ -34,22 +35,32 @@ def within_bounds(search, iterate, tolerance):
 
 def on_bounds(search, iterate):
     """Return the point with unknowns beyond a bound moved onto it, and its stationarity with the duals of bounds."""
-    grid, (lower, upper) = search.grid, search.box
-    unknowns = iterate.point.unknowns.copy()
-    if clip(unknowns, lower, upper, search.bounds.indices):
-        iterate = iterate._replace(point=evaluate(grid, with_tied_values(grid, unknowns)))
-    return measured_point(search, iterate)
+    unknowns, gradient = iterate.point.unknowns.copy(), iterate.point.gradient.copy()
+    problem, data, _, bounds = search.arguments
+    measures = clip(
+        problem, data, bounds, iterate.point[2:], iterate.distance, iterate.duals, search.work.vectors, unknowns,
+        gradient,
+    )  # fmt: skip
+    return Point(unknowns, gradient, *measures)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def clip(unknowns, lower, upper, indices):
-    """Move those of `unknowns` (n,) that are beyond a bound onto it, in place; return True if there are any."""
-    moves = False
+@njit(cache=True, error_model="numpy")
+def clip(problem, grid, bounds, known, distance, duals, vectors, unknowns, gradient):
+    """Move those of `unknowns` (n,) that are beyond a bound onto it, and evaluate; return the measures of a point.
+
+    `known` are those of a point at the unknowns with this `gradient` (n,).
+    """
+    indices, lower, upper, moves, measures = bounds[0], bounds[4], bounds[5], False, known
     for i in indices:
         clipped = min(max(unknowns[i], lower[i]), upper[i])
         moves = moves or clipped != unknowns[i]
         unknowns[i] = clipped
-    return moves
+    if moves:
+        descent.tie(grid, unknowns)
+        measures, _ = descent.evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors)
+    else:
+        measures, _ = descent.measured_again(bounds, grid[4], known, unknowns, gradient, distance, duals, vectors)
+    return measures
 
 
 def last_step(search, iterate):

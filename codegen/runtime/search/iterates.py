@@ -11,19 +11,12 @@ from numba import njit
 
 from codegen.runtime.search import descent
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.descent import LEAST_RELAXED, RELAXED, relaxation
-from codegen.runtime.search.grid import Grid, free_unknowns, multiplier_unknowns, with_pinned_values
-from codegen.runtime.search.linear_system import (
-    System,
-    allocate_system,
-    factor_kkt,
-    is_factored,
-    with_entry_factors,
-)
+from codegen.runtime.search.descent import COST, DISTANCE, DUALS, LARGEST_DUAL, LEAST_RELAXED, MU, RELAXED, G, X
+from codegen.runtime.search.grid import NONE, Grid, layout_of, multiplier_unknowns, with_pinned_values
+from codegen.runtime.search.linear_system import System, allocate_system, with_entry_factors
 from codegen.runtime.search.point import Point, evaluate, lagrangian
+from codegen.runtime.search.structure import NO_INDICES
 
-LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
-LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
 LARGEST_KEPT = 4_000_000  # numbers of the storage that is kept between searches: 32 MB
 
 
@@ -42,8 +35,6 @@ class Attempt(NamedTuple):
         Factor by which the violation may grow.
     bulge : float
         Part of its size by which the guess is bent.
-    is_factored : bool
-        True if the linear system is factored, at a point beside the guess.
     on_path : bool
         True if duals begin on the central path, not at one.
     """
@@ -54,16 +45,13 @@ class Attempt(NamedTuple):
     shortest: float
     funnel: float
     bulge: float = 0.0
-    is_factored: bool = False
     on_path: bool = False
 
 
-FROM_GUESS = Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4)
+FROM_GUESS = Attempt(*descent.AT_GUESS, 1.0, 1e-12, 1e4)
 NEARBY = FROM_GUESS._replace(nearby=1e-2)
 # Warm start without multipliers.
-FROM_NEIGHBOUR = Attempt(1e-5, 1e-4, 1.0, 1e-12, 1e4, on_path=True)
-# Warm start whose equations do not hold: close to their bounds, unknowns would be stopped by these step after step.
-FROM_AFAR = Attempt(0.1, 0.1, 1.0, 1e-12, 1e4, on_path=True)
+FROM_NEIGHBOUR = Attempt(*descent.BESIDE, 1.0, 1e-12, 1e4, on_path=True)
 CASCADE_WITH_BOUNDS = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
@@ -73,24 +61,36 @@ CASCADE = (CASCADE_WITH_BOUNDS[0], CASCADE_WITH_BOUNDS[2])
 
 
 class Bounds(NamedTuple):
-    """Indices, values, sides and magnitudes, one or more, of all finite bounds."""
+    """Indices, sides, magnitudes, one or more, and values of all finite bounds; least and greatest values (n,).
+
+    The latter are empty where a problem has no bounds.
+    """
 
     indices: np.ndarray
-    value: np.ndarray
     side: np.ndarray
     magnitude: np.ndarray
+    value: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
 
 
+@njit(cache=True, error_model="numpy")
 def finite_bounds(lower, upper):
-    """Return the bounds that exist, lower ones first."""
-    (below,), (above,) = (lower > -np.inf).nonzero(), (upper < np.inf).nonzero()
-    side = np.ones(below.size + above.size)
-    side[below.size :] = -1.0
-    value = np.concatenate([lower[below], upper[above]])
-    return Bounds(np.concatenate([below, above]), value, side, np.maximum(1.0, np.abs(value)))
+    """Return indices, sides, magnitudes and values of the bounds that exist, lower ones first."""
+    n, m = lower.size, 0
+    for i in range(n):
+        m += (lower[i] > -np.inf) + (upper[i] < np.inf)
+    indices, side, magnitude, value = np.empty(m, np.int64), np.empty(m), np.empty(m), np.empty(m)
+    j = 0
+    for sign, bound in ((1.0, lower), (-1.0, upper)):
+        for i in range(n):
+            if sign * bound[i] > -np.inf:
+                indices[j], side[j], value[j], magnitude[j] = i, sign, bound[i], max(1.0, abs(bound[i]))
+                j += 1
+    return indices, side, magnitude, value
 
 
-NO_BOUNDS = finite_bounds(np.zeros(0), np.zeros(0))
+NO_BOUNDS = Bounds(NO_INDICES, NONE, NONE, NONE, NONE, NONE)
 
 
 class Workspace:
@@ -114,17 +114,14 @@ class Workspace:
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system, indices of multipliers.
+    """What stays the same during a solve: grid, bounds, storage of the linear system, work space.
 
-    `box` holds the least and the greatest values of all unknowns, infinite where there is no bound. Bounds are relaxed
-    by `least` at least, relative to their magnitudes. `arguments` are those of the compiled search.
+    Bounds are relaxed by `least` at least, relative to their magnitudes. `arguments` are those of the compiled search.
     """
 
     grid: Grid
     bounds: Bounds
     system: System
-    equations: np.ndarray
-    box: tuple[np.ndarray, np.ndarray]
     work: Workspace
     arguments: tuple[tuple[Any, ...], ...]
     least: float = LEAST_RELAXED
@@ -133,6 +130,11 @@ class Search(NamedTuple):
     def is_bounded(self):
         """True if there are bounds."""
         return self.bounds.indices.size > 0
+
+    @property
+    def equations(self):
+        """The indices of the multipliers whose equations are imposed."""
+        return multiplier_unknowns(self.grid)
 
 
 class Iterate(NamedTuple):
@@ -159,16 +161,18 @@ class Step(NamedTuple):
 
 
 def search_on(grid):
-    """Return what stays the same during a solve on a grid."""
-    box, n = bounds_of(grid), grid.is_multiplier.size
-    bounds = NO_BOUNDS if grid.problem.variable_bounds is None else finite_bounds(*box)
+    """Return what stays the same during a solve on a grid, whose bounds the grid of the search has."""
+    bounds = NO_BOUNDS
+    if grid.problem.variable_bounds is not None:
+        box = bounds_of(grid)
+        bounds = Bounds(*finite_bounds(*box), *box)
+        grid = grid._replace(bounds=box)
     kept = grid.problem.storage.take(storage_key(grid, bounds))
     if kept is None:
-        system, work = allocate_system(grid), Workspace(n, bounds.side.size)
+        system, work = allocate_system(grid), Workspace(grid.is_multiplier.size, bounds.side.size)
     else:
         system, work = with_entry_factors(grid, kept[0]), kept[1]
-    arguments = *arguments_of(grid, system), (bounds.indices, bounds.side, bounds.magnitude)
-    return Search(grid, bounds, system, multiplier_unknowns(grid), box, work, arguments)
+    return Search(grid, bounds, system, work, (*arguments_of(grid, system), tuple(bounds)))
 
 
 def keep_storage(search):
@@ -184,58 +188,60 @@ def storage_key(grid, bounds):
 
 
 def on_grid(search, grid):
-    """Return the search on a grid with the same bounds and so many intervals: its storage serves again."""
+    """Return the search on a grid with as many intervals and finite bounds: its storage serves again."""
     if grid is search.grid:
         return search
-    return search._replace(grid=grid, arguments=(*arguments_of(grid, search.system), search.arguments[-1]))
+    bounds = search.bounds
+    if search.is_bounded and grid.bounds is not search.grid.bounds:
+        bounds = Bounds(*finite_bounds(*grid.bounds), *grid.bounds)
+    system = search.system if grid.sizes is search.grid.sizes else with_entry_factors(grid, search.system)
+    arguments = *arguments_of(grid, system), tuple(bounds)
+    return search._replace(grid=grid, bounds=bounds, system=system, arguments=arguments)
 
 
 def arguments_of(grid, system):
     """Return problem, grid and linear system as the compiled search takes them."""
-    s = grid.problem.structure
-    problem = (grid.problem.gradient.address, system.loop, system.address)
+    steps, h, nodes, _, parameters, is_multiplier, sizes, forces, weight, _, _, problem = grid
+    s = problem.structure
     data = (
-        grid.steps, float(grid.h), grid.nodes, grid.parameters, grid.is_multiplier, grid.sizes, grid.forces,
-        float(grid.weight), s.ties(grid.steps), free_unknowns(grid), s.fillings(grid.steps),
+        steps, float(h), nodes, parameters, is_multiplier, sizes, forces, float(weight), s.ties(steps),
+        layout_of(grid).is_free, s.fillings(steps),
     )  # fmt: skip
-    storage = (
-        system.tables, system.factors, system.orders, system.entries, system.scaled, system.costless, system.inverses,
-        system.counts, system.equations, system.rows, system.columns,
-    )  # fmt: skip
-    return problem, data, storage
+    return (problem.gradient.address, system.loop, system.address), data, system[2:]
 
 
 def begin(search, unknowns, attempt):
     """Return the iterate at primal unknowns that are pushed inside their bounds, with duals of one or on the path."""
-    bounds, mu = search.bounds, attempt.weight
-    if not search.is_bounded:
-        return Iterate(evaluate(search.grid, unknowns), 0.0, bounds.side, bounds.side)
-    unknowns = pushed_inside(search, unknowns, attempt.push)
-    distance = bounds.side * (unknowns[bounds.indices] - bounds.value) + relaxation(mu, search.least) * bounds.magnitude
-    duals = central_duals(mu, distance) if attempt.on_path else np.ones(distance.size)
-    return Iterate(evaluate(search.grid, unknowns), mu, distance, duals)
+    work = search.work
+    work.vectors[X] = unknowns
+    work.reals[MU], work.reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
+    work.reals[descent.LEAST_RELAXATION], work.integers[descent.ON_PATH] = search.least, attempt.on_path
+    problem, data, _, bounds = search.arguments
+    descent.begin(problem, data, bounds, work.reals, work.integers, work.vectors, work.barriers)
+    return stored(search)
+
+
+def load(search, iterate):
+    """Put an iterate into the work space."""
+    work, point = search.work, iterate.point
+    work.vectors[X], work.vectors[G] = point.unknowns, point.gradient
+    work.barriers[DISTANCE], work.barriers[DUALS] = iterate.distance, iterate.duals
+    work.reals[MU], work.reals[COST : COST + 5] = iterate.mu, point[2:]
+
+
+def stored(search):
+    """Return the iterate that is in the work space."""
+    work = search.work
+    vectors, barriers = work.vectors[: G + 1].copy(), work.barriers[: DUALS + 1].copy()
+    point = Point(vectors[X], vectors[G], *work.reals[COST : COST + 5].tolist())
+    return Iterate(point, float(work.reals[MU]), barriers[DISTANCE], barriers[DUALS])
 
 
 def pushed_inside(search, unknowns, push):
     """Return unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
     inside = unknowns.copy()
-    push_inside(inside, *search.box, search.bounds.indices, push)
-    return with_tied_values(search.grid, inside)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def push_inside(unknowns, lower, upper, indices, push):
-    """Move those of `unknowns` (n,) that have bounds inside, in place."""
-    for i in indices:
-        width = push * (upper[i] - lower[i])
-        if lower[i] > -np.inf:
-            least = lower[i] + min(push * max(1.0, abs(lower[i])), width)
-            if unknowns[i] < least:
-                unknowns[i] = least
-        if upper[i] < np.inf:
-            greatest = upper[i] - min(push * max(1.0, abs(upper[i])), width)
-            if unknowns[i] > greatest:
-                unknowns[i] = greatest
+    descent.push_inside(search.arguments[1], search.arguments[3], push, inside)
+    return inside
 
 
 def with_tied_values(grid, unknowns):
@@ -257,18 +263,9 @@ def with_least_squares_multipliers(search, iterate):
 
     All multipliers of `iterate` are zero.
     """
-    grid, bounds, point = search.grid, search.bounds, iterate.point
-    if not search.is_bounded and point.stationarity == 0.0:
-        return iterate
-    step, gradient = np.empty_like(point.unknowns), np.where(grid.is_multiplier, 0.0, point.gradient)
-    np.subtract.at(gradient, bounds.indices, bounds.side * iterate.duals)
-    diagonal = np.where(grid.is_multiplier, -1e-12, 1.0)
-    if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, search.system, gradient, step)):
-        return iterate
-    multipliers = np.where(grid.is_multiplier, step, 0.0)
-    if not np.abs(multipliers).max(initial=0.0) <= LARGEST_MULTIPLIER:
-        return iterate
-    return iterate._replace(point=evaluate(grid, point.unknowns + multipliers))
+    load(search, iterate)
+    descent.estimate_multipliers(*search.arguments, search.work.reals, search.work.vectors, search.work.barriers)
+    return stored(search)
 
 
 def measured_point(search, iterate):
@@ -282,15 +279,6 @@ def measured_point(search, iterate):
     )[0]  # fmt: skip
     error = max(point.residual, stationarity) if point.error < np.inf else np.inf
     return point._replace(stationarity=stationarity, error=error)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def has_multipliers(unknowns, is_multiplier):
-    """Return True if any multiplier is not zero."""
-    has_any = False
-    for i in range(unknowns.size):
-        has_any = has_any or (is_multiplier[i] and unknowns[i] != 0.0)
-    return has_any
 
 
 def barrier_curvature(search, iterate):

@@ -3,16 +3,18 @@
 import math
 from time import perf_counter
 
+import numpy as np
+
 BETWEEN_LOOKS = 1e-3  # seconds between looks at the clock where there is a time limit, or one iteration if that is more
 
 
 class Log:
-    """The rows of all iterates; `watch`, if there is one, is called with the number of each and its row."""
+    """Rows of all iterates, as `parts`; `watch`, if there is one, is called with the number of each and its row."""
 
     def __init__(self, time_limit=math.inf, watch=None):
         if not time_limit > 0.0:
             raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
-        self.rows, self.watch, self.deadline = [], watch, perf_counter() + time_limit
+        self.parts, self.watch, self.deadline = [], watch, perf_counter() + time_limit
         self._called, self._iteration = 0.0, math.inf  # when the search was called; seconds of an iteration
 
     def iterations_per_call(self, _done, most, affordable):
@@ -34,16 +36,22 @@ class Log:
         """Keep the rows (k, 6) of iterates, in the problem's own units."""
         if self.deadline < math.inf:
             self._iteration = max(1e-9, perf_counter() - self._called) / max(1, len(rows))
-        for row in rows.tolist():
-            self.rows.append(tuple(row if search.is_bounded else row[:5]))
-            if self.watch is not None:
-                self.watch(len(self.rows) - 1, self.rows[-1])
+        self._keep(rows[:, : 6 if search.is_bounded else 5].copy())
 
     def add(self, point, length):
         """Keep a row about a point of a search without shifts."""
-        self.rows.append((point.cost, point.residual, point.stationarity, 0.0, length))
+        self._keep(np.array([(point.cost, point.residual, point.stationarity, 0.0, length)]))
+
+    def _keep(self, rows):
         if self.watch is not None:
-            self.watch(len(self.rows) - 1, self.rows[-1])
+            first = sum(map(len, self.parts))
+            for number, row in enumerate(rows.tolist(), first):
+                self.watch(number, tuple(row))
+        self.parts.append(rows)
+
+    def table(self):
+        """Return all rows: (iterates, 5 or 6), or (0, 5) where there is none."""
+        return np.concatenate(self.parts) if self.parts else np.empty((0, 5))
 
     def is_late(self):
         """Return True if the time is up."""
@@ -51,9 +59,9 @@ class Log:
 
 
 def print_log(rows):
-    """Print the iterations: cost, residual, stationarity, shift of the Hessian, step length, weight of a barrier."""
-    last = "  barrier" if len(rows[0]) > 5 else ""
+    """Print rows (iterates, 5 or 6): cost, residual, stationarity, shift of the Hessian, step length, barrier."""
+    last = "  barrier" if rows.shape[1] > 5 else ""
     print(f"iteration            cost   residual  stationarity     shift     step{last}")
-    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows):
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows.tolist()):
         weight = "".join(f" {mu:8.1e}" for mu in barrier)
         print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")

@@ -48,25 +48,50 @@ def allocate_system(grid):
 
 def with_entry_factors(grid, system):
     """Return the same storage with the factors of entries on a grid."""
-    if not grid.sizes.size:
-        return system._replace(scaled=NONE, costless=grid.problem.structure.without_cost)
-    return system._replace(scaled=entry_factors(grid, 1.0), costless=entry_factors(grid, 0.0))
-
-
-def entry_factors(grid, weight):
-    """Return what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
-
-    These are the roots of `sizes` times `forces` of both unknowns, which have the weight of the grid in them, and
-    `weight`, 0 or 1, where both unknowns are primal. The one for a multiplier that an interval lacks stays one: a shift
-    of the multipliers' diagonal would turn the sign of a smaller one.
-    """
     s = grid.problem.structure
-    factors = np.where(s.is_of_cost, weight, 1.0)
-    roots_of_all, (rows, columns), is_multiplier = np.sqrt(grid.sizes * grid.forces), s.entries, s.local_is_multiplier
-    roots = roots_of_all[roots_of_all.size - s.root :]
-    parts = np.concatenate([roots_of_all[: s.element], roots[s.root_indices()[0]]])
-    of_elements = np.where(is_multiplier[rows] & (rows == columns), 1.0, parts[rows] * parts[columns])
-    return factors * np.concatenate([of_elements, (roots[:, None] * roots).ravel()])
+    if not grid.sizes.size:
+        return system._replace(scaled=NONE, costless=s.without_cost)
+    factors = np.empty((2, s.without_cost.size))
+    fill_entry_factors(
+        grid.sizes, grid.forces, system.rows, system.columns, s.local_is_multiplier, s.without_cost, system.counts,
+        factors,
+    )  # fmt: skip
+    return system._replace(scaled=factors[0], costless=factors[1])
+
+
+@njit(error_model="numpy", forceinline=True)
+def global_index(local, first, element, own, bodies, body, linking):
+    """Return the index, among all unknowns, of unknown `local` of the interval that begins at `first`.
+
+    Linking variables begin at `linking`.
+    """
+    return first + local if local < element else linking + root_index(own, bodies, body, local - element)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fill_entry_factors(sizes, forces, rows, columns, is_multiplier, without_cost, counts, factors):
+    """Fill what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
+
+    These are the roots of `sizes` times `forces` of both unknowns, which have the weight of the grid in them; in the
+    second row of `factors` (2, entries) zero where both unknowns are primal. The one for a multiplier that an interval
+    lacks stays one: a shift of the multipliers' diagonal would turn the sign of a smaller one.
+    """
+    bodies, own, root, element = counts[0], counts[4], counts[5], counts[6]
+    linking = sizes.size - root
+    for j in range(rows.size):
+        if is_multiplier[rows[j]] and rows[j] == columns[j]:
+            factors[0, j] = 1.0
+        else:
+            row = global_index(rows[j], 0, element, own, bodies, 0, linking)
+            column = global_index(columns[j], 0, element, own, bodies, 0, linking)
+            factors[0, j] = np.sqrt(sizes[row] * forces[row]) * np.sqrt(sizes[column] * forces[column])
+    for i in range(root):
+        for j in range(root):
+            row, column = linking + i, linking + j
+            place = rows.size + i * root + j
+            factors[0, place] = np.sqrt(sizes[row] * forces[row]) * np.sqrt(sizes[column] * forces[column])
+    for j in range(without_cost.size):
+        factors[1, j] = without_cost[j] * factors[0, j]
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=None):
@@ -149,15 +174,6 @@ def fill_entries(loop, unknowns, sizes, scaled, factors, steps, h, nodes, parame
             first += size
         for j in range(counts[5] * counts[5]):
             entries[place + j] *= factors[first + j]
-
-
-@njit(error_model="numpy", forceinline=True)
-def global_index(local, first, element, own, bodies, body, linking):
-    """Return the index, among all unknowns, of unknown `local` of the interval that begins at `first`.
-
-    Linking variables begin at `linking`.
-    """
-    return first + local if local < element else linking + root_index(own, bodies, body, local - element)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from codegen.runtime.record import phrase
 from codegen.runtime.search.bounds import at_bounds, bounds_of, contradictory_bounds, prescribed_beyond, units_of
 from codegen.runtime.search.callbacks import hessian, jacobian
 from codegen.runtime.search.grid import (
@@ -39,7 +40,7 @@ def describe(grid, guess, point, status):
         beyond = prescribed_beyond(grid, point.unknowns)
         if beyond:
             return "infeasible", f"infeasible: {beyond}; change the value or the bound"
-        index = contradictory_bounds(grid)
+        index = contradictory_bounds(grid) if status != "solved" else -1
         if index >= 0:
             least, greatest = (float(bound[index] * units_of(grid)[index]) for bound in bounds_of(grid))
             name = unknown_name(grid, point.unknowns, index)
@@ -102,8 +103,8 @@ def violated(grid, point):
         names, metadata = {}, grid.problem.metadata
         for index in columns[at_bounds(grid, point.unknowns)[columns]]:
             name = local_name(grid, index)
-            meaning = metadata["meanings"].get(name, name).removeprefix("slack of ")
-            names[shortened(meaning.removesuffix(" of an interval"))] = None
+            meaning = metadata.meanings.get(name)
+            names[name if meaning is None else phrase(meaning, role=False, where="", longest=LONGEST)] = None
         if names:
             text += f", with bounds active on {', '.join(names)}"
     if rows.size > columns.size:
@@ -202,38 +203,18 @@ def kernel_name(grid, index):
 
 def unknown_name(grid, unknowns, index):
     """Return name and place of an unknown, as in `r at node 3 (t = 0.2)`; a slack is named by its condition."""
-    name = local_name(grid, index)
-    meaning = grid.problem.metadata["meanings"].get(name, "")
+    name, metadata = local_name(grid, index), grid.problem.metadata
     where = whereabouts(grid, unknowns, index)
-    return with_location(f"the {meaning}", where) if meaning.startswith("slack of ") else f"{name}{where}"
+    if metadata.is_slack(name):
+        return f"the {phrase(metadata.meanings[name], where=where, longest=LONGEST)}"
+    return f"{name}{where}"
 
 
 def equation_name(grid, unknowns, index):
     """Return name and place of an equation, as in `x + v <= 1 at 1/2 of interval 3 (t = 0.2)`."""
-    name = local_name(grid, index)
-    meaning = grid.problem.metadata["meanings"].get(name, name).removeprefix("multiplier of ")
-    return with_location(meaning, whereabouts(grid, unknowns, index))
-
-
-def with_location(meaning, where):
-    """Return a meaning, shortened, with its place unless the meaning contains it."""
-    for tail in (" at the start", " at the end", " of an interval", ""):
-        if meaning.endswith(tail):
-            condition, at, inside = meaning.removesuffix(tail).rpartition(" at ")
-            if tail != " of an interval":
-                condition, at, inside = meaning.removesuffix(tail), "", ""
-            meaning = f"{shortened(condition)}{at}{inside}{tail}"
-            break
-    if meaning.endswith(" of an interval"):
-        return meaning.removesuffix("an interval") + where.removeprefix(" on ")
-    if meaning.endswith((" at the start", " at the end")):
-        return meaning + where.partition(")")[2]
-    return meaning + where
-
-
-def shortened(text):
-    """Return the beginning of a long text."""
-    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
+    name, where = local_name(grid, index), whereabouts(grid, unknowns, index)
+    meaning = grid.problem.metadata.meanings.get(name)
+    return f"{name}{where}" if meaning is None else phrase(meaning, role=False, where=where, longest=LONGEST)
 
 
 def local_name(grid, index):
@@ -241,8 +222,8 @@ def local_name(grid, index):
     s, metadata = grid.problem.structure, grid.problem.metadata
     chain = grid.steps * s.stride + s.node
     if index >= s.bodies * chain:
-        return metadata["shared"][index - s.bodies * chain]
-    return (*metadata["node"], *metadata["interval"])[index % chain % s.stride]
+        return metadata.shared[index - s.bodies * chain]
+    return (*metadata.node, *metadata.interval)[index % chain % s.stride]
 
 
 def whereabouts(grid, unknowns, index):

@@ -1,53 +1,58 @@
 """The compiled search in Python's hands: it is called again until it ends, with restorations in between."""
 
-import numpy as np
-
 from codegen.runtime.search import descent
-from codegen.runtime.search.descent import CONTINUE, RESTORE, ROOM, WORDS
+from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WORDS
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
-    has_multipliers,
+    load,
     measured_point,
+    stored,
     with_least_squares_multipliers,
     with_relaxed_bounds,
 )
-from codegen.runtime.search.point import Point, evaluate
+from codegen.runtime.search.point import evaluate
 from codegen.runtime.search.restoration import restore
 
 UNLUCKY = ("infeasible", "stalled", "rank-deficient", "unbounded")
 WORK_PER_CALL = 5_000_000  # unknowns times iterations between looks at the clock: a fraction of a second
-FILTERED = 1e-4  # part of the first violation up to which the switching condition asks for descent
 BETWEEN_MARKS = 300  # iterations after which a search has to have made progress
 HALVED, UNCHANGED = 0.5, 1e-3  # part of error or violation that progress leaves at most; least relative change of cost
+FIRST = [descent.FIRST_MU, descent.FIRST_COST, descent.FIRST_VIOLATION, descent.FIRST_ERROR]
+MARKED = [descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]
 
 
-def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None):
-    """Follow Newton's steps from an iterate; return (status, iterate, iterations).
+def descend(search, start, attempt, tolerance, max_iterations, log, known=None, stage=WITH_ITERATE, is_factored=False):
+    """Follow Newton's steps from `start`; return (status, iterate, iterations).
 
-    Multipliers that are all zero are estimated; others are those of a neighbour. Beside a saddle point whose cost is
-    `known`, the search ends as there once it is clear that it leads no lower.
+    The start is an iterate; or, by the `stage`, primal unknowns (n,) with zeros for multipliers; or those of a
+    neighbour, for whose first step the linear system may be factored. From there, and without bounds, the search ends
+    as "gross", without an iteration, where the equations are grossly violated. Multipliers that are all zero are
+    estimated. Beside a saddle point whose cost is `known`, the search ends as there once it is clear that it leads no
+    lower.
     """
-    grid, work = search.grid, search.work
-    is_warm = has_multipliers(iterate.point.unknowns, grid.is_multiplier)
-    if not is_warm:
-        iterate = with_least_squares_multipliers(search, iterate)
+    work = search.work
     reals, integers = work.reals, work.integers
     reals[:], integers[:] = 0.0, 0
-    first = max(1.0, iterate.point.violation)
-    reals[descent.SHORTEST], reals[descent.SMALL_VIOLATION] = attempt.shortest, FILTERED * first
-    reals[descent.FIRST_COST], reals[descent.LAST_ERROR] = abs(iterate.point.cost), np.inf
+    if stage == WITH_ITERATE:
+        load(search, start)
+    else:
+        work.vectors[descent.X] = start
+        reals[descent.MU], reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
+        integers[descent.ON_PATH], integers[descent.LOOKS] = attempt.on_path, 1
+    integers[descent.STAGE] = stage
+    reals[descent.SHORTEST], reals[descent.FUNNEL] = attempt.shortest, attempt.funnel
     reals[descent.LEAST_RELAXATION] = search.least
-    integers[descent.IS_WARM], integers[descent.IS_FACTORED] = is_warm, attempt.is_factored
-    integers[descent.IS_COSTLESS], integers[descent.ENOUGH] = grid.problem.structure.costless, 2
+    integers[descent.IS_FACTORED] = is_factored
+    integers[descent.IS_COSTLESS] = search.grid.problem.structure.costless
     if known is not None:
         reals[descent.KNOWN], integers[descent.HAS_KNOWN] = known, 1
-    work.pairs[0], integers[descent.PAIRS] = (attempt.funnel * first, -np.inf), 1
-    load(search, iterate)
-    marked, until = reals[[descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]], BETWEEN_MARKS
+    marked, until = None, BETWEEN_MARKS
     while True:
         status, watched = run(search, tolerance, max_iterations, log, until)
         iterations = int(integers[descent.ITERATIONS])
+        if status == GROSS:
+            return "gross", stored(search), 0
         if status == RESTORE:
             iterate = stored(search)
             ended, found = restored(search, iterate, 0.9, work.pairs[: integers[descent.PAIRS]], log)
@@ -68,8 +73,8 @@ def descend(search, iterate, attempt, tolerance, max_iterations, log, known=None
             if watched == "time limit":
                 return watched, stored(search), iterations
             if iterations >= until:
-                before, until = marked, iterations + BETWEEN_MARKS
-                marked = reals[[descent.MU, descent.COST, descent.VIOLATION, descent.ERROR]]
+                before, until = reals[FIRST] if marked is None else marked, iterations + BETWEEN_MARKS
+                marked = reals[MARKED]
                 if is_stagnant(before, marked):
                     return "stalled", stored(search), iterations
             continue
@@ -99,6 +104,8 @@ def run(search, tolerance, max_iterations, log, until):
         if status != ROOM:
             break
         work.room_for_refinement()
+    if status == GROSS:
+        return status, ""
     count = int(work.integers[descent.ITERATIONS]) - before
     # The row of an iterate from which the next call goes on is written again by that call.
     is_over = status != CONTINUE or int(work.integers[descent.ITERATIONS]) >= max_iterations
@@ -108,14 +115,6 @@ def run(search, tolerance, max_iterations, log, until):
     if not is_over:
         log.extend(search, work.log[count : count + 1])
     return status, "time limit"
-
-
-def load(search, iterate):
-    """Put an iterate into the work space."""
-    work = search.work
-    work.vectors[descent.X], work.vectors[descent.G] = iterate.point.unknowns, iterate.point.gradient
-    work.barriers[descent.DISTANCE], work.barriers[descent.DUALS] = iterate.distance, iterate.duals
-    work.reals[descent.MU], work.reals[descent.COST : descent.COST + 5] = iterate.mu, iterate.point[2:]
 
 
 def load_loose(search):
@@ -130,15 +129,6 @@ def forget(integers):
     """Forget what belongs to another barrier problem."""
     integers[descent.PAIRS] = 1
     integers[[descent.REFUSED, descent.IN_TURN, descent.SHORTENED, descent.WATCHING]] = 0
-
-
-def stored(search):
-    """Return the iterate that is in the work space."""
-    work, reals = search.work, search.work.reals
-    measures = reals[descent.COST : descent.COST + 5].tolist()
-    point = Point(work.vectors[descent.X].copy(), work.vectors[descent.G].copy(), *measures)
-    barriers = work.barriers[descent.DISTANCE].copy(), work.barriers[descent.DUALS].copy()
-    return Iterate(point, float(reals[descent.MU]), *barriers)
 
 
 def restored(search, iterate, reduction, pairs, log):

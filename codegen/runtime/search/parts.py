@@ -17,7 +17,7 @@ def interval_parts(grid, unknowns):
     return parts
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill(loop, unknowns, steps, h, nodes, parameters, filled):
     """Call the loop at an address, which fills a vector; return what it returns."""
     return call_loop(
@@ -32,8 +32,25 @@ def discrete_momenta(grid, unknowns):
     p_k = -(D1 Ld + f-) of the interval after a node, and D2 Ld + f+ of the last one: both stand beside the multipliers
     of the equations of motion in an interval's share of the Lagrangian.
     """
-    s, parts = grid.problem.structure, interval_parts(grid, unknowns)
+    s = grid.problem.structure
+    parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))
     momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
-    momenta[:, :-1] = -parts[:, :, s.equations]
-    momenta[:, -1] = parts[:, -1, s.stride + s.equations]
+    fill_momenta(
+        grid.problem.parts.address, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, s.equations, s.stride,
+        parts, momenta,
+    )  # fmt: skip
     return momenta
+
+
+@njit(cache=True, error_model="numpy")
+def fill_momenta(loop, unknowns, steps, h, nodes, parameters, equations, stride, parts, momenta):
+    """Fill the momenta (bodies, N + 1, m); `parts` (bodies, N, element + shared + 1) takes what the loop fills."""
+    call_loop(
+        loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
+        parts.ctypes.data,
+    )  # fmt: skip
+    for body in range(parts.shape[0]):
+        for i in range(equations.size):
+            for k in range(steps):
+                momenta[body, k, i] = -parts[body, k, equations[i]]
+            momenta[body, steps, i] = parts[body, steps - 1, stride + equations[i]]

@@ -39,7 +39,7 @@ def lagrangian(grid, point):
     return point.cost + np.where(grid.is_multiplier, point.unknowns, 0.0).dot(point.gradient)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def measured_gradient(
     loop, unknowns, sizes, weight, steps, h, nodes, parameters, is_multiplier, scaled, gradient
 ):  # fmt: skip

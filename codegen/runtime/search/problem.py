@@ -132,7 +132,7 @@ class ControlProblem:
     Attributes
     ----------
     structure : Structure
-    metadata : mapping
+    metadata : Record
         Names and meanings.
     gradient, hessians, parts : Loop
         Fill the gradient (n,) of the Lagrangian and return the cost; fill all second derivatives; fill the gradients
@@ -154,7 +154,7 @@ class ControlProblem:
     """
 
     structure: Structure
-    metadata: Mapping[str, Any]
+    metadata: Any
     gradient: Loop
     hessians: Loop
     parts: Loop

@@ -32,7 +32,7 @@ def checked_observations(problem, measured):
     """Return rows (time, values, standard deviations) of one body by time; ValueError for anything else."""
     rows, width = np.array(measured, dtype=float), problem.structure.sample - 1
     if rows.ndim != 2 or rows.shape[1] != width or not rows.size:
-        columns = ", ".join(problem.metadata["observations"]["columns"])
+        columns = ", ".join(problem.metadata.observations.columns)
         raise ValueError(f"observations have shape {rows.shape}, expected rows of time, {columns}, standard deviations")
     values, sigmas = np.split(rows[:, 1:], 2, axis=1)
     if not np.isfinite(rows[:, 0]).all() or np.isinf(values).any():

@@ -24,11 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from codegen.runtime.addresses import call_loop
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE
-from codegen.runtime.search.iterates import with_tied_values
-from codegen.runtime.search.parts import fill
-from codegen.runtime.search.point import evaluate
 
 SAMPLES = 4  # intervals on which derivatives are evaluated
 SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten; neither is round, by intention
@@ -72,21 +70,21 @@ class Quantities(NamedTuple):
 def quantities_of(problem):
     """Return the quantities of a problem."""
     s, metadata = problem.structure, problem.metadata
-    names = [*metadata["node"], *metadata["interval"], *[f"shared {i}" for i in range(s.shared + s.couplings)]]
-    free = metadata["free_parameters"]
+    names = [*metadata.node, *metadata.interval, *[f"shared {i}" for i in range(s.shared + s.couplings)]]
+    free = metadata.free_parameters
     for i, name in enumerate(free, s.stride + s.shared - len(free)):
         names[i] = name
     is_multiplier = s.local_is_multiplier
     multiplies = np.concatenate(
         [is_multiplier[: s.stride], is_multiplier[s.element :], np.ones(s.couplings, bool)]
     )  # fmt: skip
-    stages = metadata.get("stages", {})
+    stages = metadata.stages
     pairs = [(stages.get(name, name), bool(m)) for name, m in zip(names, multiplies, strict=True)]
     kinds = list(dict.fromkeys(pairs))
     numbers = {pair: number for number, pair in enumerate(kinds)}
     kind = np.array([numbers[pair] for pair in pairs])
     is_slack, is_single = np.zeros(len(kinds), bool), np.zeros(len(kinds), bool)
-    is_slack[kind] = [metadata["meanings"].get(name, "").startswith("slack of ") for name in names]
+    is_slack[kind] = [metadata.is_slack(name) for name in names]
     is_single[kind[s.stride :]] = ~multiplies[s.stride :]
     tied = np.concatenate(
         [
@@ -107,61 +105,42 @@ def quantities_of(problem):
     return Quantities(
         kind, multiplies, kind[local], is_multiplier.copy(), abscissa, only_at_ends,
         np.array([multiplier for _, multiplier in kinds]),
-        np.array([float(metadata.get("scale", {}).get(name, 0.0)) for name, _ in kinds]),
-        np.array([float(metadata.get("angles", {}).get(name, np.inf)) for name, _ in kinds]),
+        np.array([float(metadata.scale.get(name, 0.0)) for name, _ in kinds]),
+        np.array([float(metadata.angles.get(name, np.inf)) for name, _ in kinds]),
         is_slack, is_single, tied.astype(np.int64), s.rows, s.columns, of_end(s.start_rows), of_end(s.start_columns),
         filling.astype(float), of_end(s.end_rows), of_end(s.end_columns),
     )  # fmt: skip
 
 
-def scaled_grid(grid, unknowns):
-    """Return the same grid with scaling factors; unknowns (n,) are a guess."""
-    return with_scaling_factors(grid, evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
-
-
-def with_scaling_factors(grid, point):
+def scaled_grid(grid, unknowns, is_solution=False):
     """Return the same grid with scaling factors of unknowns and cost, or without if all are one.
 
-    The point is that of a guess without its multipliers. If the guess violates bounds, derivatives are evaluated there
-    and on the bounds, and the smaller ones count: a model may be invalid outside its bounds, and the bounds may be far
-    from the solution.
+    The `unknowns` (n,) are a guess, or a solution, whose residuals are rounding. If a guess violates bounds,
+    derivatives are evaluated there and on the bounds, and the smaller ones count: a model may be invalid outside its
+    bounds, and the bounds may be far from the solution.
     """
     problem, s = grid.problem, grid.problem.structure
     if s.linear_quadratic:
         return grid
-    q, primal, bounds = quantities_of(problem), point.unknowns, (NONE, NONE)
-    kinds, places, lacks, counts = sampled(problem, grid.steps, grid.inner)
-    inside = point.unknowns
+    steps, h, nodes, _, parameters, is_multiplier, *_ = grid
+    q, bounds = quantities_of(problem), (NONE, NONE)
+    kinds, places, lacks, counts = sampled(problem, steps, grid.inner)
     if problem.variable_bounds is not None:
         bounds = bounds_of(grid)
-        inside = with_tied_values(grid, np.minimum(np.maximum(primal, bounds[0]), bounds[1]))
-    slopes, is_moved = np.abs(point.gradient), bool((inside != primal).any())
-    entries = second_derivatives(grid, primal)
-    others = entries
-    if is_moved:
-        slopes = np.fmin(slopes, np.abs(evaluate(grid, inside).gradient))
-        others = second_derivatives(grid, inside)
-    factors = np.empty(primal.size)
+    factors, work = np.empty(unknowns.size), np.empty((3, unknowns.size))
+    entries = np.zeros(s.entry_count(steps))  # loops leave out a root matrix without terms
     weight, is_scaled = fill_scaling_factors(
-        q, primal, slopes, *bounds, kinds, counts, grid.nodes, places, lacks, entries, others, is_moved, factors,
+        q, problem.gradient.address, problem.hessians.address, steps, h, nodes, parameters, is_multiplier, unknowns,
+        *bounds, s.ties(steps), kinds, counts, places, lacks, is_solution, entries, work, factors,
     )  # fmt: skip
     if not is_scaled:
-        return grid._replace(bounds=bounds) if problem.variable_bounds is not None else grid
-    if problem.variable_bounds is not None:
-        # Bounds of slacks below zero, by rounding or where equations determine them, are numbers without a unit.
-        units = np.where(q.is_slack[kinds], 1.0, factors)
-        bounds = bounds[0] / units, bounds[1] / units
-    else:
-        bounds = ()
-    return grid._replace(sizes=factors, forces=weight * factors, weight=float(weight), bounds=bounds)
-
-
-def second_derivatives(grid, unknowns):
-    """Return all second derivatives, in the order of `hessian_loop`."""
-    entries = np.zeros(grid.problem.structure.entry_count(grid.steps))  # loops leave out a root matrix without terms
-    loop = grid.problem.hessians.address
-    fill(loop, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, entries)
-    return entries
+        return grid
+    if problem.variable_bounds is None:
+        return grid._replace(sizes=factors, forces=weight * factors, weight=weight)
+    # Bounds of slacks below zero, by rounding or where equations determine them, are numbers without a unit.
+    units = np.where(q.is_slack[kinds], 1.0, factors) if q.is_slack.any() else factors
+    bounds = bounds[0] / units, bounds[1] / units
+    return grid._replace(sizes=factors, forces=weight * factors, weight=weight, bounds=bounds)
 
 
 def kinds_of(problem, steps):
@@ -197,22 +176,36 @@ def lacking(s, steps, places):
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill_scaling_factors(
-    q, primal, slopes, lower, upper, kinds, counts, nodes, places, lacks, entries, others, is_moved, factors
-):
+    q, gradient, hessians, steps, h, nodes, parameters, is_multiplier, unknowns, lower, upper, ties, kinds, counts,
+    places, lacks, is_solution, entries, work, factors,
+):  # fmt: skip
     """Fill the `factors` (n,) of all unknowns; return the weight of the cost, and True unless all are one.
 
-    `primal` (n,) is the guess without multipliers, `slopes` (n,) the moduli of the gradient of the Lagrangian, `lower`
-    and `upper` are (n,) or empty, `kinds` (n,) the numbers of quantities. `counts` are bodies, steps, phases, linking
-    variables, stride and node. `entries` are the second derivatives at the guess, `others` those on its bounds if it
-    `is_moved` there. `places` are the sampled intervals, `lacks` (places, element + shared) masks the unknowns that
-    these lack.
+    `gradient` and `hessians` are the addresses of loops, `lower` and `upper` (n,) or empty, `kinds` (n,) the numbers of
+    quantities. `counts` are bodies, steps, phases, linking variables, stride and node. `places` are the sampled
+    intervals, `lacks` (places, element + shared) masks the unknowns that these lack. `entries` takes all second
+    derivatives, `work` (3, n) vectors.
     """
-    count, largest = q.stated.size, 0.0
-    size, rest = np.zeros(count), np.zeros(count)
+    primal, inside, slopes, count, largest, is_moved = work[0], work[1], work[2], q.stated.size, 0.0, False
     for i in range(kinds.size):
+        primal[i] = inside[i] = 0.0 if is_multiplier[i] else unknowns[i]
         largest = max(largest, abs(primal[i]))
+        if lower.size:
+            inside[i] = min(max(primal[i], lower[i]), upper[i])
+    for j in range(ties.shape[0] if lower.size else 0):
+        inside[ties[j, 0]] = inside[ties[j, 1]]
+    fill_loop(gradient, primal, steps, h, nodes, parameters, slopes)
+    for i in range(kinds.size):
+        slopes[i] = 0.0 if is_solution and is_multiplier[i] else abs(slopes[i])
+        is_moved = is_moved or inside[i] != primal[i]
+    size, rest = np.zeros(count), np.zeros(count)
+    if is_moved:
+        fill_loop(gradient, inside, steps, h, nodes, parameters, factors)
+        for i in range(kinds.size):
+            if abs(factors[i]) < slopes[i] or np.isnan(slopes[i]):
+                slopes[i] = abs(factors[i])
     for i in range(kinds.size):
         if q.is_equation[kinds[i]]:
             rest[kinds[i]] = max(rest[kinds[i]], slopes[i])
@@ -222,15 +215,17 @@ def fill_scaling_factors(
     for j in range(count):
         if q.stated[j] > 0.0:
             size[j] = q.stated[j]
-    terms, effect, curvature = np.zeros((count, count)), np.zeros((count, count)), np.zeros((count, count))
+    tables = np.zeros((3, count, count))
+    terms, effect, curvature = tables[0], tables[1], tables[2]
+    fill_loop(hessians, primal, steps, h, nodes, parameters, entries)
     measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect, curvature)
-    if is_moved:  # a model may be invalid outside its bounds, and a bound may be far from the solution
-        other = np.zeros((count, count)), np.zeros((count, count)), np.zeros((count, count))
-        measure_derivatives(q, counts, nodes, places, lacks, others, *other)
-        lessen(terms, other[0])
-        lessen(effect, other[1])
-        lessen(curvature, other[2])
-    add_couplings(q, counts, kinds, others, terms, effect)
+    if is_moved:
+        other = np.zeros((3, count, count))
+        fill_loop(hessians, inside, steps, h, nodes, parameters, entries)
+        measure_derivatives(q, counts, nodes, places, lacks, entries, other[0], other[1], other[2])
+        for table in range(3):
+            lessen(tables[table], other[table])
+    add_couplings(q, counts, kinds, entries, terms, effect)
     balance(q, size, rest, effect)
     for j in range(count):
         size[j] = max(size[j], bound[j])
@@ -258,6 +253,15 @@ def fill_scaling_factors(
     for i in range(kinds.size):
         factors[i] = size[kinds[i]]
     return weight, is_scaled
+
+
+@njit(error_model="numpy")
+def fill_loop(loop, unknowns, steps, h, nodes, parameters, filled):
+    """Call a loop by its address."""
+    call_loop(
+        loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
+        filled.ctypes.data,
+    )  # fmt: skip
 
 
 @njit(error_model="numpy")

@@ -90,9 +90,10 @@ def solve_on(
     status, message, point, iterations, scaled = optimise(
         grid, unknowns, tolerance, max_iterations, warm, scaling, iterates
     )
+    rows = iterates.table()
     if log:
-        print_log(iterates.rows)
+        print_log(rows)
     return Solution(
         status, message, float(point.cost), float(point.residual), float(point.stationarity), iterations,
-        *problem.unpack(grid, point.unknowns), point.unknowns, np.array(iterates.rows), scaled,
+        *problem.unpack(grid, point.unknowns), point.unknowns, rows, scaled,
     )  # fmt: skip

@@ -5,15 +5,16 @@ are that already, it is solved as it is.
 """
 
 import numpy as np
+from numba import njit
 
 from codegen.runtime.search import linear
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.cascade import minimise
+from codegen.runtime.search.cascade import minimise, varied_guess
 from codegen.runtime.search.forward_motion import forward_motion
-from codegen.runtime.search.grid import plain_grid, with_pinned_values
+from codegen.runtime.search.grid import NONE, plain_grid, with_pinned_values
 from codegen.runtime.search.messages import describe
 from codegen.runtime.search.point import evaluate, lagrangian
-from codegen.runtime.search.scaling import with_scaling_factors
+from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.termination import final_status, unscaled_unknowns
 
 # How much steeper equations and cost may be at a solution than at the guess, to powers of a thousand and a million.
@@ -24,11 +25,36 @@ FAILED = ("infeasible", "stalled", "rank-deficient", "non-finite", "unbounded", 
 SLOW = 150  # iterations after which a search makes way for one that begins at a motion; most need 10 to 100
 FROM_MOTION = 300  # for that one
 STEEP = 1e-3  # slopes of the Lagrangian above it, relative to the cost's or to one, belong to no optimum
+VARIED, FROM_VARIED = 5, 500  # guesses that are tried after a search has stalled, and iterations for each of them
 ROUNDED, RUN_AWAY = 1e-8, 1e6  # residuals above it are none that hold, where an unknown is so many times as large
 
 
 def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
+
+    `scaled` is the grid with the scaling factors of the guess. Where the search stalls, as from a symmetric guess that
+    leads through the middle of an obstacle, others begin at varied guesses. The message says so.
+    """
+    ended = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
+    status, message, point, iterations, scaled = ended
+    if status != "stalled" or warm or iterations >= max_iterations:
+        return ended
+    number = 0
+    while number < VARIED and iterations < max_iterations:
+        number += 1
+        left, guess = min(FROM_VARIED, max_iterations - iterations), varied_guess(grid, unknowns, number)
+        ended, text, found, further, its_grid = optimise_from(grid, guess, tolerance, left, False, scaling, log)
+        iterations += further
+        if ended == "solved":
+            text += f"; found from varied guess {number}, as the search from the first guess stalled"
+            return ended, text, found, iterations, its_grid
+        if ended == "time limit":
+            break
+    return status, f"{message}; searches from {number} varied guesses failed as well", point, iterations, scaled
+
+
+def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
+    """Minimise from one guess; return (status, message, point, iterations, scaled) as `optimise` does.
 
     `scaled` is the grid with the scaling factors of the guess. Equations or a cost with far larger factors at the guess
     than at the solution make the tolerance mean little. The search then goes on from the solution, with the factors
@@ -38,25 +64,22 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
         raise ValueError(f"scaling is {scaling!r}, expected 'auto' or 'none'")
     if grid.problem.structure.linear_quadratic:
         return optimise_linear(grid, unknowns, tolerance, log)
-    known = evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns))
+    if grid.problem.variable_bounds is not None and not grid.bounds:
+        grid = grid._replace(bounds=bounds_of(grid))
     if scaling == "auto":
-        grid = with_scaling_factors(grid, known)
-    if grid.sizes.size:
-        known = None
+        grid = scaled_grid(grid, unknowns)
     if grid.problem.structure.forward and not warm:
-        found = search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known)
+        found = search_forward(grid, unknowns, tolerance, max_iterations, scaling, log)
         status, grid, point, iterations = found
     else:
         start = scaled_unknowns(grid, unknowns)
-        status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log, known)
+        status, point, iterations = minimise(grid, start, tolerance, max_iterations, warm, log)
     scaled = grid
     for _ in range(RESCALINGS):
         if not grid.sizes.size or status != "solved" or iterations >= max_iterations:
             break
         begin = np.where(grid.is_multiplier, 0.0, unscaled_unknowns(grid, point.unknowns))
-        there = evaluate(plain_grid(grid), begin)
-        there = there._replace(gradient=np.where(grid.is_multiplier, 0.0, there.gradient))  # residuals are rounding
-        finer = with_scaling_factors(plain_grid(grid), there)
+        finer = scaled_grid(plain_grid(grid), begin, is_solution=True)
         if not is_steeper(finer, grid):
             break
         start, left, grid = scaled_unknowns(finer, begin), max_iterations - iterations, finer
@@ -85,20 +108,20 @@ def optimise_linear(grid, unknowns, tolerance, log):
     return status, message, point, iterations, grid
 
 
-def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, known):
+def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log):
     """Search, and begin anew at a motion if that takes long or fails; return (status, grid, point, iterations).
 
     The motion is the one under the controls of the guess `unknowns` (n,). It is another guess, with scaling factors of
     its own. If no optimum is found from there either, the first search goes on, from its beginning.
     """
     start = scaled_unknowns(grid, unknowns)
-    status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log, known)
+    status, point, total = minimise(grid, start, tolerance, min(max_iterations, SLOW), False, log)
     if status not in FAILED or total >= max_iterations:
         return status, grid, point, total
     plain = plain_grid(grid)
     motion = forward_motion(plain, unknowns)
     if motion is not None:
-        there = with_scaling_factors(plain, evaluate(plain, motion)) if scaling == "auto" else plain
+        there = scaled_grid(plain, motion) if scaling == "auto" else plain
         begin, left = scaled_unknowns(there, motion), max_iterations - total
         if status == "iteration limit":
             left = min(left, FROM_MOTION)  # the first search may still get there
@@ -108,7 +131,7 @@ def search_forward(grid, unknowns, tolerance, max_iterations, scaling, log, know
             return ended, there, found, total
     if status == "iteration limit" and total < max_iterations:
         left = max_iterations - total
-        status, point, iterations = minimise(grid, start, tolerance, left, False, log, known)
+        status, point, iterations = minimise(grid, start, tolerance, left, False, log)
         total += iterations
     return status, grid, point, total
 
@@ -168,21 +191,30 @@ def corrected_cost(grid, point):
     That is so to first order. A large correction belongs to multipliers without limit, as where equations force
     unknowns onto their bounds, and says nothing: the cost stays as it is.
     """
-    corrected = lagrangian(grid, point)
-    if grid.problem.variable_bounds is not None:
-        corrected -= remaining_gap(point.unknowns, point.gradient, *bounds_of(grid))
+    lower, upper = (NONE, NONE) if grid.problem.variable_bounds is None else bounds_of(grid)
+    corrected = point.cost + correction(point.unknowns, point.gradient, grid.is_multiplier, lower, upper)
     if abs(corrected - point.cost) > LARGE_CORRECTION * abs(point.cost):
         corrected = point.cost
     return float(corrected) / grid.weight
 
 
-def remaining_gap(unknowns, gradient, lower, upper):
-    """Return the sum of duals times distances of active bounds; the dual of a bound is the Lagrangian's slope there."""
-    dual = np.abs(gradient)
-    distance = np.where(gradient > 0.0, unknowns - lower, np.where(gradient < 0.0, upper - unknowns, np.inf))
-    known = np.isfinite(distance)
-    dual, distance = dual[known], distance[known]
-    return float((dual * distance * (dual / (dual + np.abs(distance) + 1e-300))).sum())
+@njit(cache=True, error_model="numpy")
+def correction(unknowns, gradient, is_multiplier, lower, upper):
+    """Return the sum of multipliers times residuals, less that of duals times distances of active bounds.
+
+    The dual of a bound is the Lagrangian's slope there. `lower` and `upper` are (n,), or empty.
+    """
+    total = 0.0
+    for i in range(unknowns.size):
+        slope = gradient[i]
+        if is_multiplier[i]:
+            total += unknowns[i] * slope
+        if lower.size and slope != 0.0:
+            distance = unknowns[i] - lower[i] if slope > 0.0 else upper[i] - unknowns[i]
+            if distance < np.inf:
+                dual = abs(slope)
+                total -= dual * distance * (dual / (dual + abs(distance)))
+    return total
 
 
 def unscaled_point(grid, point):

@@ -20,7 +20,7 @@ class StepProblem:
 
     Attributes
     ----------
-    metadata : mapping
+    metadata : Record
         Names and meanings.
     state, stages, unknowns : int
         Numbers of values of a state (q, p), of values inside a step, and of unknowns that a step is solved for.
@@ -42,7 +42,7 @@ class StepProblem:
         Fills the least and greatest inputs (inputs, 2) of tables with ranges, which are `ranges` and `range_names`.
     """
 
-    metadata: Mapping[str, Any]
+    metadata: Any
     state: int
     stages: int
     equations: Kernel

@@ -18,7 +18,7 @@ def table_numbers(problem, given):
 
 def checked_table(problem, name, numbers):
     """Return the numbers of a table, shape (n,): breakpoints, then what stands at them."""
-    own, sizes = problem.tables[name], problem.metadata["tables"][name]["sizes"]
+    own, sizes = problem.tables[name], problem.metadata.tables[name].sizes
     if numbers is own:
         return own
     numbers = np.array(numbers, dtype=float)

@@ -19,7 +19,6 @@ I, II.4, for double steps.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
+from codegen.runtime.record import Kind
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.parts import interval_parts
@@ -146,7 +146,7 @@ def _all_runs(module: ControlModule, result: Result) -> Iterator[tuple[int, Vect
 
 def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]:
     """What is active of every unknown with bounds, on all intervals of a phase, of every body."""
-    if not module.metadata["inequalities"] or result.unknowns is None:
+    if not module.metadata.inequalities or result.unknowns is None:
         return
     generated: Any = module
     grid = time_grid(module, result.steps, result.grid)
@@ -164,7 +164,7 @@ def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]
     (nodes, intervals), (at_nodes, inside) = (generated.views(grid, table.astype(float)) for table in (kind, bounded))
     own = np.concatenate([nodes[:, 1:], intervals], axis=2)
     has = np.concatenate([at_nodes[:, 1:], inside], axis=2).any(axis=1)
-    for phase in range(module.metadata.get("phases", 1)):
+    for phase in range(module.metadata.phases):
         rows = slice(phase * result.steps, (phase + 1) * result.steps)
         for body, column in zip(*np.nonzero(has), strict=True):
             yield phase, own[body, rows, column].astype(np.int8)
@@ -191,7 +191,7 @@ def trajectories(module: ControlModule, result: Result) -> tuple[Matrix, tuple[s
     """Coordinates, momenta and the cost so far at all nodes, (nodes, quantities), in parts of sizes; their names."""
     # The discrete cost up to each node, of all bodies together, without ends, and without samples, where it jumps.
     grid: Any = time_grid(module, result.steps, result.grid)
-    if "observations" in module.metadata:
+    if module.metadata.observations is not None:
         first = module.problem.structure.first_sample
         grid = grid._replace(parameters=np.ascontiguousarray(grid.parameters[:, :first]))
     costs = interval_parts(grid, result.unknowns)[..., -1]
@@ -234,7 +234,7 @@ def compared(module: ControlModule, coarse: Result, fine: Result, without: Seque
 
 def _numbers(module: ControlModule, coarse: Result, fine: Result) -> dict[str, tuple[float, float]]:
     """Cost, duration and free parameters of both."""
-    names = ("duration", *module.metadata["free_parameters"])
+    names = ("duration", *module.metadata.free_parameters)
     pairs = {name: (coarse.summary[name], fine.summary[name]) for name in names}
     if coarse.cost is not None and fine.cost is not None:
         pairs["the cost"] = coarse.cost, fine.cost
@@ -250,7 +250,7 @@ def interval_errors(module: ControlModule, fine: Result, order: int) -> Matrix:
     """
     table, _ = trajectories(module, fine)
     table = table / sizes_of(table)
-    phases = module.metadata.get("phases", 1)
+    phases = module.metadata.phases
     steps = fine.steps // 2
     out = np.empty((phases, steps))
     for phase in range(phases):
@@ -299,9 +299,6 @@ BEYOND = 0.01
 Search = Callable[[int, Vector, Vector | None], Vector | None]
 """The optimum for a number of intervals, a start and fractions of the duration; None where none was found."""
 
-_STEP = re.compile(r"multiplier of the (?:step|equation of motion) of (?P<name>.*)")
-_STAGE = re.compile(r"(?P<name>.*)_stage\d+")
-
 
 def discretisation_error(module: ControlModule, result: Result, search: Search) -> DiscretisationError | None:
     """Estimate the error of a solution, relative to the largest value of every state, and of the cost.
@@ -312,7 +309,7 @@ def discretisation_error(module: ControlModule, result: Result, search: Search) 
     assert result.unknowns is not None
     fine = time_grid(module, result.steps, result.grid)
     kept = _kept(result.steps, _inner(module, fine))
-    phases, steps = module.metadata.get("phases", 1), kept.size - 1
+    phases, steps = module.metadata.phases, kept.size - 1
     rows = np.concatenate([[0], *(phase * result.steps + kept[1:] for phase in range(phases))])
     # Lengths of double steps, in parts of the duration (n,), or of every phase (phases, n).
     lengths = np.diff(fine.nodes[rows]).reshape(phases, -1)
@@ -332,7 +329,7 @@ def discretisation_error(module: ControlModule, result: Result, search: Search) 
 
 
 def _inner(module: ControlModule, grid: Grid) -> tuple[int, ...]:
-    return tuple(map(int, grid.inner)) if module.metadata.get("inner_times", 0) else ()
+    return tuple(map(int, grid.inner)) if module.metadata.inner_times else ()
 
 
 def _kept(steps: int, inner: tuple[int, ...]) -> Indices:
@@ -357,14 +354,14 @@ def _restricted(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     one, other, double = intervals[:, first], intervals[:, last], first != last
     new_intervals[:] = 0.5 * (one + other)
     structure = module.problem.structure
-    names, meanings = list(module.metadata["node"]), module.metadata["meanings"]
-    for column, name in enumerate(module.metadata["interval"]):
-        step, stage = _STEP.fullmatch(meanings.get(name, "")), _STAGE.fullmatch(name)
+    metadata, names = module.metadata, list(module.metadata.node)
+    for column, name in enumerate(metadata.interval):
+        state = metadata.stages.get(name)
         if structure.is_multiplier[structure.node + column]:
-            if not (step and step["name"] in names):
+            if not (metadata.kind(name) in (Kind.STEP, Kind.MOTION) and metadata.meanings[name].of in names):
                 new_intervals[:, double, column] *= 2.0
-        elif stage and stage["name"] in names:
-            middle = nodes[:, last, names.index(stage["name"])]
+        elif state in names:
+            middle = nodes[:, last, names.index(state)]
             new_intervals[:, double, column] = (one + other)[:, double, column] - middle[:, double]
     result[result.size - structure.root :] = unknowns[unknowns.size - structure.root :]
     return np.asarray(module.with_pinned_values(grid, result))
@@ -378,7 +375,7 @@ def _carried_on(module: Any, fine: Grid, grid: Grid, rows: Indices, unknowns: Ve
     scaled = scaled_grid(grid, start)
     sizes = scaled.sizes if scaled.sizes.size else np.ones(start.size)
     held = bounded = np.zeros(start.size, dtype=bool)
-    if module.metadata["inequalities"]:
+    if module.metadata.inequalities:
         # Which unknowns of double steps are on bounds: those that are so at their node, or on both intervals.
         found = held_at_bounds(module, fine, unknowns).astype(float)
         result = np.zeros(grid.is_multiplier.size)
@@ -426,7 +423,7 @@ def _compared(module: ControlModule, result: Result, grid: Grid, found: Vector, 
     changes = np.abs(coarse - table[rows])[:, kept] / sizes_of(table[:, kept])
     node, column = np.unravel_index(int(np.argmax(changes)), changes.shape)
     states, quantity, time = float(changes[node, column]), names[kept[column]], float(times[node])
-    free = module.metadata["free_parameters"]
+    free = module.metadata.free_parameters
     last = found.size - module.problem.structure.couplings
     for name, value in zip(free, found[last - len(free) : last], strict=True):
         own = result.summary[name]

@@ -220,7 +220,7 @@ class _Search:
 
     def _first(self, steps: int, warm: Vector | None) -> _Pair | Result:
         """The first pair that is solved: of equal intervals, of which there may be too few."""
-        phases, pair = self.module.metadata.get("phases", 1), None
+        phases, pair = self.module.metadata.phases, None
         for doubling in range(FIRST_GRIDS):
             count = few_steps(self.module, steps) * 2**doubling
             known = None if warm is None else transferred(self.module, warm, count)

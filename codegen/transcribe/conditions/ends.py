@@ -13,6 +13,7 @@ from sympy import Expr, Max, Min, S, Symbol, expand
 
 from codegen.errors import BoundaryError
 from codegen.model import Condition, Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import EndBound, EndElement, Unknown
 
@@ -75,7 +76,8 @@ def conditioned_end(
         if bound is not None and not _is_repeated(bound, out.bounds):
             out += End(bounds=(bound,))
             continue
-        extra, term, equation = imposed(condition, value, ("nu", f"at the {_where(suffix)}", suffix), names)
+        kind = Kind.START_CONDITION if suffix == "_k" else Kind.END_CONDITION
+        extra, term, equation = imposed(condition, value, Imposed("nu", kind, suffix), names)
         slacks = tuple((slack.name, extra[0].name) for slack in extra[1:])
         out += End(extra=extra, element=term, conditions=(equation,), slacks=slacks)
     return out
@@ -121,21 +123,41 @@ def _is_repeated(found: tuple[str, EndBound], before: Sequence[tuple[str, EndBou
     return any(name == other and (bound.lower is None) == (first.lower is None) for other, first in before)
 
 
+@dataclass(frozen=True)
+class Imposed:
+    """How a condition is imposed: stem and kind of the multiplier, suffix of symbols, abscissa or number of switch."""
+
+    stem: str
+    kind: Kind
+    suffix: str
+    at: float = 0
+
+
+_SLACKS = {
+    Kind.PATH: Kind.PATH_SLACK,
+    Kind.BOUND: Kind.BOUND_SLACK,
+    Kind.START_CONDITION: Kind.START_SLACK,
+    Kind.END_CONDITION: Kind.END_SLACK,
+    Kind.SWITCH_CONDITION: Kind.SWITCH_SLACK,
+}
+"""The kinds of slacks, by those of multipliers."""
+
+
 def imposed(
-    condition: Condition, value: Expr, labels: tuple[str, str, str], names: Names, least: Expr | None = None
+    condition: Condition, value: Expr, how: Imposed, names: Names, least: Expr | None = None
 ) -> tuple[tuple[Unknown, ...], Expr, tuple[str, Expr]]:
     """A value g that vanishes by y g, or g <= 0 by y (g + s) with a slack s that is not below `least`.
 
-    The multiplier and the slack, the share of l, the equation to read; `labels` are the multiplier's stem, where the
-    condition holds, and the suffix of symbols.
+    Return the multiplier and the slack, the share of l, and the equation to read.
     """
-    stem, where, suffix = labels
-    unknowns, left_side = [Unknown(names.numbered(stem), f"multiplier of {condition.name} {where}", True)], "0"
+    meaning = Meaning(how.kind, condition.name, how.at, condition.segment)
+    unknowns, left_side = [Unknown(names.numbered(how.stem), meaning)], "0"
     if not condition.equality:
-        unknowns.append(Unknown(names.numbered("s"), f"slack of {condition.name} {where}", lower=least))
+        slack_meaning = replace(meaning, kind=_SLACKS[how.kind])
+        unknowns.append(Unknown(names.numbered("s"), slack_meaning, lower=least))
         left_side = f"-{unknowns[1].name}"
-    multiplier, *slack = symbols([unknown.name for unknown in unknowns], suffix)
-    return tuple(unknowns), multiplier * sum(slack, value), (f"{left_side} ({condition.name})", value)
+    multiplier, *slack = symbols([unknown.name for unknown in unknowns], how.suffix)
+    return tuple(unknowns), multiplier * sum(slack, value), (f"{left_side} ({meaning.subject})", value)
 
 
 def _where(suffix: str) -> str:

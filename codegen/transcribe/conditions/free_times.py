@@ -18,6 +18,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise import STEP
 from codegen.model import InnerCondition, Model
 from codegen.model.relations import text
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.ends import End
 from codegen.transcribe.guesses import DURATION
 from codegen.transcribe.names import Names, symbols
@@ -36,15 +37,13 @@ class Clock:
     @property
     def node(self) -> tuple[Unknown, Unknown]:
         """The unknowns of a node."""
-        return Unknown(self.time, "time at a node"), Unknown(self.pace, "pace of time before a node", lower=S.Zero)
+        return Unknown(self.time, Meaning(Kind.TIME)), Unknown(self.pace, Meaning(Kind.PACE), lower=S.Zero)
 
     @property
     def interval(self) -> tuple[Unknown, Unknown]:
         """The unknowns of an interval."""
         of_time, of_pace = self.multipliers
-        return Unknown(of_time, "multiplier of the time that passes", True), Unknown(
-            of_pace, "multiplier of the pace that stays", True
-        )
+        return Unknown(of_time, Meaning(Kind.PASSING_TIME)), Unknown(of_pace, Meaning(Kind.CONSTANT_PACE))
 
     @property
     def symbol(self) -> Symbol:
@@ -78,7 +77,7 @@ class Clock:
         duration = self.model.duration
         if not duration.free_symbols & {parameter.symbol for parameter in self.model.free_parameters}:
             return End(pins=((self.time, duration),))
-        multiplier = Unknown(names.numbered("nu"), "multiplier of the duration", True)
+        multiplier = Unknown(names.numbered("nu"), Meaning(Kind.DURATION))
         (nu,), (time,) = symbols([multiplier.name], "_k1"), symbols([self.time], "_k1")
         return End(
             extra=(multiplier,), element=nu * (time - duration), conditions=((f"0 ({self.time})", time - duration),)

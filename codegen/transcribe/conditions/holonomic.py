@@ -26,6 +26,7 @@ from sympy import Expr, S, Symbol
 from codegen.discretise import STEP, at_nodes
 from codegen.errors import ArgumentError
 from codegen.model import Boundary, Condition, Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.path_conditions import NodalTerms, nodal_equalities
 from codegen.transcribe.forms import occurring
 from codegen.transcribe.names import Names, symbols
@@ -40,10 +41,10 @@ class Constraints:
         self.model = model
         self.touched = tuple(occurring(model.coordinates, c) for c in model.holonomic)
         self.kappa = tuple(
-            Unknown(names.numbered("kappa"), f"force along the normal of the constraint {c}") for c in model.holonomic
+            Unknown(names.numbered("kappa"), Meaning(Kind.NORMAL_FORCE, str(c))) for c in model.holonomic
         )
-        conditions = [Condition(f"the constraint {c}", c) for c in model.holonomic]
-        self.eta = nodal_equalities(model, conditions, "eta", names)
+        conditions = [Condition(str(c), c) for c in model.holonomic]
+        self.eta = nodal_equalities(model, conditions, "eta", names, Kind.CONSTRAINT)
 
     def force(self, suffix: str) -> list[Expr]:
         """The impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""

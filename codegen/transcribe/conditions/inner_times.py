@@ -21,6 +21,7 @@ from sympy import Expr, Rational, S, Symbol
 
 from codegen.expressions import checks
 from codegen.model import InnerCondition, Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.common_forms import Form, common_forms
 from codegen.transcribe.conditions.free_times import Clock, with_given_times
 from codegen.transcribe.conditions.path_conditions import NodalTerms
@@ -55,10 +56,10 @@ def inner_terms(
     found, multipliers = dict[int, list[int]](), list[tuple[str, int, int]]()
     for lane in lanes:
         first = len(unknowns)
-        unknowns.append(Unknown(names.numbered("nu"), "multiplier of a condition at an inner time", True))
+        unknowns.append(Unknown(names.numbered("nu"), Meaning(Kind.INNER_CONDITION)))
         slack = S.Zero
         if any(not c.equality for c in lane):
-            unknowns.append(Unknown(names.numbered("s"), "slack of a condition at an inner time", lower=S.Zero))
+            unknowns.append(Unknown(names.numbered("s"), Meaning(Kind.INNER_SLACK), lower=S.Zero))
             (slack,) = symbols([unknowns[-1].name], "_k")
         (multiplier,) = symbols([unknowns[first].name], "_k")
         element += table.share(lane, multiplier, slack, at_left)

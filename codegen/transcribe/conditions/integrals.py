@@ -13,6 +13,7 @@ from dataclasses import replace
 from sympy import Add, Expr, S, Symbol
 
 from codegen.model import Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.ends import End
 from codegen.transcribe.conditions.periodic import Own
 from codegen.transcribe.names import Names
@@ -34,9 +35,9 @@ def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
     own = list[Own]()
     for equation in equations:
         name, symbol = equation.condition.name, equation.multiplier
-        own.append(Own(Unknown(symbol.name, f"multiplier of the integral {name}", True), symbol, S.Zero))
+        own.append(Own(Unknown(symbol.name, Meaning(Kind.INTEGRAL, name)), symbol, S.Zero))
         if (slack := equation.slack) is not None:
-            own.append(Own(Unknown(slack.name, f"slack of the integral {name}", lower=S.Zero), slack, S.Zero))
+            own.append(Own(Unknown(slack.name, Meaning(Kind.INTEGRAL_SLACK, name), lower=S.Zero), slack, S.Zero))
     return tuple(own)
 
 

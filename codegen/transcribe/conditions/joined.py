@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from sympy import Expr, S, Symbol
 
 from codegen.model import Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.periodic import Own, Periodic
 from codegen.transcribe.guesses import at_start, momentum_guess
 from codegen.transcribe.names import Names, symbols
@@ -26,8 +27,10 @@ def joined_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequenc
     for group in (model.coordinates, model.rates):
         for i, j in _indices(model) if group and set(group) <= set(quantities) else ():
             last, first = group[i], group[j]
-            own = _own(names.named("joined", first), f"{first} at the start", at_start(model, known[first]))
-            zeta = _multiplier(names.named("nu", first), f"{last}")
+            own = _own(
+                names.named("joined", first), Meaning(Kind.START_VALUE, first.name), at_start(model, known[first])
+            )
+            zeta = _multiplier(names.named("nu", first), Meaning(Kind.CONTINUITY, last.name))
             (there,) = symbols([last.name], "_k1")
             share = zeta.symbol * (there - own.symbol)
             out += Periodic((own, zeta), start_aliases=((first.name, own.unknown.name, S.Zero),), end_share=share)
@@ -40,8 +43,8 @@ def joined_momenta(model: Model, names: Names) -> Periodic:
     for i, j in _indices(model):
         last, first = model.coordinates[i], model.coordinates[j]
         guess = at_start(model, momentum_guess(model)[j])
-        own = _own(names.named("pi", first), f"momentum of {first} at the start", guess)
-        zeta = _multiplier(names.named("nu", model.rates[j]), f"the momentum of {last}")
+        own = _own(names.named("pi", first), Meaning(Kind.START_MOMENTUM, first.name), guess)
+        zeta = _multiplier(names.named("nu", model.rates[j]), Meaning(Kind.MOMENTUM_CONTINUITY, last.name))
         alias = (f"lambda_{last}", zeta.unknown.name, S.Zero)
         momenta = ((j, own.symbol),), ((i, own.symbol),)
         out += Periodic((own, zeta), end_aliases=(alias,), start_momenta=momenta[0], end_momenta=momenta[1])
@@ -53,10 +56,9 @@ def _indices(model: Model) -> list[tuple[int, int]]:
     return [(model.coordinates.index(last), model.coordinates.index(first)) for last, first in model.joined]
 
 
-def _own(name: str, meaning: str, guess: Expr) -> Own:
+def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
     return Own(Unknown(name, meaning), Symbol(name, real=True), guess, follows=True)
 
 
-def _multiplier(name: str, what: str) -> Own:
-    unknown = Unknown(name, f"multiplier of the continuity of {what}", True)
-    return Own(unknown, Symbol(name, real=True), S.Zero, follows=True)
+def _multiplier(name: str, meaning: Meaning) -> Own:
+    return Own(Unknown(name, meaning), Symbol(name, real=True), S.Zero, follows=True)

@@ -17,6 +17,7 @@ from sympy import Expr, S, Symbol
 from codegen.errors import BoundaryError
 from codegen.expressions.tangents import gradient
 from codegen.model import Boundary, Condition, Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.ends import End, conditioned_end, pinned_at_zero, with_bounds
 from codegen.transcribe.conditions.holonomic import Constraints
 from codegen.transcribe.forms import occurring
@@ -85,7 +86,7 @@ def momentum_end(
         pins=tuple(
             (q.name, v) for q, v in zip(model.coordinates, end.boundary.positions, strict=True) if v is not None
         ),
-        extra=tuple(Unknown(model.rates[j].name, f"velocity {model.rates[j].name} at an end") for j in extra),
+        extra=tuple(Unknown(model.rates[j].name, Meaning(Kind.END_VELOCITY, model.rates[j].name)) for j in extra),
         element=sum((end.sign * multipliers[i] * p for i, p in momenta), S.Zero),
         conditions=tuple((f"p_{model.coordinates[i].name}", p) for i, p in momenta),
     )
@@ -95,7 +96,7 @@ def momentum_end(
     own_symbols = [symbol for symbol in here if symbol in free] + list(extra_symbols)
     own_names = [q.name for q, symbol in zip(model.coordinates, here, strict=True) if symbol in free]
     own_names += [model.rates[j].name for j in extra]
-    bounded = with_bounds([Unknown(name, "") for name in own_names], model)
+    bounded = with_bounds([Unknown(name, Meaning(Kind.COORDINATE, name)) for name in own_names], model)
     named = {s: u for s, u in zip(own_symbols, bounded, strict=True) if u.name not in end.aliased}
     imposed = conditioned_end(conditions, end.cost, substitution, end.suffix, unknowns, names, named, model.parameters)
     return own + pinned_at_zero(unmatched) + imposed

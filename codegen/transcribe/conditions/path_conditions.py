@@ -28,7 +28,8 @@ from codegen.discretise import STEP, PathValue, StateValue, at_nodes
 from codegen.errors import ExpressionError
 from codegen.model import Boundary, Condition, Model
 from codegen.model.conditions.path import is_nodal, nodal_conditions
-from codegen.transcribe.conditions.ends import imposed
+from codegen.runtime.record import Kind, Meaning
+from codegen.transcribe.conditions.ends import Imposed, imposed
 from codegen.transcribe.forms import is_invariant_under_shifts, occurring
 from codegen.transcribe.names import Names, symbols
 from codegen.transcribe.program import Unknown
@@ -115,14 +116,9 @@ def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[Path
                     "where the dynamics are evaluated",
                     "give every body the same bound, or use scheme midpoint",
                 )
-            named = replace(condition, name=f"{STAGE_BOUND}{condition.name}")
             value = condition.expression.xreplace({state.quantity: state.value})
-            values.append(PathValue(named, state.abscissa, value))
+            values.append(PathValue(condition, state.abscissa, value, is_bound=True))
     return tuple(values)
-
-
-STAGE_BOUND = "the bound "
-"""How conditions are called that are the bound of a state at a point where the dynamics are evaluated."""
 
 
 def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: Names) -> IntervalTerms:
@@ -131,10 +127,13 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
     element: Expr = S.Zero
     for value in values:
-        condition, labels = value.condition, ("y", f"at {value.abscissa} of an interval", "_k")
-        yields = condition in {other.condition for other in values if other.abscissa != value.abscissa}
+        condition, kind = value.condition, Kind.BOUND if value.is_bound else Kind.PATH
+        others = {(other.condition, other.is_bound) for other in values if other.abscissa != value.abscissa}
+        yields = (condition, value.is_bound) in others
         least = -YIELDING if yields and value.value == _at_node(model, condition, S.One) else S.Zero
-        (multiplier, *slack), term, equation = imposed(condition, value.value, labels, names, least)
+        (multiplier, *slack), term, equation = imposed(
+            condition, value.value, Imposed("y", kind, "_k", float(value.abscissa)), names, least
+        )
         multipliers.append(multiplier)
         slacks += slack
         indices += [first + len(multipliers) - 1] * len(slack)
@@ -147,7 +146,7 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
 def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
     """The values inside an interval and at its right node, without those that follow from values at nodes."""
     nodal = nodal_conditions(model, equality=False)
-    values = [v for v in inner if v.condition not in nodal or not _follows_from_nodes(model, v)]
+    values = [v for v in inner if v.is_bound or v.condition not in nodal or not _follows_from_nodes(model, v)]
     return [*values, *(PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal)]
 
 
@@ -181,17 +180,21 @@ def is_convex(model: Model, condition: Condition) -> bool:
     return bool(curvature.is_positive_semidefinite)
 
 
-def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, names: Names) -> NodalTerms:
-    """Impose conditions on coordinates and time at every node by multipliers `<stem>_<number>`.
+def nodal_equalities(
+    model: Model, conditions: Sequence[Condition], stem: str, names: Names, kind: Kind = Kind.NODAL
+) -> NodalTerms:
+    """Impose conditions on coordinates and time at every node by multipliers `<stem>_<number>` of a kind.
 
     A multiplier is pinned at an end where every coordinate of its condition is given, and at the end of a motion that
     is periodic in all of them, where the condition at the start says the same, or at the start of a segment that
     follows another one.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero
+    equations = list[tuple[str, Expr]]()
     for condition in conditions:
         name = names.numbered(stem)
-        unknowns.append(Unknown(name, f"multiplier of {condition.name}", True))
+        unknowns.append(Unknown(name, Meaning(kind, condition.name, segment=condition.segment)))
+        equations.append((f"0 at every node ({unknowns[-1].meaning.subject})", condition.expression))
         for suffix, abscissa in (("_k", S.Zero), ("_k1", S.One)):
             element += symbols([name], suffix)[0] * _at_node(model, condition, abscissa) / 2
         assert model.end is not None, "a control problem has an end"
@@ -199,8 +202,7 @@ def nodal_equalities(model: Model, conditions: Sequence[Condition], stem: str, n
             start_pins.append(name)
         if given_at(model, model.end, condition.expression) or repeated_at_end(model, condition.expression):
             end_pins.append(name)
-    equations = tuple((f"0 at every node ({condition.name})", condition.expression) for condition in conditions)
-    return NodalTerms(tuple(unknowns), element, tuple(start_pins), tuple(end_pins), equations)
+    return NodalTerms(tuple(unknowns), element, tuple(start_pins), tuple(end_pins), tuple(equations))
 
 
 def given_at(model: Model, boundary: Boundary, expression: Expr) -> bool:

@@ -17,6 +17,7 @@ from sympy import Expr, S, Symbol
 from codegen.errors import BoundaryError
 from codegen.expressions.tangents import gradient
 from codegen.model import Condition, Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.forms import is_invariant_under_shifts, occurring
 from codegen.transcribe.guesses import at_start, coordinate_guess, momentum_guess
 from codegen.transcribe.names import Names
@@ -150,19 +151,19 @@ def _returns(model: Model, momentum: Expr, same: set[int]) -> bool:
 
 def _tied(model: Model, quantity: Symbol, unknown: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
     """An unknown of the node, by aliases."""
-    own = _own(names.named("periodic", quantity), f"{quantity} at the start", guess)
+    own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
     name = own.unknown.name
     return Periodic((own,), ((unknown.name, name, S.Zero),), ((unknown.name, name, shift),))
 
 
 def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
     q = model.coordinates[index]
-    own = _own(names.named("pi", q), f"momentum of {q} at the start", guess)
+    own = _own(names.named("pi", q), Meaning(Kind.START_MOMENTUM, q.name), guess)
     return Periodic(own=(own,), start_momenta=((index, own.symbol),), end_momenta=((index, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
-    own = _own(names.named("periodic", quantity), f"{quantity} at the start", guess)
+    own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
     name = f"{quantity} is periodic"
     first = Condition(name, value - own.symbol)
     return Periodic(
@@ -170,7 +171,7 @@ def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, name
     )
 
 
-def _own(name: str, meaning: str, guess: Expr) -> Own:
+def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
     return Own(Unknown(name, meaning), Symbol(name, real=True), guess)
 
 

@@ -9,6 +9,7 @@ from sympy import Expr, Max, Min, S, Symbol
 
 from codegen.errors import BoundaryError
 from codegen.model import Condition, Model
+from codegen.runtime.record import Kind, Meaning
 from codegen.transcribe.conditions.periodic import Alias, Own, Periodic
 from codegen.transcribe.guesses import at_end
 from codegen.transcribe.names import Names
@@ -44,7 +45,7 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
     `guesses` are those of the coordinates. Raises BoundaryError when a coupled coordinate is given at the end.
     """
     common = tuple(
-        Own(Unknown(p.symbol.name, f"free parameter {p.symbol.name}", lower=p.lower, upper=p.upper), p.symbol, p.guess)
+        Own(Unknown(p.symbol.name, Meaning(Kind.FREE_PARAMETER, p.symbol.name), p.lower, p.upper), p.symbol, p.guess)
         for p in model.free_parameters
     )
     own, aliases = list(periodic.own), list[Alias]()
@@ -62,7 +63,8 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
             continue
         name = names.named("coupled", q)
         index[i], offset[i] = len(own), S.Zero
-        own.append(Own(Unknown(name, f"{q} at the end"), Symbol(name, real=True), at_end(model, guesses[i])))
+        unknown = Unknown(name, Meaning(Kind.END_VALUE, q.name))
+        own.append(Own(unknown, Symbol(name, real=True), at_end(model, guesses[i])))
         aliases.append((q.name, name, S.Zero))
     values = model.end_values
     shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
@@ -74,7 +76,8 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         start_aliases=periodic.start_aliases,
         end_aliases=(*periodic.end_aliases, *aliases),
         couplings=tuple(
-            Coupling(Unknown(names.numbered("nu"), c.name, True), c.expression.xreplace(shifted)) for c in kept
+            Coupling(Unknown(names.numbered("nu"), Meaning(Kind.COUPLING, c.name)), c.expression.xreplace(shifted))
+            for c in kept
         ),
         coupling_symbols=tuple((v.symbol, v.body, index[v.coordinate]) for v in values),
         redundant=tuple((i, c.name) for i, c in enumerate(model.couplings, start=1) if c not in kept),

@@ -15,6 +15,7 @@ from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise import STEP
 from codegen.model import Boundary, Model
+from codegen.runtime.record import Meaning
 from codegen.transcribe.conditions.integrals import end_share, own_unknowns, with_distinct_integral_names
 from codegen.transcribe.names import symbols
 from codegen.transcribe.phases.guesses import with_guesses
@@ -237,14 +238,14 @@ def _laid_out(programs: Sequence[ControlProgram], switches: Sequence[Switch]) ->
 
 def _union(unknowns: Sequence[Unknown], added: Sequence[Unknown]) -> tuple[Unknown, ...]:
     """Every name once, primal unknowns before multipliers; numbered ones mean several things."""
-    meanings: dict[str, list[str]] = {}
+    meanings: dict[str, dict[Meaning, None]] = {}
     for unknown in (*unknowns, *added):
-        found = meanings.setdefault(unknown.name, [])
-        if unknown.meaning not in found:
-            found.append(unknown.meaning)
-    named = {u.name: replace(u, meaning=" or ".join(meanings[u.name])) for u in (*unknowns, *added)}
-    ordered = sorted(named.values(), key=lambda u: u.multiplier)
-    return tuple(ordered)
+        meanings.setdefault(unknown.name, {})[unknown.meaning] = None
+    named = dict[str, Unknown]()
+    for unknown in (*unknowns, *added):
+        first, *others = meanings[unknown.name]
+        named[unknown.name] = replace(unknown, meaning=replace(first, others=tuple(others)))
+    return tuple(sorted(named.values(), key=lambda unknown: unknown.multiplier))
 
 
 def _index(unknowns: Sequence[Unknown], name: str) -> int:

@@ -29,7 +29,8 @@ from codegen.expressions.zeros import identically_zero
 from codegen.model import Condition, Model
 from codegen.model.conditions.path import nodal_conditions
 from codegen.model.definitions import prescribed
-from codegen.transcribe.conditions.ends import imposed
+from codegen.runtime.record import Kind, Meaning
+from codegen.transcribe.conditions.ends import Imposed, imposed
 from codegen.transcribe.forms import occurring
 from codegen.transcribe.guesses import coordinate_guess, momentum_guess
 from codegen.transcribe.names import Names, symbols
@@ -72,7 +73,7 @@ class Transition:
         self.before, self.after = chain.phases[number - 1], chain.phases[number]
         self.programs = programs[number - 1], programs[number]
         self.jump = dict(chain.jumps[number - 1])
-        self.where = f"switch {number}"
+        self.number = number
         self.slots, self.variational = slots, programs[0].method == "variational"
         self.left = dict(zip((u.name for u in programs[number].node), programs[number].left_symbols, strict=True))
         self.quantities = (*self.before.coordinates, *self.before.rates)
@@ -174,15 +175,16 @@ def _matched_momenta(transition: Transition) -> Switch:
     values = {transition.left[q.name]: transition.jumped(q) for q in jumping}
     equations = [(f"{q} after the switch", transition.jumped(q)) for q in jumping]
     velocities = transition.before.form == "lagrangian"
-    kind, broken = "velocity" if velocities else "momentum", [q.name for q in jumping]
+    kind = Kind.SWITCH_VELOCITY if velocities else Kind.SWITCH_MOMENTUM
+    broken = [q.name for q in jumping]
     primal, multipliers, guess, element = list[Unknown](), list[Unknown](), list[tuple[str, Expr]](), S.Zero
     before, after = momenta(transition.before), momenta(transition.after)
     for i in sorted(transition.matched):
         q, rate = transition.before.coordinates[i], transition.before.rates[i]
         node_multiplier = transition.left[f"lambda_{q}"]
         name, multiplier = transition.slots.named("switch", rate), transition.slots.named("pi", q)
-        primal.append(Unknown(name, f"{kind} {rate} before a switch"))
-        multipliers.append(Unknown(multiplier, f"multiplier of the momentum of {q} after a switch", True))
+        primal.append(Unknown(name, Meaning(kind, rate.name)))
+        multipliers.append(Unknown(multiplier, Meaning(Kind.SWITCH_MATCH, q.name)))
         (pi,) = symbols([multiplier], "_k")
         values[node_multiplier] = pi
         arriving, leaving = transition.at(before[i]), transition.after_jump(after[i])
@@ -213,8 +215,8 @@ def _conditioned(transition: Transition, motion: Switch, names: Names) -> Switch
     cost = transition.at(transition.before.terminal_cost)
     shared, equations, element = list[Unknown](), list[tuple[str, Expr]](), motion.element + cost
     for condition in transition.conditions():
-        labels = ("nu", f"at {transition.where}", "")
-        unknowns, term, equation = imposed(condition, transition.at(condition.expression), labels, names, S.Zero)
+        how = Imposed("nu", Kind.SWITCH_CONDITION, "", transition.number)
+        unknowns, term, equation = imposed(condition, transition.at(condition.expression), how, names, S.Zero)
         shared += unknowns
         element += term
         equations.append(equation)

@@ -17,6 +17,7 @@ from sympy import S
 
 from codegen.errors import BoundaryError
 from codegen.model.conditions.path import nodal_conditions
+from codegen.runtime.record import Kind
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.redundancy.chain_jacobian import ChainJacobian
 
@@ -78,7 +79,7 @@ def _candidates(program: ControlProgram) -> Iterator[_Candidate]:
         given = [value.quantity for value in program.boundary_values if value.where == where]
         for name, quantity in _equations(program):
             index = names.index(name) if name in names else -1
-            if index >= 0 and index not in pinned and (quantity in given or name.startswith("y_")):
+            if index >= 0 and index not in pinned and (quantity in given or program.node[index].kind is Kind.NODAL):
                 yield _Candidate(where, quantity, index, True)
         bound = _bound(program)
         values = {index: value for index, value in end.pins if not program.node[index].multiplier}
@@ -94,9 +95,9 @@ def _equations(program: ControlProgram) -> Iterator[tuple[str, str]]:
     for q, rate in reversed(list(zip(model.coordinates, model.rates, strict=False))):
         yield f"lambda_{q}", rate.name
         yield f"nu_{rate}", rate.name
-    meanings = {unknown.meaning: unknown.name for unknown in program.node}
+    multipliers = {unknown.meaning.of: unknown.name for unknown in program.node if unknown.kind is Kind.NODAL}
     for condition in nodal_conditions(model, equality=True):
-        yield meanings[f"multiplier of {condition.name}"], condition.name
+        yield multipliers[condition.name], condition.name
 
 
 def _bound(program: ControlProgram) -> set[str]:

@@ -100,7 +100,7 @@ def _with_determined_values(program: ControlProgram, where: str, inequalities: S
     node = program.left_symbols if where == "start" else program.right_symbols
     given = {node[index]: value for index, value in end.pins}
     equations = _equations(program, where, given)
-    candidates = [(s.name, v.condition.name, v.value) for s, v in zip(program.slacks, inequalities, strict=True)]
+    candidates = [(s.name, s.meaning.subject, v.value) for s, v in zip(program.slacks, inequalities, strict=True)]
     if equations.solved or equations.others:
         candidates += _of_the_node(program, end, node)
     found = ((name, equations.touched(text, value)) for name, text, value in candidates)

@@ -40,7 +40,7 @@ def _decided(program: ControlProgram, number: int, inequalities: Sequence[PathVa
         if not equations.solved and not equations.others:
             return []
         pairs = zip(program.slacks, inequalities, strict=True)
-        candidates = [(slack.name, value.condition.name, value.value) for slack, value in pairs]
+        candidates = [(slack.name, slack.meaning.subject, value.value) for slack, value in pairs]
         if not before:
             _require_undecided(program, number, equations)
             candidates += _bounds(program)

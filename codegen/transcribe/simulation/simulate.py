@@ -30,6 +30,7 @@ from codegen.discretise import (
     variational_interval,
 )
 from codegen.model import Model, legendre
+from codegen.runtime.record import Kind, Meaning
 from codegen.schemes import Scheme
 from codegen.transcribe.boundary import with_symbolic_boundaries
 from codegen.transcribe.program import Unknown
@@ -68,14 +69,14 @@ def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
         step = _variational_step(legendre.lagrangian_form(model), part, left, right, velocities)
     else:
         step = _one_step(phase, part, left, right, lengths)
-    kinds = [*(("coordinate", q) for q in phase.coordinates), *(("momentum", p) for p in phase.rates)]
+    kinds = [*((Kind.COORDINATE, q) for q in phase.coordinates), *((Kind.MOMENTUM, p) for p in phase.rates)]
     solution = step.solution
     return StepProgram(
         model=model,
         method=method,
         scheme=scheme.name,
         order=scheme.order,
-        state=tuple(Unknown(symbol.name, f"{kind} {symbol.name}") for kind, symbol in kinds),
+        state=tuple(Unknown(symbol.name, Meaning(kind, symbol.name)) for kind, symbol in kinds),
         left_symbols=left,
         velocities=step.velocities,
         stage_symbols=step.stages,

@@ -29,7 +29,7 @@ class PublishedProblem:
         with compilers() as processes:
             prepare(path, processes)
         self.module: Any = load(path)
-        self.steps, self.limit = min(most_steps, self.module.metadata["steps"]), limit
+        self.steps, self.limit = min(most_steps, self.module.metadata.steps), limit
         self.grid = self.module.make_grid(self.steps)
 
     def perturbed_guess(self, size: float, seed: int) -> Array:
@@ -67,7 +67,7 @@ class PublishedProblem:
         size = np.ones(residuals.size)
         np.maximum.at(size, rows, np.abs(values * primal[columns]))
         worst = float((residuals / size).max(initial=0.0))
-        if self.module.metadata["inequalities"]:
+        if self.module.metadata.inequalities:
             lower, upper = self.module.variable_bounds(self.grid)
             beyond = np.maximum(lower - unknowns, unknowns - upper) / np.maximum(1.0, np.abs(unknowns))
             worst = max(worst, float(beyond[self.module.primal_unknowns(self.grid)].max(initial=0.0)))
