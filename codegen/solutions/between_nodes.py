@@ -286,9 +286,3 @@ def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
     time += max(row.segment - 1, 0) * (sampled.times[-1] - sampled.times[0])
     worst, own = (body, interval, part), int(body) if metadata.bodies > 1 else None
     return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own, row.segment)
-
-
-def _of_phases(row: _Row, intervals: int, steps: int) -> NDArray[np.bool_]:
-    """Which intervals belong to the phases of a condition, without the first behind a switch."""
-    phase, number = np.divmod(np.arange(intervals), steps)
-    return np.asarray(np.isin(phase, row.phases) & ((phase == 0) | (number > 0)))
