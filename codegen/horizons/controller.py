@@ -367,5 +367,6 @@ class Controller:
             log = BestIterate(math.inf, self._feasible, self._clock)
             self._judged(grid, self._pinned(grid, point.unknowns.copy()), OF_START, log, 2)
             whole = self._clock() - begin
-            measured.append((log.beginning or whole, log.rest(begin + whole) or whole))
+            before, rest = log.beginning, log.rest(begin + whole)
+            measured.append((whole if before is None else before, rest or whole))
         return Pace(measured)
