@@ -16,8 +16,7 @@ _HOMES = {
     ),
     **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.author.particles"),
     **dict.fromkeys(["Points"], "codegen.author.points"),
-    **dict.fromkeys(["Measurements"], "codegen.author.measurements"),
-    **dict.fromkeys(["Table", "Trajectory"], "codegen.author.tables"),
+    **dict.fromkeys(["Measurements", "Table", "Trajectory"], "codegen.author.tables"),
     **dict.fromkeys(["together"], "codegen.author.bodies"),
     **dict.fromkeys(["build"], "codegen.compiler"),
     **dict.fromkeys(["CodegenError"], "codegen.errors"),
@@ -70,7 +69,6 @@ __all__ = [
 
 if TYPE_CHECKING:
     from codegen.author.bodies import together
-    from codegen.author.measurements import Measurements
     from codegen.author.particles import Connect, Pairwise, particle, particles
     from codegen.author.points import Points
     from codegen.author.problem import Control, Phases, Simulate, Waypoint
@@ -90,7 +88,7 @@ if TYPE_CHECKING:
         states,
         time,
     )
-    from codegen.author.tables import Table, Trajectory
+    from codegen.author.tables import Measurements, Table, Trajectory
     from codegen.compiler import build
     from codegen.errors import CodegenError
     from codegen.horizons.closed_loop import close_loop

@@ -105,10 +105,10 @@ def generate_from_model(
 ) -> str:
     """The pipeline itself, from a checked problem to the text of its module."""
     from codegen import derive, lower, transcribe, verify
-    from codegen.derive import general, mixed
+    from codegen.derive import mixed
 
     if choices.general:
-        form = general.general_form(model, choices.scheme, choices.method, choices.controls)
+        form = mixed.general_form(model, choices.scheme, choices.method, choices.controls)
         return emit.render(lower.lower(*form), origin)
     if choices.sensitivities:
         mixed.require_sensitive(model)

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from codegen.errors import FileError
 
@@ -84,3 +85,14 @@ def write_text(path: Path, text: str) -> None:
     """Replace a file as a whole; FileError when the file system refuses."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def rendered(template: Path, **values: Any) -> str:
+    """The HTML of a jinja template; a name in it that has no value is an error."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    loader = FileSystemLoader(template.parent)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(template.name).render(values)

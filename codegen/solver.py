@@ -132,7 +132,7 @@ class Solver:
         return f"Solver({self.name!r}, {str(self.build.path)!r})"
 
     def _repr_html_(self) -> str:
-        from codegen.notebooks.tables import table
+        from codegen.notebooks.solution import table
 
         metadata = self.module.metadata
         rows = [

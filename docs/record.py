@@ -34,7 +34,7 @@ import codegen
 from codegen.author.sources import ProblemFile
 from codegen.drawing import Item
 from codegen.machine import machine
-from codegen.plots import animation
+from codegen.plots import shapes
 
 WIDTH, COLOURS = 900, 64
 """Pixels across a figure, and how many colours it has."""
@@ -89,8 +89,8 @@ def filmed(path: Path, solution: Any) -> dict[str, Any] | None:
         frames = [_frame(film, number, size) for number in kept]
     palette = frames[-1].quantize(FILM_COLOURS)
     *others, last = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    between = EVERY * 1000 // animation.RATE
-    durations = [*[between] * len(others), round(1000 * animation.PAUSE)]
+    between = EVERY * 1000 // shapes.RATE
+    durations = [*[between] * len(others), round(1000 * shapes.PAUSE)]
     others[0].save(
         STORED / f"{path.stem}.gif", save_all=True, append_images=[*others[1:], last], duration=durations, loop=0,
         optimize=True,

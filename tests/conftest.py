@@ -28,8 +28,7 @@ from codegen.author.points import read_points
 from codegen.compiler import build
 from codegen.interfaces import GeneratedModule
 from codegen.registration import LandmarkPairs, Registration, register
-from codegen.registration.flow import FlowModule
-from codegen.registration.solver import registration_module
+from codegen.registration.solver import FlowModule, registration_module
 
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from sympy import Rational, S
 
 from codegen.schemes.base import FIRST_ORDER, Scheme
-from codegen.schemes.step import FieldPoint, Step, Update
+from codegen.schemes.base import FieldPoint, Step, Update
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ MARQUARDT = '''"""The method of Levenberg and Marquardt on the KKT equations, wh
 import numpy as np
 from scipy.optimize import root
 
-from codegen.drivers.scaled import ScaledProblem
+from codegen.drivers.shared import ScaledProblem
 from codegen.solutions.result import ControlAttempt
 
 
@@ -217,7 +217,7 @@ REGISTRIES = {
         ("from codegen", "from codegen.transcribe.conditions.balance import balances\nfrom codegen"),
         ("    inner = ", "    nodal += balances(model, names)\n    inner = "),
     ],
-    "sweeping/samples.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
+    "sweeping/cases.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }
 """A row and its import for each; of a condition the argument, of a sampling method the function beside the row.
 

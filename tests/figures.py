@@ -33,7 +33,7 @@ from codegen.compiler import build
 from codegen.loading import load
 from codegen.machine import machine
 from codegen.naming import module_name
-from codegen.report import compare, records
+from codegen.report import records
 from codegen.report.settings import few_landmarks, smooth_pair
 from codegen.terminal import console
 
@@ -97,11 +97,11 @@ def main() -> int:
     if not on_record:
         sys.exit("no figures are on record; --update puts them there")
     before = records.read(RECORD if RECORD in on_record else on_record[-1])
-    worse = compare.regressions(before.cases, with_errors(rows, before.cases))
+    worse = records.regressions(before.cases, with_errors(rows, before.cases))
     told = console()
     told.print(f"{len(rows)} modules of the gallery, compared with those on record: {len(worse)} figures are worse")
     if worse:
-        told.print(compare.table_of(worse))
+        told.print(records.table_of(worse))
     return int(any(row.decides for row in worse))
 
 

@@ -10,7 +10,7 @@ from codegen.registration.batches.outcome import BatchRequest, outcome_of
 from codegen.registration.batches.pairing import Places, jobs_in_folder
 from codegen.registration.formats import write_landmarks
 from codegen.registration.images import write_image
-from codegen.registration.job import run as run_pair
+from codegen.registration.job import run_pictures as run_pair
 from codegen.registration.jobs import Options
 from codegen.registration.pairs import LandmarkPairs
 

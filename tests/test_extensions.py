@@ -52,10 +52,10 @@ class TestSchemeFamily:
         code = """
 from codegen import schemes
 from codegen.report.figures.problems import colour_of
-from codegen.stress import families, linear
+from codegen.stress import families, systems
 names = [name for names in schemes.METHODS.values() for name in names]
 assert len({colour_of(name) for name in names}) == len(set(names))
-assert linear.limit(schemes.METHODS["hamiltonian"]["radau-3"]) == float("inf")
+assert systems.limit(schemes.METHODS["hamiltonian"]["radau-3"]) == float("inf")
 cases = [case for case in families.all_cases() if case.setup.scheme == "radau-3"]
 print(sorted({case.setup.file.stem for case in cases}), len(cases))
 """
@@ -188,7 +188,7 @@ class TestFieldOfTheModel:
 
 def test_sampling_method(extended):
     done = extended.python(
-        "-c", "from codegen.sweeping.samples import samples\nprint(samples({'a': 'uniform(0, 8)'}, 3, 'halton', 0))"
+        "-c", "from codegen.sweeping.cases import samples\nprint(samples({'a': 'uniform(0, 8)'}, 3, 'halton', 0))"
     )
     assert done.returncode == 0, done.stderr
     assert all(value in done.stdout for value in ("4.0", "2.0"))

@@ -13,9 +13,9 @@ from references import LOWER, STORED, UNSOLVED, digest, known_of, misses, proble
 
 import codegen
 from codegen import errors
-from codegen.cli.reading import PAGE
+from codegen.cli.options import PAGE
 from codegen.solutions.result import STATUSES
-from codegen.sweeping.statuses import MEANINGS
+from codegen.sweeping.case import MEANINGS
 
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"

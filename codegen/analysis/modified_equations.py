@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, Rational, S, Symbol
 
-from codegen.analysis.flow_series import FlowSeries, flow_series
+from codegen.analysis.flow_series import FlowSeries, Series, flow_series
 from codegen.analysis.function_ring import FunctionRing
 from codegen.analysis.normal_form import Element
-from codegen.analysis.series import Series
 from codegen.expressions.zeros import identically_zero
 from codegen.model import Model, legendre
 from codegen.schemes import Scheme

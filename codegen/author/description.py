@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 import sympy
 
-from codegen.author.measurements import Measurements
 from codegen.author.particles import Connect, Pairwise
 from codegen.author.quantities import Quantity
-from codegen.author.tables import Table, Trajectory
+from codegen.author.tables import Measurements, Table, Trajectory
 from codegen.errors import ExpressionError, clause
 from codegen.expressions.table_functions import TableBase
 

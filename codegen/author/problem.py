@@ -13,8 +13,7 @@ from typing import Any, ClassVar, TypeVar
 
 from codegen.author.argument_names import perhaps
 from codegen.author.author_object import AuthorObject
-from codegen.author.measurements import Measurements
-from codegen.author.tables import Trajectory
+from codegen.author.tables import Measurements, Trajectory
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 

@@ -12,19 +12,106 @@ import importlib
 import importlib.util
 import inspect
 import keyword
+import math
 import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from types import CodeType, ModuleType
-from typing import Any, cast
+from types import CodeType, ModuleType, NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
 from codegen.author.argument_names import perhaps
 from codegen.author.data_files import beside
-from codegen.author.set_values import converted
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError, clause
+
+
+def converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
+    """The value of an argument of problem() in the type that it is annotated with, or that its default has.
+
+    Raises ArgumentError, which names the problem file at `path`, when the text does not fit, or when there is no
+    reading such a type from text.
+    """
+    annotation = parameter.annotation
+    if annotation is parameter.empty:
+        annotation = type(parameter.default)
+    readers = _readers(annotation)
+    if not readers or annotation is NoneType:
+        raise ArgumentError(
+            clause(f"{path}: --set {parameter.name}: its type cannot be read from text"),
+            f"annotate {parameter.name} in problem() with int, float, bool, str, Path or Literal",
+        )
+    for _, reader in readers:
+        try:
+            return reader(text)
+        except ValueError:
+            continue
+    raise ArgumentError(
+        clause(f"{path}: --set {parameter.name}={text} does not fit"),
+        clause(f"give {' or '.join(description for description, _ in readers)}"),
+    )
+
+
+def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
+    """What a type accepts, in words, and the function that reads it (ValueError when the text does not fit)."""
+    origin, choices = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _readers(choices[0])
+    if origin is Literal:
+        values = {str(choice): choice for choice in choices}
+        return [(" or ".join(values), lambda text: _chosen(values, text))]
+    if origin in (Union, UnionType):
+        # None first: every other type of text would take the word for a value.
+        parts = [_readers(choice) for choice in sorted(choices, key=lambda choice: choice is not NoneType)]
+        return [reader for part in parts for reader in part] if all(parts) else []
+    plain: dict[Any, tuple[str, Callable[[str], Any]]] = {
+        int: ("a whole number", _integer),
+        float: ("a finite number", _finite),
+        bool: ("true or false", lambda text: _chosen(_TRUTH, text.strip().lower())),
+        str: ("text", str),
+        Path: ("a path", _path),
+        NoneType: ("none", lambda text: _chosen({"none": None}, text.strip().lower())),
+    }
+    return [plain[annotation]] if isinstance(annotation, type) and annotation in plain else []
+
+
+_TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+
+def _chosen(values: Mapping[str, Any], text: str) -> Any:
+    if text not in values:
+        raise ValueError(text)
+    return values[text]
+
+
+def _integer(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        raise ValueError(text) from None
+    # The bound comes first: the integer 1e999999999 would not fit into memory.
+    if not number.is_finite() or number.adjusted() > 18 or number != number.to_integral_value():
+        raise ValueError(text)
+    return int(number)
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
+def _path(text: str) -> Path:
+    if not text.strip():
+        raise ValueError(text)
+    return Path(text)
 
 
 def parse_arguments(items: Sequence[str], path: Path | None = None) -> dict[str, str]:
@@ -98,7 +185,25 @@ def written_problem(path: Path, arguments: Mapping[str, str]) -> tuple[str, Any,
         with _blaming(path):
             exec(code, module.__dict__)
         function = _problem_function(path, module)
-        keywords = _keywords(path, function, arguments)
+        # The `--set` arguments, converted to the types that the parameters of problem() are annotated with.
+        with _blaming(path):
+            signature = inspect.signature(function, eval_str=True)
+        for parameter in signature.parameters.values():
+            if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+                raise _unusable(path, f"problem() takes {parameter}, which has no name for --set", "name each argument")
+            if parameter.default is parameter.empty:
+                raise _unusable(path, f"problem() requires {parameter.name}", f"give {parameter.name} a default value")
+        known = list(signature.parameters)
+        for name in arguments:
+            if name not in known:
+                close = difflib.get_close_matches(name, known, n=1)
+                remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
+                remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
+                if _is_parameter(function, name):
+                    given = f"{name}={arguments[name]}"
+                    remedy = f"{name} is a parameter: give solve --parameter {given}, or sweep --vary {given}; {remedy}"
+                raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
+        keywords = {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
         with _blaming(path), recorded_declarations() as declared:
             return title, function(**keywords), declared
 
@@ -259,28 +364,6 @@ def _problem_function(path: Path, module: ModuleType) -> Callable[..., Any]:
     if inspect.iscoroutinefunction(function):
         raise _unusable(path, "problem() is asynchronous", "write def instead of async def")
     return cast(Callable[..., Any], function)
-
-
-def _keywords(path: Path, function: Callable[..., Any], arguments: Mapping[str, str]) -> dict[str, Any]:
-    """The `--set` arguments, converted to the types that the parameters of problem() are annotated with."""
-    with _blaming(path):
-        signature = inspect.signature(function, eval_str=True)
-    for parameter in signature.parameters.values():
-        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
-            raise _unusable(path, f"problem() takes {parameter}, which has no name for --set", "name each argument")
-        if parameter.default is parameter.empty:
-            raise _unusable(path, f"problem() requires {parameter.name}", f"give {parameter.name} a default value")
-    known = list(signature.parameters)
-    for name in arguments:
-        if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            remedy = f"problem() takes {', '.join(known)}" if known else "problem() takes no arguments"
-            remedy = f"did you mean {close[0]}? {remedy}" if close else remedy
-            if _is_parameter(function, name):
-                given = f"{name}={arguments[name]}"
-                remedy = f"{name} is a parameter: give solve --parameter {given}, or sweep --vary {given}; {remedy}"
-            raise ArgumentError(clause(f"{path}: --set {name}: no such argument"), remedy)
-    return {name: converted(path, text, signature.parameters[name]) for name, text in arguments.items()}
 
 
 def _is_parameter(function: Callable[..., Any], name: str) -> bool:

@@ -128,11 +128,6 @@ def source_of(problem: Any, name: str | None = None, title: str | None = None) -
     return ProblemObject(name, title.strip(), f"{title.strip()}\n{described(problem, name)}", problem, Path.cwd())
 
 
-def argument_names(problem: Source | Path | str) -> tuple[str, ...]:
-    """The names of the arguments of problem(), from the text of the file alone; an object has none."""
-    return source_of(problem).arguments
-
-
 def input_digest(problem: Source | Path | str, arguments: Mapping[str, str], *extra: str) -> str:
     """The SHA-256, in hexadecimal, of a problem's text, its arguments in any order, and further strings.
 

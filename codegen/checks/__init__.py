@@ -4,43 +4,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 from codegen import compiler, emit, naming, schemes
 from codegen.author.data_files import recorded_files
 from codegen.author.sources import Source, settings_of, source_of
+from codegen.checks import particles
 from codegen.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
-from codegen.checks.derivation import (
-    area_preservation,
-    boundary_rank,
-    consistency,
-    discrete_equations,
-    integrals,
-    midpoint_equivalence,
-    momentum_matching,
-    noether,
-    null_controls,
-    path_modes,
-    switches,
-    symplecticity,
-)
-from codegen.checks.derivation.phases import phase_contexts
+from codegen.checks.derivation import consistency, discrete_equations, null_spaces, one_step, phases
 from codegen.checks.evaluation import NoPointError
-from codegen.checks.module import (
-    assembly,
-    derivatives,
-    given_values,
-    layout,
-    measurements,
-    provenance,
-    sparsity,
-    tables,
-)
-from codegen.checks.particles import pairwise
-from codegen.checks.solution import delays, holonomic_drift, inner_times, optimum, second_order
-from codegen.checks.solution import sensitivities as of_sensitivities
+from codegen.checks.module import assembly, derivatives, layout, tables
+from codegen.checks.solution import motion, optimum
 from codegen.deadline import CHECK, Overdue, interrupted_after
 from codegen.interfaces import is_of_particles
 from codegen.loading import load
@@ -50,65 +27,49 @@ from codegen.model.from_file import load_problem
 from codegen.model.segments import in_names_of_the_whole
 from codegen.naming import Choices
 
+Finder: TypeAlias = Callable[[Context], Iterable[Finding]]
+
 __all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "context_of", "run"]
 
+
+def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
+    """A check of the expressions of each phase; `without` says what a system of first order lacks."""
+    return Check(
+        name, findings, False, True, {"first-order": f"a first-order system has no {without}"} if without else {}
+    )
+
+
+def _of_problems(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
+    """A check of problems with something to find, for a `reason` why a simulation has nothing."""
+    return Check(name, findings, of_each_phase=of_each_phase, without={"simulate": f"a simulation {reason}"})
+
+
 _ROWS = (
-    Check("layout", layout.check, runs_the_module=False),
-    Check("derivatives", derivatives.check),
-    Check("sparsity", sparsity.check, without={"simulate": "a step of a simulation has a dense Jacobian"}),
-    Check(
-        "given values", given_values.check, without={"simulate": "a simulation gives no values but those of its start"}
-    ),
-    Check("assembly", assembly.check, without={"simulate": "a simulation solves step after step"}),
-    Check("tables", tables.check),
-    Check("measurements", measurements.check, without={"simulate": "a simulation fits nothing"}),
-    Check("discrete equations", discrete_equations.check, runs_the_module=False, of_each_phase=True),
-    Check("integrals", integrals.check, runs_the_module=False, of_each_phase=True),
-    Check("momentum matching", momentum_matching.check),
-    Check(
-        "discrete Noether",
-        noether.check,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no momenta"},
-    ),
-    Check("consistency", consistency.check, runs_the_module=False),
-    Check(
-        "symplecticity",
-        symplecticity.check,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no symplectic form"},
-    ),
-    Check(
-        "area preservation",
-        area_preservation.check,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no phase plane of q and p"},
-    ),
-    Check(
-        "midpoint equivalence",
-        midpoint_equivalence.check,
-        runs_the_module=False,
-        of_each_phase=True,
-        without={"first-order": "a first-order system has no discrete Lagrangian"},
-    ),
-    Check("boundary rank", boundary_rank.check, without={"simulate": "a simulation has no boundary value problem"}),
-    Check(
-        "null controls",
-        null_controls.check,
-        of_each_phase=True,
-        without={"simulate": "a simulation has no controls to be found"},
-    ),
-    Check("path between nodes", path_modes.check, without={"simulate": "a simulation has no path conditions"}),
-    Check("holonomic drift", holonomic_drift.check),
-    Check("inner times", inner_times.check, without={"simulate": "a simulation has no conditions on the way"}),
-    Check("switches", switches.check),
-    Check("delays", delays.check, without={"simulate": "a simulation has no values of the past"}),
-    Check("second-order condition", second_order.check, without={"simulate": "a simulation minimises nothing"}),
-    Check("optimum", optimum.check, without={"simulate": "a simulation minimises nothing"}),
-    Check("sensitivities", of_sensitivities.check, without={"simulate": "a simulation minimises nothing"}),
+    Check("layout", layout.check_layout, runs_the_module=False),
+    Check("derivatives", derivatives.check_derivatives),
+    Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
+    _of_problems("given values", assembly.check_given_values, "gives no values but those of its start"),
+    _of_problems("assembly", assembly.check_assembly, "solves step after step"),
+    Check("tables", tables.check_tables),
+    _of_problems("measurements", tables.check_measurements, "fits nothing"),
+    _of_equations("discrete equations", discrete_equations.check_discrete_equations),
+    _of_equations("integrals", discrete_equations.check_integrals),
+    Check("momentum matching", discrete_equations.check_momentum_matching),
+    _of_equations("discrete Noether", one_step.check_noether, without="momenta"),
+    Check("consistency", consistency.check_consistency, runs_the_module=False),
+    _of_equations("symplecticity", one_step.check_symplecticity, without="symplectic form"),
+    _of_equations("area preservation", one_step.check_area_preservation, without="phase plane of q and p"),
+    _of_equations("midpoint equivalence", consistency.check_midpoint_equivalence, without="discrete Lagrangian"),
+    _of_problems("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
+    _of_problems("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
+    _of_problems("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
+    Check("holonomic drift", motion.check_holonomic_drift),
+    _of_problems("inner times", motion.check_inner_times, "has no conditions on the way"),
+    Check("switches", phases.check_switches),
+    _of_problems("delays", motion.check_delays, "has no values of the past"),
+    _of_problems("second-order condition", optimum.check_second_order, "minimises nothing"),
+    _of_problems("optimum", optimum.check_optimum, "minimises nothing"),
+    _of_problems("sensitivities", optimum.check_sensitivities, "minimises nothing"),
 )
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
@@ -141,10 +102,10 @@ def run(
             source, settings, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
         ).path
     if is_of_particles(load(module)):
-        return Findings(pairwise.findings(source, settings, choices, module))
+        return Findings(particles.particle_findings(source, settings, choices, module))
     context, text = _prepared(source, settings, choices, module)
     inputs = naming.origin_of(source, settings, choices).inputs
-    findings = list(provenance.compare(module, context.module, inputs, text))
+    findings = list(layout.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
     whole = context.model
@@ -178,18 +139,18 @@ def apply(name: str, context: Context, seconds: float = math.inf) -> list[Findin
 
 def _found(name: str, context: Context) -> Iterator[Finding]:
     check = CHECKS[name]
-    if check.runs_the_module and not all(finding.passed for finding in layout.check(context)):
+    if check.runs_the_module and not all(finding.passed for finding in layout.check_layout(context)):
         yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
         return
     for kind in (context.model.task, context.model.form):
         if kind in check.without:
             yield does_not_apply(name, check.without[kind])
             return
-    phases = phase_contexts(context) if check.of_each_phase else []
-    if len(phases) < 2:
+    parts = phases.phase_contexts(context) if check.of_each_phase else []
+    if len(parts) < 2:
         yield from _evidence(check, context)
         return
-    found = [(phase, finding) for phase, own in phases for finding in _evidence(check, own)]
+    found = [(phase, finding) for phase, own in parts for finding in _evidence(check, own)]
     if not any(finding.applies for _, finding in found):
         yield found[0][1]
         return

@@ -60,7 +60,7 @@ class Findings(tuple[Finding, ...]):
         return str(_HTML(self))
 
 
-_HTML = Home("notebooks.tables", "findings_html")
+_HTML = Home("notebooks.solution", "findings_html")
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ def distances(
     import numpy as np
 
     from codegen.engines.team import team_size
-    from codegen.registration.batches.distances import geodesic_distances, write_distances, write_mean
-    from codegen.registration.specimens import read_specimens
+    from codegen.registration.batches.distances import geodesic_distances, read_specimens, write_distances, write_mean
     from codegen.solutions import output
 
     if out is None:

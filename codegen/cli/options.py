@@ -54,3 +54,12 @@ PictureStyle = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Out = Annotated[Path | None, typer.Option(help="Folder for the module. [default: generated if current, else a cache]")]
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Save a picture: .png, .pdf or .svg.")]
+
+
+PAGE = "Statuses and errors"
+"""Its title, which the site's search finds; `docs/guide/statuses.md` in the sources."""
+
+
+def on_statuses(*statuses: str) -> str:
+    """The end of a line about failures: the page, and what to look for there."""
+    return f'; the guide explains {", ".join(statuses)}: see "{PAGE}"'

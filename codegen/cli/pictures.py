@@ -37,15 +37,12 @@ class Pictures:
     def save(self, module: GeneratedModule, result: Result) -> None:
         """Write the files, each as a whole or not at all."""
         if self.plot is not None:
-            self._save_plot(self.plot, module, result)
+            from codegen.pictures import figure_of
+            from codegen.plots.picture import Picture
+
+            Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(self.plot)
         if self.animation is not None:
             self._save_animation(self.animation, result)
-
-    def _save_plot(self, path: Path, module: GeneratedModule, result: Result) -> None:
-        from codegen.pictures import figure_of
-        from codegen.plots.picture import Picture
-
-        Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(path)
 
     def _save_animation(self, path: Path, result: Result) -> None:
         from codegen.pictures import save_film

@@ -26,7 +26,7 @@ def report(
 ) -> None:
     """Measure everything about problems and write one page; what DIR holds already is not measured again."""
     from codegen import report as reports
-    from codegen.report.compare import table_of
+    from codegen.report.records import table_of
     from codegen.solutions import output
     from codegen.terminal import console
 

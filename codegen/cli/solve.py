@@ -26,9 +26,9 @@ from codegen.cli.options import (
     Scheme,
     Set,
     Steps,
+    on_statuses,
     positive,
 )
-from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError, one_line
 from codegen.tasks import TASKS
 from codegen.terminal import console, following, working

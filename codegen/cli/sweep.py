@@ -21,9 +21,9 @@ from codegen.cli.options import (
     Scheme,
     Set,
     Steps,
+    on_statuses,
     positive,
 )
-from codegen.cli.reading import on_statuses
 from codegen.errors import ArgumentError
 from codegen.terminal import console, progress, working
 
@@ -122,11 +122,23 @@ def sweep(
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
     from codegen.author.problem_file import parse_arguments
+
+    # Refuse, before anything else, what cannot be written.
+    from codegen.cli.pictures import PLOTS
+    from codegen.plots.pareto import objectives_of
+    from codegen.solutions.output import require_writable
     from codegen.sweeping.cases import assigned, axis_of
     from codegen.sweeping.outcome import outcome_of
     from codegen.sweeping.request import sweep_request
 
-    _require_outputs(out, plot, pareto)
+    if out is None:
+        raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
+    if plot is not None:
+        require_writable(plot, PLOTS, "--plot")
+    elif pareto is not None:
+        raise ArgumentError("--pareto without --plot", "name the file of the picture, as --plot front.png")
+    if pareto is not None:
+        objectives_of(pareto)
     request = sweep_request(
         problem,
         _once("--vary", [axis_of(item) for item in vary]),
@@ -148,26 +160,10 @@ def sweep(
         raise typer.Exit(1)
 
 
-def _require_outputs(out: Path | None, plot: Path | None, pareto: str | None) -> None:
-    """Refuse, before anything else, what cannot be written."""
-    from codegen.cli.pictures import PLOTS
-    from codegen.plots.objectives import objectives_of
-    from codegen.solutions.output import require_writable
-
-    if out is None:
-        raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
-    if plot is not None:
-        require_writable(plot, PLOTS, "--plot")
-    elif pareto is not None:
-        raise ArgumentError("--pareto without --plot", "name the file of the picture, as --plot front.png")
-    if pareto is not None:
-        objectives_of(pareto)
-
-
 def _require_front(pareto: str | None, outlined: Any) -> None:
     """Refuse objectives that the sweep will not have."""
     if pareto is not None:
-        from codegen.plots.objectives import objectives_of, require_objectives
+        from codegen.plots.pareto import objectives_of, require_objectives
 
         require_objectives(objectives_of(pareto), outlined)
 
@@ -207,7 +203,7 @@ def _kept_of_each(layout: Any) -> str:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
-    from codegen.engines.tally import counted, table_of
+    from codegen.engines.work import counted, table_of
     from codegen.solutions.output import as_json
 
     for line in outcome.said:

@@ -173,7 +173,8 @@ def _one(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
     report: Path | None, options: Options, json: bool,
 ) -> None:  # fmt: skip
-    from codegen.registration import any_job, warp_text
+    from codegen.registration import job
+    from codegen.registration.batches import page
     from codegen.registration.jobs import Job
     from codegen.solutions import output
 
@@ -182,11 +183,11 @@ def _one(
         raise ArgumentError(f"{missing} is missing", "say where the landmarks are and where the image goes")
     wanted = Job(moving, landmarks, out, fixed, field, report)
     with working("Registering") as status:
-        result = any_job.run(wanted, options, None if status is None else status.update)
+        result = job.run(wanted, options, None if status is None else status.update)
     if json:
         typer.echo(output.as_json(result.record))
     else:
-        console().print(warp_text.table(result.record))
+        console().print(page.table(result.record))
     if result.record["summary"].get("sigma_message"):
         typer.echo(f"codegen: {result.record['summary']['sigma_message']}", err=True)
     if not result.passed:
@@ -199,8 +200,7 @@ def _many(
     report: Path | None, options: Options, json: bool, who: Who,
 ) -> None:  # fmt: skip
     from codegen.engines.team import team_size
-    from codegen.registration import warp_text
-    from codegen.registration.batches import lines, page, pairing
+    from codegen.registration.batches import page, pairing, work
     from codegen.registration.batches.outcome import BatchRequest, outcome_of
     from codegen.solutions import output
 
@@ -220,7 +220,7 @@ def _many(
     for option, folder in (("--out", out), ("--field", field), ("--report", report)):
         if folder is not None:
             output.require_folder(folder, option, may_be_made=True)
-    summary = (out / lines.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
+    summary = (out / work.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
         pairing.require_free(jobs, report / page.NAME)
     request = BatchRequest(jobs, options, places, summary, workers, who.cluster, who.resume)
@@ -230,9 +230,9 @@ def _many(
     for line in done.said:
         typer.echo(line, err=True)
     if json:
-        typer.echo(output.as_json(warp_text.record(done, summary)))
+        typer.echo(output.as_json(page.record(done, summary)))
     else:
-        console().print(warp_text.overview(done, summary))
+        console().print(page.overview(done, summary))
     _finish(done)
 
 

@@ -6,8 +6,7 @@ path conditions at the points where the scheme evaluates the dynamics. Values at
 suffixes `_k` and `_k1`; h is the length of the interval and t the time at its left end.
 """
 
-from codegen.discretise.dense_output import FRACTION
-from codegen.discretise.nodes import LENGTHS, STEP, PathValue, Sites, StateValue, at_nodes, at_stage, repeated
+from codegen.discretise.nodes import FRACTION, LENGTHS, STEP, PathValue, Sites, StateValue, at_nodes, at_stage, repeated
 from codegen.discretise.one_step import OneStepInterval, one_step_interval
 from codegen.discretise.variational import VariationalInterval, variational_interval
 

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.dense_output import continued, observed_at
 from codegen.discretise.nodes import (
     STEP,
     PathValue,
     Sites,
     StateValue,
     at_nodes,
+    continued,
     distinct,
+    observed_at,
     sites,
     strictly_inside,
     substitute,
@@ -113,7 +114,6 @@ def _vector_field(model: Model) -> tuple[Expr, ...]:
 
 
 def _integrands(model: Model) -> tuple[Expr, ...]:
-    """What is integrated beside the motion: the cost, and what conditions on integrals are on."""
     return (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
 
 

@@ -8,19 +8,20 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.dense_output import FRACTION, observed_at
 from codegen.discretise.nodes import (
+    FRACTION,
     STEP,
     PathValue,
+    PolynomialMotion,
     Sites,
     StateValue,
     at_nodes,
     distinct,
+    observed_at,
     sites,
     strictly_inside,
     substitute,
 )
-from codegen.discretise.polynomials import PolynomialMotion
 from codegen.expressions.tangents import gradient, variation
 from codegen.model import Model
 from codegen.schemes import Scheme

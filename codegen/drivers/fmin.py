@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from codegen.drivers.particles import require_at_most, require_method, verdict
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread, require_at_most, require_method, verdict
 from codegen.interfaces import ConnectModule, Vector
 from codegen.solutions.connect import case_of
 from codegen.solutions.result import ConnectAttempt, Run

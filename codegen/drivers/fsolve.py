@@ -12,9 +12,16 @@ from typing import Any, TypeGuard
 import numpy as np
 from scipy.optimize import fsolve
 
-from codegen.drivers.particles import DENSE_LIMIT, finite, require_at_most, require_method, verdict
-from codegen.drivers.quiet import quiet_single_thread
-from codegen.drivers.scaled import program_on_grid, require_small
+from codegen.drivers.shared import (
+    DENSE_LIMIT,
+    finite,
+    program_on_grid,
+    quiet_single_thread,
+    require_at_most,
+    require_method,
+    require_small,
+    verdict,
+)
 from codegen.errors import ArgumentError
 from codegen.interfaces import (
     ConnectModule,

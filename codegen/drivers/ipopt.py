@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import tril
 
-from codegen.drivers.quiet import quiet_single_thread
-from codegen.drivers.scaled import claim, program_on_grid
+from codegen.drivers.shared import claim, program_on_grid, quiet_single_thread
 from codegen.errors import ArgumentError
 from codegen.interfaces import ControlModule, Indices, NonlinearProgram, Vector
 from codegen.runtime.search.messages import not_finite
@@ -97,7 +96,6 @@ def _cause(program: NonlinearProgram, code: int, x: Vector, iterations: int) -> 
 
 
 def _pattern(matrix: Any) -> tuple[Indices, Indices]:
-    """Rows and columns of the entries of a sparse matrix, also of those that are zero."""
     entries = matrix.tocoo()
     return entries.row, entries.col
 

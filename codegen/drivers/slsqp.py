@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
-from codegen.drivers.particles import largest_error, minimised
-from codegen.drivers.quiet import quiet_single_thread
-from codegen.drivers.scaled import ScaledProblem, claim, require_small
+from codegen.drivers.shared import ScaledProblem, claim, largest_error, minimised, quiet_single_thread, require_small
 from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 

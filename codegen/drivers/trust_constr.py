@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
-from codegen.drivers.particles import minimised
-from codegen.drivers.quiet import quiet_single_thread
-from codegen.drivers.scaled import ScaledProblem, claim
+from codegen.drivers.shared import ScaledProblem, claim, minimised, quiet_single_thread
 from codegen.interfaces import ConnectModule, ControlModule, Vector
 from codegen.solutions.result import ConnectAttempt, ControlAttempt, Run
 

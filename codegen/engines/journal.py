@@ -52,20 +52,7 @@ def read(path: Path, kind: str, digest: str, another: str) -> Journal:
     `another` is what to do in that case. A line at the end that is not whole is taken away, so that the next one does
     not go on in it.
     """
-    header, *records = _records(path, another)
-    if header.get(kind) != digest:
-        raise ArgumentError(f"--resume: {path} tells of another {kind}", another)
-    _cut(path)
-    return Journal(path, header, tuple(records))
-
-
-def damaged(path: Path) -> ArgumentError:
-    """The error of a journal whose lines are none of ours."""
-    return ArgumentError(f"--resume: {path} is damaged", "begin anew under another name")
-
-
-def _records(path: Path, another: str) -> list[dict[str, Any]]:
-    """The lines that are whole, of which there is at least one."""
+    # The lines that are whole, of which there is at least one.
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError):
@@ -80,11 +67,16 @@ def _records(path: Path, another: str) -> list[dict[str, Any]]:
             raise damaged(path) from None
     if not found or not all(isinstance(record, dict) for record in found):
         raise damaged(path)
-    return found
-
-
-def _cut(path: Path) -> None:
+    header, *records = found
+    if header.get(kind) != digest:
+        raise ArgumentError(f"--resume: {path} tells of another {kind}", another)
     data = path.read_bytes()
     whole = data.rfind(b"\n") + 1
     if whole < len(data):
         os.truncate(path, whole)
+    return Journal(path, header, tuple(records))
+
+
+def damaged(path: Path) -> ArgumentError:
+    """The error of a journal whose lines are none of ours."""
+    return ArgumentError(f"--resume: {path} is damaged", "begin anew under another name")

@@ -77,7 +77,11 @@ class _Pool:
                 assert number is not None, "only workers with a chunk are listened to"
                 if done is None:
                     losses[number] += 1
-                    worker = self._replaced(worker)
+                    worker.connection.close()
+                    worker.process.join()
+                    self._workers.remove(worker)
+                    self._workers.append(self._started())
+                    worker = self._workers[-1]
                     if losses[number] < TRIES:
                         waiting.append(number)
                     else:
@@ -103,13 +107,6 @@ class _Pool:
             raise done
         assert isinstance(done, Done), "workers send what they have done, or why they could not"
         return done
-
-    def _replaced(self, worker: _Worker) -> _Worker:
-        worker.connection.close()
-        worker.process.join()
-        self._workers.remove(worker)
-        self._workers.append(self._started())
-        return self._workers[-1]
 
     def end(self) -> None:
         """End the processes; what they are at is of no use."""

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from codegen.engines import LOCAL, engine_for
-from codegen.engines.tally import Tally
-from codegen.engines.work import Done, Work
+from codegen.engines.work import Done, Tally, Work
 from codegen.errors import ArgumentError, NumericsError, clause
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]

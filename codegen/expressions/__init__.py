@@ -15,8 +15,7 @@ from sympy import Expr, Symbol
 
 from codegen.expressions.adjoint import accumulate, slopes
 from codegen.expressions.graph import Graph, Leaf
-from codegen.expressions.sharing import shared
-from codegen.expressions.straight_line import Assignment, StraightLine, straight_line
+from codegen.expressions.straight_line import Assignment, StraightLine, shared, straight_line
 from codegen.expressions.zeros import vanishing
 
 __all__ = [

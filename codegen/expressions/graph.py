@@ -97,7 +97,10 @@ class Graph:
             items, constant = self._with_expm1(items, constant)
         if len(items) + (constant != 0) <= 1:
             return items[0][0] if items and items[0][1] == 1 else self.add(Sum(constant, items))
-        content = _content([*(coefficient for _, coefficient in items), *([constant] if constant else [])])
+        # The common factor of a sum: the size that most of its numbers have, with the sign of the first.
+        numbers = [*(coefficient for _, coefficient in items), *([constant] if constant else [])]
+        sizes = [abs(number) for number in numbers]
+        content = max(sizes, key=sizes.count) * (1 if numbers[0] > 0 else -1)
         core = self.add(Sum(constant / content, tuple((node, c / content) for node, c in items)))
         return core if content == 1 else self.add(Sum(ZERO, ((core, content),)))
 
@@ -223,12 +226,6 @@ def arguments(node: Node) -> tuple[int, ...]:
     if isinstance(node, Product):
         return tuple(factor for factor, _ in node.factors)
     return node.arguments if isinstance(node, Call) else ()
-
-
-def _content(numbers: list[Fraction]) -> Fraction:
-    """The common factor of a sum: the size that most of its numbers have, with the sign of the first."""
-    sizes = [abs(number) for number in numbers]
-    return max(sizes, key=sizes.count) * (1 if numbers[0] > 0 else -1)
 
 
 def _fraction(rational: Expr) -> Fraction:

@@ -16,15 +16,10 @@ from typing import Any
 import numpy as np
 
 from codegen.errors import ArgumentError
-from codegen.horizons.delay import delay_of
-from codegen.horizons.feedback import Feedback
-from codegen.horizons.grids import Grids
-from codegen.horizons.interface import Interface, interface_of, module_of, number
-from codegen.horizons.judgement import BestIterate, Candidate, better, candidate, holds, is_solution
-from codegen.horizons.options import Options
-from codegen.horizons.pace import Pace
-from codegen.horizons.shift import shift_by
-from codegen.horizons.values import Moving, Values
+from codegen.horizons.grids import Grids, shift_by
+from codegen.horizons.interface import Interface, Moving, Options, Values, interface_of, module_of, number
+from codegen.horizons.judgement import BestIterate, Candidate, Pace, better, candidate, holds, is_solution
+from codegen.horizons.motion import delay_of
 from codegen.interfaces import Grid, Matrix, Vector
 from codegen.runtime.search import linear
 from codegen.runtime.search.cascade import factor_nearby, minimise
@@ -33,6 +28,32 @@ from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import optimise
 from codegen.runtime.search.termination import final_status
 from codegen.solutions.result import Run
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Feedback:
+    """What became of one sampling time.
+
+    `inputs` (controls,) are to be applied until those of the next one, in the problem's units, from the time `t` of the
+    measurement on or, with a delay, so much later. `status` is "solved" where all equations hold to the tolerance,
+    evaluated again outside the solver; "iteration limit" or "time limit" where iterations or time ran out first; else
+    it says how the solve failed. `message` says so in a sentence. `fell_back` tells that the inputs are those where the
+    search began, as a rule the plan before, shifted.
+    `residual` is the max-norm of the plan's equations, `cost` what the plan costs. `seconds` is the time from the
+    call to the inputs; `in_time`: it is within the deadline.
+    """
+
+    t: float
+    inputs: Vector
+    status: str
+    message: str
+    cost: float
+    residual: float
+    iterations: int
+    seconds: float
+    in_time: bool
+    fell_back: bool
+
 
 BEFORE, OF_START, OWN_GUESS = "plan before, shifted", "plan from the problem's own start", "problem's own guess"
 """Where searches begin."""
@@ -346,5 +367,6 @@ class Controller:
             log = BestIterate(math.inf, self._feasible, self._clock)
             self._judged(grid, self._pinned(grid, point.unknowns.copy()), OF_START, log, 2)
             whole = self._clock() - begin
-            measured.append((log.beginning or whole, log.rest(begin + whole) or whole))
+            before, rest = log.beginning, log.rest(begin + whole)
+            measured.append((whole if before is None else before, rest or whole))
         return Pace(measured)

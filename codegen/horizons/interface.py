@@ -5,12 +5,12 @@ from __future__ import annotations
 import difflib
 import inspect
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from codegen.machine_code import ahead_of_time
 from codegen.runtime.record import Sites, Task
 from codegen.solutions.given_values import as_number, parameter_arguments
 from codegen.solutions.result import component_names
-from codegen.solving.request import Request
+from codegen.solving.request import SCALINGS, Request
 
 _SITES = {"nodal": "nodes", "stages": "stages"}
 WHOLE_STATE = "write the state that is measured into start={...}"
@@ -158,3 +158,89 @@ def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, me
     module: Any = loading.load(path)
     ahead_of_time.require(path, module, is_new, nullcontext)
     return module  # type: ignore[no-any-return]
+
+
+WHOLE = 1e-9
+"""Parts of an interval by which a sampling time may miss a whole number of them."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is asked of a controller; see Controller, whose default a None stands for. Times are in seconds."""
+
+    steps: int | None
+    horizon: float | None
+    sample: float | None
+    tolerance: float
+    newton_steps: int | None
+    deadline: float | None
+    scaling: str
+    delay: int
+
+    def __post_init__(self) -> None:
+        """Refuse what is unusable whatever the problem is."""
+        for name in ("steps", "newton_steps"):
+            if getattr(self, name) is not None:
+                require_count(name, getattr(self, name), 1)
+        require_count("delay", self.delay, 0)
+        for name in ("horizon", "sample", "deadline"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < as_number(value) < float("inf"):
+                raise NumericsError(f"{name} is {value!r}", "give a positive number of seconds")
+        if not 0.0 < as_number(self.tolerance) < 1.0:
+            raise ArgumentError(f"tolerance is {self.tolerance!r}", "give a number between 0 and 1")
+        if self.scaling not in SCALINGS:
+            raise ArgumentError(f"scaling is {self.scaling!r}", f"use one of {', '.join(SCALINGS)}")
+
+    @staticmethod
+    def intervals_of(sample: float, horizon: float, steps: int) -> float:
+        """How many intervals a sampling time lasts, a whole number where it nearly is one.
+
+        Raises NumericsError where it is longer than the horizon.
+        """
+        intervals = sample * steps / horizon
+        if intervals > steps * (1.0 + WHOLE):
+            finding = f"the sampling time {sample:g} is longer than the horizon {horizon:g}"
+            raise NumericsError(finding, "give a shorter sample, or a longer horizon")
+        whole = round(intervals)
+        return float(whole) if abs(intervals - whole) <= WHOLE else intervals
+
+
+Moving: TypeAlias = float | Callable[[float], float]
+"""A run-time value: a number, or a function of the present time."""
+
+
+class Values:
+    """The values that a controller, or `what` is called so, was given: parameters and prescribed ends, as `end.x`.
+
+    Raises ArgumentError for a name that there is not or a value that is neither a number nor a function, NumericsError
+    for a number that is not finite.
+    """
+
+    def __init__(
+        self,
+        interface: Interface,
+        values: Mapping[str, Moving],
+        of_solves: Mapping[str, Any],
+        what: str = "the problem",
+    ) -> None:
+        if not isinstance(values, Mapping):
+            finding = clause(f"run-time values of {what} are {values!r}")
+            raise ArgumentError(finding, 'give names and values, such as {"place": 1.0}')
+        self._interface, self._of_solves, self._what = interface, dict(of_solves), what
+        interface.require_known(values, what)
+        self._constants = {n: number(v, f"parameter {n}") for n, v in values.items() if not callable(v)}
+        self._moving = {n: v for n, v in values.items() if callable(v)}
+
+    def given(self, t: float, own: Mapping[str, float] | None = None) -> dict[str, Any]:
+        """The arguments of the module's functions at a time, with values that hold at this time alone."""
+        given = dict(self._of_solves)
+        for name, value in self._constants.items():
+            self._interface.place(given, name, value)
+        for name, function in self._moving.items():
+            self._interface.place(given, name, number(function(t), f"parameter {name} at t = {t:g}"))
+        if own:
+            self._interface.require_known(own, self._what)
+            for name, value in own.items():
+                self._interface.place(given, name, number(value, f"parameter {name}"))
+        return given

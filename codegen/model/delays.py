@@ -7,7 +7,7 @@ from typing import Any
 
 import sympy
 
-from codegen.author.copies import symbols_of
+from codegen.author.bodies import symbols_of
 from codegen.author.problem import Control, Phases
 from codegen.author.symbols import ControlInput, Coordinate, Delayed, Momentum, Quantity, State, Time, Velocity
 from codegen.errors import BoundaryError, ExpressionError, SymbolError

@@ -11,7 +11,7 @@ from typing import Any
 
 import sympy
 
-from codegen.author.copies import has_path_couplings, written_out
+from codegen.author.bodies import has_path_couplings, written_out
 from codegen.author.problem import Control, Phases, form_of
 from codegen.author.symbols import Quantity
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError

@@ -7,15 +7,69 @@ from dataclasses import dataclass
 from typing import Any
 
 import sympy
+from sympy.logic.boolalg import Boolean
+from sympy.printing.latex import LatexPrinter
 
+from codegen import lettering
 from codegen.author.description import quantities_in
 from codegen.author.particles import Connect, Pairwise
 from codegen.author.problem import Control, Phases, Problem
-from codegen.author.quantities import Moving, Parameter, Quantity
-from codegen.author.symbols import Coordinate, FreeParameter
+from codegen.author.quantities import Delayed, Moving, Parameter, Quantity
+from codegen.author.symbols import Coordinate, FreeParameter, Velocity
 from codegen.lettering import in_latex, written_unit
 from codegen.model.conditions.table import CONDITIONS
-from codegen.notebooks.printer import Printer
+
+
+class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
+    """LaTeX of what stands in a problem with these quantities, between two ends of time that are called so.
+
+    A velocity of its coordinate's name has a dot.
+
+    Where a name is a word, factors stand apart.
+    """
+
+    def __init__(self, quantities: list[Quantity], first: str, last: str) -> None:
+        has_words = any(_name(symbol).startswith(r"\mathrm") for symbol in quantities)
+        super().__init__({"mul_symbol": r" \, "} if has_words else None)
+        self.first, self.last = first, last
+
+    def __call__(self, value: Any) -> str:
+        """What an author gave as an expression, or the name of its type where that is no mathematics."""
+        try:
+            return str(self.doprint(sympy.sympify(value)))
+        except (sympy.SympifyError, TypeError, ValueError, AttributeError):
+            return rf"\text{{{type(value).__name__}}}"
+
+    def relation(self, value: Any) -> str:
+        """A relation, or an expression that is to vanish, as a symbol alone may be."""
+        return self(value) if isinstance(value, Boolean) and not isinstance(value, Quantity) else f"{self(value)} = 0"
+
+    def at(self, value: Any, time: str) -> str:
+        """A quantity, or an expression of them, at a time."""
+        return f"{self(value)}({time})" if isinstance(value, Quantity) else f"[{self(value)}]({time})"
+
+    def between(self, written: str, limits: Sequence[Any]) -> str:
+        """Something that is written so between a lower and an upper limit, each of which may be None."""
+        low, high = limits
+        lower = rf"{self(low)} \le " if low is not None else ""
+        upper = rf" \le {self(high)}" if high is not None else ""
+        return f"{lower}{written}{upper}"
+
+    def rate(self, state: Any) -> str:
+        """The derivative of a state by time."""
+        return rf"\dot{{{self(state)}}}"
+
+    def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
+        if isinstance(expr, Delayed):
+            return rf"{_name(expr.partner)}\left(t - {self._print(expr.lag)}\right)"
+        return _name(expr)
+
+
+def _name(symbol: sympy.Symbol) -> str:
+    if isinstance(symbol, Velocity) and symbol.name == f"d{symbol.partner.name}":
+        return rf"\dot{{{_name(symbol.partner)}}}"
+    return lettering.in_latex(symbol.name)
+
 
 _IN_A_ROW = 4
 """Quantities with units that stand side by side."""
@@ -96,19 +150,15 @@ def _rows(part: _Part) -> Iterator[str]:
         yield from (row for kind in CONDITIONS for row in kind.displayed(problem, print_))
         yield from _bounds(problem, part)
     if part.number <= 1:
-        yield from _units(part)
-
-
-def _units(part: _Part) -> Iterator[str]:
-    """What has a unit, in a row: parameters with their values, others in brackets."""
-    written = []
-    for symbol in part.quantities:
-        if hasattr(symbol, "unit"):
-            unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
-            given = rf" = {symbol.value:g}\," if isinstance(symbol, Parameter) else r"\;"
-            written.append(part.print_(symbol) + given + (unit if isinstance(symbol, Parameter) else f"[{unit}]"))
-    for first in range(0, len(written), _IN_A_ROW):
-        yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(written[first : first + _IN_A_ROW])
+        # What has a unit, in a row: parameters with their values, others in brackets.
+        written = []
+        for symbol in part.quantities:
+            if hasattr(symbol, "unit"):
+                unit = rf"\text{{{written_unit(symbol.unit) or '1'}}}"
+                given = rf" = {symbol.value:g}\," if isinstance(symbol, Parameter) else r"\;"
+                written.append(part.print_(symbol) + given + (unit if isinstance(symbol, Parameter) else f"[{unit}]"))
+        for first in range(0, len(written), _IN_A_ROW):
+            yield (r"\text{units}\quad &" if first == 0 else "&") + r",\quad ".join(written[first : first + _IN_A_ROW])
 
 
 def _objective(problem: Control, part: _Part) -> Iterator[str]:

@@ -1,22 +1,62 @@
-"""A solution in a notebook: a table with its figure, the figure alone, and its film."""
+"""Solutions, closed loops and findings of checks in a notebook: tables in HTML that need no script, and figures."""
 
 from __future__ import annotations
 
+import math
 import tempfile
+from collections.abc import Iterable, Sequence
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from codegen import loading, pictures
 from codegen.author.sources import ProblemObject
 from codegen.errors import ArgumentError, CodegenError
 from codegen.model.from_file import load_problem
-from codegen.notebooks.tables import number, table
-from codegen.plots.picture import Film, Picture
+from codegen.plots.closed_loop import References, closed_loop_figure
+from codegen.plots.picture import Film, Picture, finished, using
 from codegen.solutions import output
 from codegen.solutions.display import Background
 from codegen.solutions.output import with_unit
 from codegen.solutions.result import Result
 from codegen.solving.other_values import with_values
+
+if TYPE_CHECKING:
+    from codegen.checks.base import Finding
+
+
+_LEFT = 'style="text-align:left"'
+
+
+def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = (), caption: str = "") -> str:
+    """A table of texts, which are escaped, with the first column as heading of each row."""
+    head = "".join(f'<th scope="col" {_LEFT}>{escape(text)}</th>' for text in headings)
+    lines = [f"<caption {_LEFT}>{escape(caption)}</caption>"] if caption else []
+    lines += [f"<thead><tr>{head}</tr></thead>"] if headings else []
+    for first, *others in rows:
+        cells = "".join(f"<td {_LEFT}>{escape(text)}</td>" for text in others)
+        lines.append(f'<tr><th scope="row" {_LEFT}>{escape(first)}</th>{cells}</tr>')
+    return f"<table>{''.join(lines)}</table>"
+
+
+def findings_html(findings: Sequence[Finding]) -> str:
+    """What was checked, of what, and with what outcome, in words and not in colours alone."""
+    silent = sum(not finding.applies for finding in findings)
+    failed = sum(not finding.passed for finding in findings)
+    rows = [(own.check, own.subject, _verdict(own), own.detail) for own in findings]
+    caption = f"{len(findings) - silent - failed} passed, {failed} failed, {silent} do not apply"
+    return table(rows, ("check", "subject", "outcome", "detail"), caption)
+
+
+def _verdict(finding: Finding) -> str:
+    if not finding.applies:
+        return "does not apply"
+    return "passed" if finding.passed else "FAILED"
+
+
+def number(value: float | None, digits: int = 6) -> str:
+    """A number as text, or that there is none."""
+    return "not available" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
 def html(result: Result) -> str:
@@ -70,9 +110,30 @@ def _background(result: Result) -> Background:
 
 
 def _model(own: Background) -> Any:
-    """What the author has written, checked; nothing for a module that was given without it."""
     return None if own.source is None else load_problem(own.source, own.arguments)
 
 
 def _unit(own: Background) -> str:
     return "" if isinstance(own.source, ProblemObject) else pictures.unit_of(own.source)
+
+
+def loop_html(loop: Any) -> str:
+    """How the sampling times ended, how long they took, and the figure."""
+    ended = ", ".join(f"{count} {status}" for status, count in loop.counts.items())
+    times = f"median {number(1e3 * loop.latency(50), 3)} ms, 99.9 % below {number(1e3 * loop.latency(99.9), 3)} ms"
+    rows = [
+        ("sampling times", f"{loop.latencies.size}, every {number(loop.sample)}"),
+        ("status", ended or "none"),
+        *([("ended early", loop.message)] if loop.message else []),
+        ("fell back", str(int(loop.fell_back.sum()))),
+        ("latency", times),
+        *([("deadlines missed", str(loop.missed))] if loop.deadline is not None else []),
+    ]
+    own = table(rows, caption=loop.title)
+    return own + loop_picture(loop, {})._repr_html_() if loop.latencies.size else own
+
+
+def loop_picture(loop: Any, references: References) -> Picture:
+    """The figure of states, inputs and latencies, with what they were to follow."""
+    with using("page"):
+        return Picture(finished(closed_loop_figure(loop, references)))

@@ -11,13 +11,10 @@ from matplotlib.figure import Figure
 from codegen.drawing import Scene
 from codegen.interfaces import GeneratedModule, is_connect, is_control
 from codegen.plots.closed_loop import closed_loop_figure
-from codegen.plots.connect import connect_figure
 from codegen.plots.control import Drawings, control_figure
-from codegen.plots.objectives import Objective, objectives_of, require_objectives
-from codegen.plots.pareto import pareto_figure
-from codegen.plots.picture import write
-from codegen.plots.purposes import finished, using
-from codegen.plots.simulation import simulation_figure
+from codegen.plots.pareto import Objective, objectives_of, pareto_figure, require_objectives
+from codegen.plots.picture import finished, using, write
+from codegen.plots.simulation import connect_figure, simulation_figure
 from codegen.plots.specimens import specimen_figure
 from codegen.plots.style import label
 from codegen.plots.sweep import sweep_figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from codegen.interfaces import Matrix, Vector
-from codegen.plots.purposes import letter_size, letters_across, new_figure
+from codegen.plots.picture import letter_size, letters_across, new_figure
 from codegen.plots.style import AMBER, BLUE, CRIMSON, GREY, RED, label
 
 MOST_STATES, MOST_INPUTS = 12, 8
@@ -94,7 +94,9 @@ def closed_loop_figure(loop: ClosedLoopData, references: References) -> Figure:
     figure = new_figure(3.4 * columns + 1.0, 1.0 + 1.7 * len(rows) + 2.0)
     panels = figure.subplot_mosaic([*rows, ["latency"] * parts], height_ratios=[1.7] * len(rows) + [2.0])
     for i, name in enumerate(states):
-        _state(panels[f"state {i}"], loop, i)
+        axes = panels[f"state {i}"]
+        axes.plot(loop.times[:-1], loop.measured[:, i], ".", color=AMBER, markersize=2.5, alpha=0.7, zorder=1.5)
+        axes.plot(loop.times, loop.states[:, i], color=BLUE, linewidth=1.4)
         _finish(panels[f"state {i}"], loop, name, references)
     for i, name in enumerate(inputs):
         _input(panels[f"input {i}"], loop, i)
@@ -102,7 +104,17 @@ def closed_loop_figure(loop: ClosedLoopData, references: References) -> Figure:
     if loop.latencies.size:
         _latencies(panels["latency"], loop)
     shown = zip((states, inputs), loop.names, ("states", "inputs"), strict=True)
-    _title(figure, loop, [f"{len(b) - len(a)} further {what} not shown" for a, b, what in shown if a != b])
+    # What was controlled, and how its sampling times ended.
+    notes = [f"{len(b) - len(a)} further {what} not shown" for a, b, what in shown if a != b]
+    outcome = [f"{n} {status}" for status, n in Counter(loop.statuses.tolist()).most_common()]
+    if loop.deadline is not None:
+        outcome += [f"{int((~loop.in_time).sum())} of {loop.in_time.size} deadlines missed"]
+    outcome += [f"ENDED EARLY: {loop.message}"] if loop.message else []
+    letters = letters_across(figure)
+    texts = loop.title.rstrip("."), ", ".join([f"{loop.in_time.size} sampling times", *outcome, *notes])
+    figure.suptitle(
+        "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)
+    )
     return figure
 
 
@@ -111,11 +123,6 @@ def _rows(kind: str, count: int, columns: int, parts: int) -> list[Any]:
     names = [*(f"{kind} {i}" for i in range(count)), *["."] * (-count % columns)]
     rows = [names[first : first + columns] for first in range(0, count, columns)]
     return [[name for name in row for _ in range(parts // columns)] for row in rows]
-
-
-def _state(axes: Any, loop: ClosedLoopData, i: int) -> None:
-    axes.plot(loop.times[:-1], loop.measured[:, i], ".", color=AMBER, markersize=2.5, alpha=0.7, zorder=1.5)
-    axes.plot(loop.times, loop.states[:, i], color=BLUE, linewidth=1.4)
 
 
 def _input(axes: Any, loop: ClosedLoopData, i: int) -> None:
@@ -158,16 +165,3 @@ def _latencies(axes: Any, loop: ClosedLoopData) -> None:
 def _legend_above(axes: Any) -> None:
     """Above the panel, where no point can be."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, fontsize=letter_size(8), columnspacing=1.0)
-
-
-def _title(figure: Figure, loop: ClosedLoopData, notes: Sequence[str]) -> None:
-    """What was controlled, and how its sampling times ended."""
-    outcome = [f"{n} {status}" for status, n in Counter(loop.statuses.tolist()).most_common()]
-    if loop.deadline is not None:
-        outcome += [f"{int((~loop.in_time).sum())} of {loop.in_time.size} deadlines missed"]
-    outcome += [f"ENDED EARLY: {loop.message}"] if loop.message else []
-    letters = letters_across(figure)
-    texts = loop.title.rstrip("."), ", ".join([f"{loop.in_time.size} sampling times", *outcome, *notes])
-    figure.suptitle(
-        "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)
-    )

@@ -7,22 +7,171 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
 
 from codegen.drawing import Scene
-from codegen.interfaces import ControlModule, Matrix, time_grid
-from codegen.plots import measured, panels, shapes, tornado
-from codegen.plots.measured import Measured
-from codegen.plots.purposes import letter_size, new_figure
-from codegen.plots.quantities import Inequality, Quantity
-from codegen.plots.segments import inequalities, quantities
-from codegen.plots.style import MOST_BODY_COLOURS, body_map, title
-from codegen.plots.units import Units
-from codegen.solutions.result import Result
+from codegen.interfaces import ControlModule, Matrix, Vector, time_grid
+from codegen.plots import panels, shapes
+from codegen.plots.picture import letter_size, new_figure
+from codegen.plots.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
+from codegen.plots.style import (
+    AMBER,
+    BLUE,
+    DARK,
+    GREY,
+    MOST_BODY_COLOURS,
+    Units,
+    body_colours,
+    body_map,
+    label,
+    quantity,
+    title,
+)
+from codegen.solutions.estimates import Fit
+from codegen.solutions.result import Result, Sensitivities
 from codegen.solutions.sensitivities import quantity_values
+
+PART = 0.01
+"""By what part of its value each quantity grows and shrinks."""
+MOST = 8
+"""Quantities with a bar."""
+
+
+def changes(found: Sensitivities, values: Mapping[str, Vector]) -> dict[str, float]:
+    """By how much the cost changes, to first order, as each quantity grows by one percent; the largest changes first.
+
+    `values` (bodies,) are those of quantities. What is zero has no percent, and what differs from body to body has
+    several: both are left out.
+    """
+    if found.reason:
+        return {}
+    single = {name: float(own[0]) for name, own in values.items() if own[0] != 0.0 and np.all(own == own[0])}
+    every = {
+        name: float(cost) * PART * abs(single[name]) for name, cost in zip(found.names, found.costs) if name in single
+    }
+    moving = {name: change for name, change in every.items() if change != 0.0 and np.isfinite(change)}
+    return dict(sorted(moving.items(), key=lambda pair: -abs(pair[1])))
+
+
+def tornado(axes: Any, shown: Mapping[str, float]) -> None:
+    """Bars of the changes to both sides, where quantities grow and where they shrink by one percent."""
+    names = list(shown)[:MOST]
+    places = np.arange(len(names))
+    sizes = np.array([shown[name] for name in names])
+    for sign, colour, word in ((1.0, BLUE, "1 % more"), (-1.0, AMBER, "1 % less")):
+        axes.barh(places, sign * sizes, 0.72, color=colour, alpha=0.85, label=word)
+    axes.axvline(0.0, color=DARK, linewidth=0.8)
+    axes.set_yticks(places, [quantity(name) for name in names])
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.xaxis.set_major_locator(MaxNLocator(5, symmetric=True))
+    axes.margins(x=0.08)
+    rest = len(shown) - len(names)
+    axes.set_xlabel("change of the cost" + (f"; {rest} smaller not shown" if rest else ""))
+    # Above the panel, where no bar can be.
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.97),
+        ncols=2,
+        fontsize=letter_size(8),
+        columnspacing=1.0,
+        handlelength=1.2,
+    )
+
+
+_POINTS: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 3.2,
+    "markerfacecolor": "none",
+    "zorder": 3,
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A column of measurements: its name and what it measures, values and errors (n,) at times (n,), of which body.
+
+    Errors are in parts of standard deviations where `is_weighted`.
+    """
+
+    name: str
+    expression: str
+    bodies: Vector
+    t: Vector
+    values: Vector
+    fitted: Vector
+    errors: Vector
+    is_weighted: bool
+
+
+def measured(module: ControlModule, result: Result) -> list[Measured]:
+    """All columns of measurements, where there are any, beside a result."""
+    observations = module.metadata.observations
+    if observations is None or result.unknowns is None:
+        return []
+    fit = Fit(module, time_grid(module, result.steps, result.grid), result.unknowns)
+    columns = zip(
+        observations.columns,
+        observations.values,
+        observations.sigmas,
+        fit.measured.T,
+        fit.fitted.T,
+        fit.errors.T,
+        strict=True,
+    )
+    return [
+        Measured(name, expression, fit.bodies, fit.times, values, fitted, errors, sigma is not None)
+        for name, expression, sigma, values, fitted, errors in columns
+    ]
+
+
+def bands(module: ControlModule, result: Result) -> dict[str, Matrix]:
+    """How far 95 % intervals of the motion extend at the nodes, (N + 1, bodies) of every state, if estimates tell."""
+    found, names = result.estimates, tuple(module.metadata.coordinates)
+    if found is None or not np.isfinite(found.unknown_errors).all():
+        return {}
+    nodes, _ = module.views(time_grid(module, result.steps, result.grid), found.unknown_errors)
+    return {name: found.quantile * nodes[:, :, i].T for i, name in enumerate(names)}
+
+
+def points(axes: Any, shown: Measured, count: int) -> None:
+    """What was measured, as points in a panel of what it measures; `count` is the number of bodies."""
+    for body, colour in enumerate(body_colours(count, DARK)):
+        own = shown.bodies == body
+        axes.plot(shown.t[own], shown.values[own], color=colour, **_POINTS)
+
+
+def band(axes: Any, t: Vector, values: Matrix, extent: Matrix) -> None:
+    """The band in which the motion is with 95 % confidence, of every body."""
+    for column, half, colour in zip(values.T, extent.T, body_colours(values.shape[1], BLUE), strict=True):
+        axes.fill_between(t, column - half, column + half, color=colour, alpha=0.18, linewidth=0.0, zorder=0.8)
+
+
+def fit(axes: Any, shown: Measured, count: int) -> None:
+    """What was measured, as points, beside what the motion has at these times."""
+    for body, colour in enumerate(body_colours(count, BLUE)):
+        own = shown.bodies == body
+        axes.plot(shown.t[own], shown.fitted[own], color=colour, linewidth=1.4)
+    points(axes, shown, count)
+    axes.set_ylabel(label(shown.name))
+
+
+def residuals(axes: Any, shown: Measured, count: int) -> None:
+    """The motion less what was measured over time."""
+    axes.axhline(0.0, color=GREY, linewidth=0.8)
+    for body, colour in enumerate(body_colours(count, BLUE)):
+        own = (shown.bodies == body) & np.isfinite(shown.errors)
+        axes.vlines(shown.t[own], 0.0, shown.errors[own], color=colour, linewidth=1.0)
+        axes.plot(shown.t[own], shown.errors[own], color=colour, **_POINTS)
+    axes.set_ylabel(f"{shown.name}, by $\\sigma$" if shown.is_weighted else shown.name)
+
 
 WIDTH, WIDE = 12.0, 16.0
 """Of the figure, in inches; that of many coordinates with momenta is wide, and has two of them in each row."""
@@ -72,9 +221,9 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     stand beside the drawing of a single body where it leaves room. Of several bodies the drawing shows both the first
     guess and the optimum.
     """
-    groups, conditions = quantities(module, result), inequalities(module, result)
-    samples, bodies = measured.measured(module, result), int(module.metadata.bodies)
-    states = _state_rows(groups, samples, measured.bands(module, result) if samples else {})
+    groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
+    samples, bodies = measured(module, result), int(module.metadata.bodies)
+    states = _state_rows(groups, samples, bands(module, result) if samples else {})
     others = [*_others(groups["control"], conditions, result), *_of_measurements(groups["state"], samples, bodies)]
     others += _of_sensitivities(module, result)
     others.sort(key=lambda panel: not panel.over_time)
@@ -147,9 +296,9 @@ def _state_panel(shown: Quantity, samples: Sequence[Measured], bands: Mapping[st
     def draw(axes: Any) -> None:
         panels.quantity(axes, shown)
         if shown.name in bands:
-            measured.band(axes, shown.t, shown.values, bands[shown.name])
+            band(axes, shown.t, shown.values, bands[shown.name])
         for sample in own:
-            measured.points(axes, sample, shown.values.shape[1])
+            points(axes, sample, shown.values.shape[1])
 
     return Panel(_TITLES[shown.kind], draw)
 
@@ -158,9 +307,9 @@ def _of_measurements(states: Sequence[Quantity], samples: Sequence[Measured], bo
     """What was measured of expressions that are no states, and the errors of all that was."""
     shown, names = samples[:_MOST_ROWS], [state.name for state in states]
     beside = [sample for sample in shown if sample.expression not in names]
-    panels_of = [Panel("", lambda axes, one=one: measured.fit(axes, one, bodies)) for one in beside]  # type: ignore[misc]
+    panels_of = [Panel("", lambda axes, one=one: fit(axes, one, bodies)) for one in beside]  # type: ignore[misc]
     return panels_of + [
-        Panel("errors", lambda axes, one=one: measured.residuals(axes, one, bodies))  # type: ignore[misc]
+        Panel("errors", lambda axes, one=one: residuals(axes, one, bodies))  # type: ignore[misc]
         for one in shown
     ]
 
@@ -184,8 +333,8 @@ def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], resu
 def _of_sensitivities(module: ControlModule, result: Result) -> list[Panel]:
     """By how much the cost follows quantities, where there are sensitivities."""
     found = result.sensitivity
-    shown = tornado.changes(found, quantity_values(module, result)) if found is not None else {}
-    return [Panel("", lambda axes: tornado.tornado(axes, shown), over_time=False)] if shown else []
+    shown = changes(found, quantity_values(module, result)) if found is not None else {}
+    return [Panel("", lambda axes: tornado(axes, shown), over_time=False)] if shown else []
 
 
 def _in_rows(found: Sequence[Panel], columns: int) -> list[Row]:

@@ -1,8 +1,15 @@
-"""Many trajectories in one panel: graded by a quantity, or as quantiles over time; and distributions of numbers."""
+"""Many trajectories in one panel: graded by a quantity, or as quantiles over time; and distributions of numbers.
+
+What sensitivities of one case predict of all samples, to first order: means, and standard deviations. The case is the
+one that is nearest to the mean of what varies. Its slopes times the deviations of quantities that are sampled
+independently of each other add up by squares; those of a table may follow each other, so that their covariances take
+part. Source: JCGM 100 (2008), Guide to the expression of uncertainty in measurement, section 5.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +20,57 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from codegen.plots.first_order import NORMAL_90, Prediction
 from codegen.plots.panels import KINDS
-from codegen.plots.style import AMBER, BLUE, DARK, body_map, label, statuses
+from codegen.plots.style import AMBER, BLUE, CRIMSON, DARK, PINK, body_map, label, statuses
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+
+NORMAL_90 = 1.6448536269514722
+"""Within so many standard deviations a normal distribution has 90 % of its values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The case `centre` whose slopes predict, the places of varied quantities among them, and how these are spread.
+
+    `offset` (m,) is the mean of m quantities less their values in that case, `covariance` (m, m) that of their samples.
+    """
+
+    centre: int
+    by: list[int]
+    offset: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+    def of(self, data: Dataset, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The mean and the standard deviation (...) of a variable (case, ...) that has derivatives."""
+        centre = np.asarray(data[name].isel(case=self.centre).values, dtype=float)
+        slopes = np.asarray(data[f"d_{name}"].isel(case=self.centre).values, dtype=float)[self.by]
+        mean = centre + np.tensordot(self.offset, slopes, 1)
+        return mean, np.sqrt(np.einsum("i...,ij,j...->...", slopes, self.covariance, slopes))
+
+
+def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
+    """What predicts the samples of a sweep, if every quantity that varies has derivatives, and some case has them."""
+    names = [str(name) for name in data["by"].values] if "d_cost" in data else []
+    columns = {name: np.asarray(data[name].values, dtype=float) for name in varied if np.ptp(data[name].values) > 0.0}
+    own = [name.removesuffix("_") if name not in names else name for name in columns]
+    if not columns or not set(own) <= set(names):
+        return None
+    points = np.column_stack(list(columns.values()))
+    known = (statuses(data) == "solved") & np.isfinite(data["d_cost"].values).all(axis=1)
+    if not known.any():
+        return None
+    mean, deviations = points.mean(axis=0), points.std(axis=0)
+    distances = (((points - mean) / deviations) ** 2).sum(axis=1)
+    centre = int(np.argmin(np.where(known, distances, np.inf)))
+    if data.attrs.get("cases") == "table":
+        covariance = np.atleast_2d(np.cov(points.T, bias=True))
+    else:
+        covariance = np.diag(deviations**2)
+    return Prediction(centre, [names.index(name) for name in own], mean - points[centre], covariance)
+
 
 MOST_PANELS, MOST_LINES, MOST_CASES = 15, 60, 4000
 """Quantities, trajectories and cases for quantiles that are drawn at most."""
@@ -157,3 +209,60 @@ def histogram(
     axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for what the legend says
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(visible=False, axis="x")
+
+
+_MOST_MEASURES, _MOST_NAMES = 4, 12
+_WIDE = 100.0
+"""Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
+JUMP: dict[str, Any] = {
+    "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
+    "markeredgewidth": 1.6,
+}  # fmt: skip
+
+
+def no_room(data: Dataset, has_curves: bool, others: Sequence[str] = ()) -> str:
+    """For which trajectories, states at the end and `others` there is no room, as the end of a sentence."""
+    ends = [] if _has_cost(data) else [f"{label(str(name))} at the end" for name in data["coordinate"].values]
+    curves = [label(name) for name in groups_of(data)[1]] if has_curves else []
+    names = [*curves, *ends[_MOST_MEASURES:], *others]
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    return f"; no room for {', '.join(names[:_MOST_NAMES])}{more}" if names else ""
+
+
+def _has_cost(data: Dataset) -> bool:
+    return bool(np.isfinite(data["cost"].values).any()) or "q" not in data
+
+
+def measures_of(data: Dataset) -> dict[str, NDArray[np.float64]]:
+    """What a case comes to by its label: the cost, or the state at the end."""
+    if _has_cost(data):
+        return {"cost": data["cost"].values}
+    names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
+    # The last values of q that are numbers: arrays of fewer steps end in NaN.
+    q = data["q"].transpose(..., "node", "coordinate").values
+    number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
+    ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
+    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
+
+
+def is_failed(data: Dataset) -> NDArray[np.bool_]:
+    """Which cases have no solution."""
+    return np.asarray(statuses(data) != "solved")
+
+
+def has_jump(data: Dataset) -> NDArray[np.bool_]:
+    """Which cases have a better neighbour beyond a jump of the cost."""
+    return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
+
+
+def scale(axes: Any, values: NDArray[np.float64]) -> None:
+    """Draw values over a logarithmic axis where they are wide."""
+    if is_wide(values):
+        axes.set_yscale("log")
+
+
+def is_wide(values: NDArray[np.float64]) -> bool:
+    """Whether values need a logarithmic scale."""
+    finite = values[np.isfinite(values)]
+    return finite.size > 1 and bool(finite.min() > 0.0) and bool(finite.max() > _WIDE * finite.min())

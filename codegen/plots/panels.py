@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from codegen.interfaces import Matrix, Vector
-from codegen.plots.purposes import letter_size
+from codegen.plots.picture import letter_size
 from codegen.plots.quantities import Inequality, Quantity
 from codegen.plots.style import AMBER, BLUE, DARK, FORBIDDEN, GREEN, GREY, PINK, RED, body_colours, label, relation
 

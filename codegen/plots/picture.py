@@ -4,18 +4,156 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import StepPatch
 
 from codegen.errors import ArgumentError
 from codegen.files import replacing
-from codegen.plots.purposes import using
-from codegen.plots.words import words_of
+
+STYLE: dict[Any, Any] = {
+    "font.size": 9.5,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 10.5,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.limits": (-3, 4),
+    "grid.color": "#e2e2e2",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "svg.hashsalt": "codegen",
+}
+"""Settings of matplotlib, to be used in a context."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How large a picture is beside that on a page, its letters in points, how wide its lines are, dots per inch."""
+
+    size: float
+    letters: float
+    lines: float
+    resolution: float = 150.0
+
+    def settings(self) -> dict[Any, Any]:
+        """Settings of matplotlib."""
+        scale = self.letters / STYLE["font.size"]
+        scaled = {name: scale * value for name, value in STYLE.items() if name.endswith("size")}
+        return {**STYLE, **scaled, "savefig.dpi": self.resolution, "pdf.fonttype": 42}
+
+
+STYLES = {
+    "page": Style(1.0, 9.5, 1.0),
+    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0),
+    "talk": Style(13.3 / 12.0, 15.0, 1.7),
+}
+"""What pictures may be for: a page on a screen; the two columns of a journal, 180 mm in all; slides."""
+
+_used: ContextVar[Style] = ContextVar("style", default=STYLES["page"])
+
+
+@contextmanager
+def using(name: str) -> Iterator[None]:
+    """Draw in a style; ArgumentError for one that there is not."""
+    if name not in STYLES:
+        raise ArgumentError(f"there is no style {name!r}", f"give one of {', '.join(STYLES)}")
+    token = _used.set(STYLES[name])
+    try:
+        with matplotlib.rc_context(STYLES[name].settings()):
+            yield
+    finally:
+        _used.reset(token)
+
+
+def new_figure(width: float, height: float, layout: Any = "constrained") -> Figure:
+    """An empty figure of so many inches on a page, in the size of the style in use."""
+    size = _used.get().size
+    return Figure(figsize=(size * width, size * height), layout=layout)
+
+
+def finished(figure: Figure) -> Figure:
+    """The figure with lines and marks as wide as the style in use has them."""
+    factor = _used.get().lines
+    for line in figure.findobj(Line2D) if factor != 1.0 else ():
+        line.set_linewidth(factor * line.get_linewidth())
+        line.set_markersize(factor * line.get_markersize())
+    for step in figure.findobj(StepPatch) if factor != 1.0 else ():
+        step.set_linewidth(factor * step.get_linewidth())
+    return figure
+
+
+def letter_size(size: float) -> float:
+    """The size of letters that have so many points on a page, in the style in use."""
+    return size * _used.get().letters / STYLES["page"].letters
+
+
+def letters_across(figure: Figure) -> int:
+    """How many letters of a title stand side by side in a figure."""
+    return int(10.0 * figure.get_figwidth() * STYLES["page"].letters / _used.get().letters)
+
+
+_MOST_PANELS = 16
+
+
+def words_of(figure: Figure) -> str:
+    """The title of a figure, and what each of its panels shows, from where to where."""
+    title = _plain(str(figure.get_label()) or " ".join(figure.get_suptitle().split()))
+    panels = list(dict.fromkeys(text for axes in figure.axes if (text := _panel(axes))))
+    shown = "; ".join(panels[:_MOST_PANELS])
+    more = f"; and {len(panels) - _MOST_PANELS} more" if len(panels) > _MOST_PANELS else ""
+    return ". ".join(part for part in (title, f"Shown: {shown}{more}" if shown else "") if part) + "."
+
+
+def _panel(axes: Any) -> str:
+    """A panel's quantity with its range and what it is drawn over; a drawing by its title and legend."""
+    name, over = _plain(axes.get_ylabel()), _plain(axes.get_xlabel())
+    titles = [_plain(axes.get_title(loc=side)) for side in ("left", "center", "right")]
+    if not name and not over:
+        what = ", ".join([*filter(None, titles), *_entries(axes)])
+        return f"a drawing of the system{f' ({what})' if what else ''}" if axes.has_data() or axes.artists else what
+    # The least and the greatest value of all curves of a panel that have more than two points.
+    tables = [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines if np.size(line.get_ydata()) > 2]
+    tables += [np.asarray(step.get_data().values, dtype=float) for step in axes.patches if hasattr(step, "get_data")]
+    values = np.concatenate([np.zeros(0), *(table.ravel() for table in tables)])
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (1.0, 0.0)
+    words = [name or next(filter(None, titles), "") or ", ".join(_entries(axes))]
+    words += [f"from {low:.3g} to {high:.3g}"] if low <= high and name else []
+    words += [f"over {over}"] if over and not over.startswith("time") else []
+    words += [f"({titles[2]})"] if titles[2] else []
+    return " ".join(filter(None, words))
+
+
+def _entries(axes: Any) -> list[str]:
+    legend = axes.get_legend() or next(iter(axes.figure.legends), None)
+    return [_plain(text.get_text()) for text in legend.get_texts()] if legend is not None else []
+
+
+def _plain(text: str) -> str:
+    r"""Words for mathematics: $\dot{\theta}_{1}$ is `rate of theta_1`."""
+    text = re.sub(r"\\dot\{((?:[^{}]|\{[^{}]*\})*)\}", r"rate of \1", text)
+    text = re.sub(r"\\mathrm\{([^{}]*)\}", r"\1", text)
+    text = re.sub(r"\\var(?=phi|epsilon)", "", text)
+    return re.sub(r"[${}\\]", "", text).strip()
+
 
 _DPI = 110
 _TOLD = {".png": "Description", ".pdf": "Subject", ".svg": "Description"}

@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from codegen.plots.purposes import letter_size, new_figure
+from codegen.plots.picture import letter_size, new_figure
 from codegen.plots.style import BLUE, DARK
 
 MOST_NAMED = 80

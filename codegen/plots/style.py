@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -14,11 +15,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen import lettering
-from codegen.plots.purposes import letter_size, letters_across
+from codegen.plots.picture import letter_size, letters_across
 from codegen.solutions.result import Result
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
 
 BLUE, RED, GREEN, PINK, AMBER, SKY = "#0072B2", "#D55E00", "#009E73", "#B8578F", "#E69F00", "#56B4E9"
 """Colours that remain distinct for colour-blind readers: Okabe and Ito (2008), Color universal design."""
@@ -113,3 +115,29 @@ def heading(figure: Figure, data: Dataset, where: str = "") -> None:
     figure.suptitle(
         "\n".join(line for text in texts for line in textwrap.wrap(text, letters)), fontsize=letter_size(11)
     )
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units by names of quantities, as texts; `t` is the time, `energy` the energy. What is missing has none."""
+
+    by_name: Mapping[str, str]
+
+    @classmethod
+    def of(cls, result: Result, time: str = "") -> Units:
+        """Those of a result; `time` is what else is known of the unit of the time."""
+        return cls({**({"t": time} if time else {}), **result.units})
+
+    @property
+    def time(self) -> str:
+        """The label of an axis of time."""
+        return self.named("time", "t")
+
+    def label(self, name: str) -> str:
+        """The label of an axis of a quantity."""
+        return self.named(label(name), name)
+
+    def named(self, text: str, name: str) -> str:
+        """A text for a quantity, with its unit."""
+        unit = self.by_name.get(name, "")
+        return f"{text} ({unit})" if unit else text

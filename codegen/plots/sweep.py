@@ -3,31 +3,124 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from codegen.plots import coinciding, fans
-from codegen.plots.contours import contours
-from codegen.plots.first_order import prediction
-from codegen.plots.measures import FAILED, JUMP, has_jump, is_failed, is_wide, measures_of, no_room, scale
-from codegen.plots.purposes import new_figure
-from codegen.plots.style import (
-    BLUE,
-    CRIMSON,
-    GREY,
-    body_colours,
-    body_map,
-    heading,
-    quantity,
-)
+from codegen.plots import fans
+from codegen.plots.fans import FAILED, JUMP, has_jump, is_failed, is_wide, measures_of, no_room, prediction, scale
+from codegen.plots.picture import letter_size, new_figure
+from codegen.plots.style import BLUE, CRIMSON, DARK, GREY, body_colours, body_map, heading, quantity
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+
+_SAME, _MOST = 0.004, 0.5
+"""How close lines coincide, in parts of all that is drawn; in which part of their places at least."""
+_DASH = 8.0
+"""The length of a dash, in widths of the line."""
+
+
+def _coincide(one: NDArray[np.float64], other: NDArray[np.float64], close: float) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    number = int(both.sum())
+    return number > 1 and int((np.abs(one[both] - other[both]) <= close).sum()) >= _MOST * number
+
+
+def looks_of(groups: Sequence[Sequence[int]]) -> dict[int, dict[str, Any]]:
+    """How each line is drawn: as it is where it stands alone, else in dashes and marks that take turns."""
+    found: dict[int, dict[str, Any]] = {}
+    for group in groups:
+        number = len(group)
+        for turn, line in enumerate(group):
+            # The pattern begins with its dash: that of a later turn begins so many dashes before its end.
+            begin = (_DASH * (number - turn)) % (_DASH * number)
+            dashes = (begin, (_DASH, _DASH * (number - 1)))
+            found[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
+    return found
+
+
+def legend(axes: Any) -> None:
+    """A legend in which lines are whole that are drawn in dashes."""
+    for handle in axes.legend(loc="best").get_lines():
+        if handle.get_linestyle() not in ("None", "none", " ", ""):
+            handle.set_linestyle("-")
+
+
+_APART, _LONG, _LETTERS = 1.4, 6.0, 7.5
+"""How far a label is from other lines and how long its own is, at least, in heights of letters; their size."""
+
+
+def contours(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], shown: NDArray[Any], norm: Normalize) -> None:
+    """Lines of round values of a table (y, x), with a label each where there is room for it."""
+    levels = _levels(norm)
+    if min(shown.shape) <= 2 or not np.isfinite(shown).any() or not levels.size:
+        return
+    halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
+    lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
+    lines.set_path_effects(halo)
+    places = list(_places(axes, lines.allsegs))
+    if places:
+        for text in axes.clabel(lines, fontsize=letter_size(_LETTERS), fmt="%.4g", manual=places):
+            text.set_path_effects(halo)
+
+
+def _places(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]]) -> Iterator[tuple[float, float]]:
+    """Where labels stand, in data: on each level where there is most room about it, if there is enough.
+
+    `segments` are the lines of each level as points (n, 2). Sizes are those of the panel before its surroundings are
+    laid out, which is near enough.
+    """
+    letter = letter_size(_LETTERS) * axes.figure.dpi / 72.0
+    on_page = [
+        [_dense(axes.transData.transform(line), letter) for line in lines if len(line) > 1] for lines in segments
+    ]
+    placed: list[NDArray[np.float64]] = [_frame(axes.bbox, letter)]
+    for level, lines in enumerate(on_page):
+        others = np.concatenate([*placed, *(line for k, rest in enumerate(on_page) if k != level for line in rest)])
+        # Both ends of a label need room as well as its middle.
+        inner = [line[2:-2] for line in lines if len(line) >= 2 * _LONG]
+        if not inner:
+            continue
+        points = np.concatenate(inner)
+        room = np.array([np.sqrt(((others - point) ** 2).sum(axis=1).min()) for point in points])
+        best = int(np.argmax(room))
+        if room[best] > _APART * letter:
+            placed.append(points[[best]])
+            x, y = axes.transData.inverted().transform(points[best])
+            yield float(x), float(y)
+
+
+def _dense(line: NDArray[np.float64], letter: float) -> NDArray[np.float64]:
+    """Points (n, 2) along a line, half a letter apart."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    places = np.linspace(0.0, along[-1], max(2, int(2.0 * along[-1] / letter)))
+    return np.column_stack([np.interp(places, along, column) for column in line.T])
+
+
+def _frame(box: Any, letter: float) -> NDArray[np.float64]:
+    corners = np.array([(box.x0, box.y0), (box.x1, box.y0), (box.x1, box.y1), (box.x0, box.y1), (box.x0, box.y0)])
+    return _dense(corners, letter)
+
+
+def _levels(norm: Normalize) -> NDArray[np.float64]:
+    """Round values between the least and the largest, for contours."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    if not least < most:
+        return np.zeros(0)
+    few = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
+    locator: Any = LogLocator(subs=few) if isinstance(norm, LogNorm) else MaxNLocator(8)
+    found = np.asarray(locator.tick_values(least, most), dtype=float)
+    return found[(found > least) & (found < most)]
+
 
 MOST_LINES = 7
 """A second quantity of so many values is shown as lines; of more, the two span a map."""
@@ -56,7 +149,7 @@ def sweep_figure(data: Dataset) -> Figure:
     return figure
 
 
-def _places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
+def _axis_places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
     """Where the values of a dimension are drawn, in which order, and their names where they are words."""
     values = data[dim].values if dim in data.coords else np.arange(data.sizes[dim])
     if np.asarray(values).dtype.kind not in "fiub":
@@ -67,7 +160,7 @@ def _places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.in
 
 def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
     """Measures over one quantity, a line for each value of another, and trajectories graded by the first."""
-    x, order, words = _places(data, dims[0])
+    x, order, words = _axis_places(data, dims[0])
     by = dims[1] if len(dims) > 1 else None
     measures, (groups, _) = measures_of(data), fans.groups_of(data)
     columns = _columns(len(groups))
@@ -117,8 +210,20 @@ def _measure(
     scale(axes, rows)
     marker = "o" if is_of_words else "." if x.size <= 60 else ""
     values = [] if by is None else _named(data, by)
-    same = coinciding.groups(rows, axes.get_yscale() == "log")
-    looks = coinciding.looks(same)
+    # Which of the lines (lines, n) coincide, each with those it does, in their order; NaN is nowhere.
+    is_log = axes.get_yscale() == "log"
+    with np.errstate(invalid="ignore", divide="ignore"):
+        heights = np.log(rows) if is_log else rows
+    finite = heights[np.isfinite(heights)]
+    close = _SAME * float(np.ptp(finite)) if finite.size else 0.0
+    same: list[list[int]] = []
+    for line in range(len(rows)):
+        own = next((group for group in same if _coincide(heights[line], heights[group[0]], close)), None)
+        if own is None:
+            same.append([line])
+        else:
+            own.append(line)
+    looks = looks_of(same)
     for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
         name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
         look = {**looks[i], **({"linestyle": "none"} if is_of_words else {})}
@@ -136,18 +241,18 @@ def _measure(
     if failed.any() and len(rows) > 1:
         axes.plot([], [], **FAILED, label="failed")
     if len(rows) > 1 or failed.any() or jumps.any():
-        coinciding.legend(axes)
+        legend(axes)
     axes.margins(x=0.02, y=0.05 + _FOOT * len(failed) * failed.any())
 
 
 def _named(data: Dataset, dim: str) -> list[str]:
-    places, order, words = _places(data, dim)
+    places, order, words = _axis_places(data, dim)
     return words or [f"{value:.6g}" for value in places[np.argsort(order)]]
 
 
 def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
     """A heat map with contours over two quantities, for each measure, and for several values of a third."""
-    x, y = _places(data, dims[0]), _places(data, dims[1])
+    x, y = _axis_places(data, dims[0]), _axis_places(data, dims[1])
     chosen: list[Any] = [None]
     if len(dims) > 2:
         number = data.sizes[dims[2]]
@@ -176,7 +281,6 @@ def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
 
 
 def _columns(panels: int) -> int:
-    """How many panels stand in a row."""
     return {0: 1, 4: 2}.get(panels, min(panels, 3))
 
 
@@ -216,7 +320,6 @@ def _map(
 
 
 def _crowd(cells: int) -> float:
-    """How large marks are where there are many cells."""
     return min(1.0, math.sqrt(900.0 / cells))
 
 

@@ -7,13 +7,12 @@ coordinates of a `codegen.registration.grid.Grid`.
 
 from codegen.registration.alignment import Alignment, align
 from codegen.registration.certificate import Certificate, certify
-from codegen.registration.choice import AlignmentChoice, chosen_alignment
 from codegen.registration.fields import displacement_field, write_field
-from codegen.registration.frame import Frame
+from codegen.registration.grid import Frame
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
+from codegen.registration.linear import AlignmentChoice, chosen_alignment
 from codegen.registration.maps import Registration
-from codegen.registration.noise import SigmaEstimate, choose_sigma, estimate_sigma
-from codegen.registration.outliers import Outliers, find_outliers
+from codegen.registration.noise import Outliers, SigmaEstimate, choose_sigma, estimate_sigma, find_outliers
 from codegen.registration.pairs import LandmarkPairs, flipped
 from codegen.registration.register import register
 from codegen.registration.warp import WarpReport, warp, warp_reported

@@ -4,13 +4,17 @@ A field on the fixed frame, made with `inverse=True`, is what resampling program
 of a fixed pixel, it gives the place in the moving image at which to look. NIfTI, MetaImage and NRRD have one voxel a
 pixel, of size 1, with the origin at the centre of the top-left pixel, and vectors (x, y) in pixels; axes are ITK's,
 that is x to the left of the patient and y to the back, so that no sign changes between the array and ITK.
+
+MetaImage in two files: a header, `.mhd`, and beside it the samples that it names. What is written names `stem.raw`,
+which holds bare numbers, not compressed, so that any program can read them.
 """
 
 from __future__ import annotations
 
 import gzip
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +22,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ExtraError, ImageError
-from codegen.registration.coarse import Positions, Spacing, map_grid
-from codegen.registration.frame import pixel_grid
+from codegen.files import replacing
+from codegen.registration.grid import pixel_grid
 from codegen.registration.maps import Registration
-from codegen.registration.volumes.two_files import replacing_volume, written_with
+from codegen.registration.warp import Positions, Spacing, map_grid
+
+SUFFIX = ".mhd"
+_SAMPLES = ".raw"
+_KEY = "ElementDataFile"
+_NAMING = {SUFFIX: ("=", (_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
+"""Kinds of headers: what is between a key and its value, and the keys that name samples."""
+_MOST = 1 << 16
+"""Bytes of a header that are looked through."""
+
+
+def written_with(path: Path) -> Path | None:
+    """The file of samples that is written beside a header; None where a volume is one file."""
+    return path.with_suffix(_SAMPLES) if path.suffix.lower() == SUFFIX else None
+
+
+def read_with(path: Path) -> Path | None:
+    """The file of samples that a header names, of NRRD as well; None where there is none, or it cannot be read."""
+    separator, keys = _NAMING.get(path.suffix.lower(), ("", ()))
+    if not keys:
+        return None
+    try:
+        with path.open("rb") as file:
+            lines = file.read(_MOST).decode("latin-1").splitlines()
+    except OSError:
+        return None  # whoever reads the volume says so
+    parts = (line.partition(separator) for line in lines)
+    named = [value.strip() for key, _, value in parts if key.strip() in keys]
+    return path.parent / named[-1] if named and named[-1] not in ("", "LOCAL", "LIST") else None
+
+
+@contextmanager
+def replacing_volume(path: Path) -> Iterator[Path]:
+    """As `codegen.files.replacing`, for whatever kind of volume SimpleITK writes; the header is replaced last."""
+    samples = written_with(path)
+    if samples is None:
+        with replacing(path) as temporary:
+            yield temporary
+        return
+    with replacing(path) as header, replacing(samples) as temporary:
+        made = header.with_suffix(_SAMPLES)
+        try:
+            yield header
+            made.replace(temporary)
+            text = header.read_text(encoding="latin-1")
+            header.write_text(text.replace(f"{_KEY} = {made.name}", f"{_KEY} = {samples.name}"), encoding="latin-1")
+        finally:
+            made.unlink(missing_ok=True)
+
 
 KINDS = (".npz", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
 _VECTOR = "vector"  # the NIfTI intent whose components ITK takes as they are
@@ -37,7 +89,7 @@ def displacement_field(
     """What the map adds to the place of each pixel of the moving image, shape (h, w, 2): (dx, dy) in pixels.
 
     With `inverse`, what the inverse map adds to the place of each pixel of the fixed image. `shape` is by default that
-    of the image; `spacing` allows for interpolation, as in `codegen.registration.coarse`.
+    of the image; `spacing` allows for interpolation, as in `codegen.registration.warp`.
     """
     default = registration.fixed_shape if inverse else registration.shape
     height, width = (int(length) for length in tuple(default if shape is None else shape)[:2])

@@ -10,16 +10,14 @@ import numpy as np
 
 from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate
-from codegen.registration.coarse import Positions
+from codegen.registration.fields import read_with, written_with
 from codegen.registration.images import Image
 from codegen.registration.leave_one_out import LeaveOneOut
-from codegen.registration.losses import Loss
 from codegen.registration.maps import Registration
-from codegen.registration.outliers import Outliers
+from codegen.registration.noise import Loss, Outliers
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import DEFAULT_SCHEME
-from codegen.registration.volumes.two_files import read_with, written_with
-from codegen.registration.warp import Interpolation
+from codegen.registration.warp import Interpolation, Positions
 
 MOST_LEFT_OUT = 100
 """Of more landmarks, none is left out in turn: it would take as many registrations."""

@@ -17,7 +17,7 @@ from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.grid import Extent
 from codegen.registration.maps import Registration, in_steps
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.smoothing import registered
+from codegen.registration.register import register
 
 ENOUGH = 0.1
 """Error of a map, in pixels, below which its steps are many enough to predict landmarks with."""
@@ -42,12 +42,6 @@ class LeaveOneOut:
         """Errors of landmarks that were left out, in pixels of the fixed image, shape (n,)."""
         return np.asarray(np.linalg.norm(self.misses, axis=1))
 
-    @property
-    def root_mean_square(self) -> float:
-        """Of all errors, in pixels; NaN if there is none."""
-        known = self.errors[np.isfinite(self.errors)]
-        return float(np.sqrt((known**2).mean())) if known.size else np.nan
-
 
 def leave_one_out(
     pairs: LandmarkPairs,
@@ -66,7 +60,7 @@ def leave_one_out(
     count = len(pairs)
     misses = np.full((count, pairs.dimension), np.nan)
     if count > 1:
-        full = registered(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
+        full = register(pairs, shape, steps=steps, tolerance=tolerance, start=start, **options)
         velocities = full.velocities
     for k in range(count if count > 1 else 0):
         try:

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
-from codegen.registration.flow import Flow
-from codegen.registration.frame import Frame, coarse_grid
-from codegen.registration.grid import Grid, place_text, short
+from codegen.registration.grid import Frame, Grid, coarse_grid, place_text, short
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
+from codegen.registration.solver import Flow
 
 TOLERANCE = 0.01
 """Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
@@ -144,7 +143,9 @@ class Registration:
 
         With `inverse`, where points are from that are at given places at that time. Shape (n, d), pixels.
         """
-        points, part = as_points(xy, self.dimension), self._part(time)
+        if not 0.0 <= time <= 1.0:
+            raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
+        points, part = as_points(xy, self.dimension), self.alignment.part(time, self.matching.pairs.moving.mean(axis=0))
         if inverse:
             aligned = points if part is self.alignment else self.alignment.apply(part.apply_inverse(points))
             return self.alignment.apply_inverse(self._carried(aligned, 1.0 - time, 1.0))
@@ -198,11 +199,6 @@ class Registration:
     def _moved(self, points: PointArray, before: PointArray, after: PointArray) -> PointArray:
         """Points in pixels moved as they were in the disc: what does not move keeps its every bit."""
         return points + self.frame.radius * (after - before)
-
-    def _part(self, time: float) -> Alignment:
-        if not 0.0 <= time <= 1.0:
-            raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
-        return self.alignment.part(time, self.matching.pairs.moving.mean(axis=0))
 
 
 def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,19 +1,43 @@
-"""Registration: from pairs of landmarks to a map that carries each where it belongs, and to the map's inverse."""
+"""Registration: from pairs of landmarks to a map that carries each where it belongs, and to the map's inverse.
+
+From a sigma to a map: how strongly roughness counts, so that landmarks are missed by about their standard error. A cost
+of misfit and roughness has a free factor, the strength of the latter. It is found by the discrepancy principle (Morozov
+1966): the map is as smooth as residuals of the stated size allow, less what the fit follows of the errors
+(`codegen.registration.linear`). Residuals grow with the strength, so few solves suffice, each from the one before; the
+linear theory says where to begin.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import RegistrationError
 from codegen.registration.alignment import Kind
-from codegen.registration.choice import chosen_alignment
 from codegen.registration.grid import Extent
-from codegen.registration.losses import Loss
-from codegen.registration.maps import TOLERANCE, Registration
-from codegen.registration.noise import choose_sigma
+from codegen.registration.linear import Freedom, Linear, chosen_alignment
+from codegen.registration.maps import TOLERANCE, Registration, in_steps, refined, solved
+from codegen.registration.matching import IN_ORDER, Matching, said_of_partners
+from codegen.registration.noise import Loss, choose_sigma, outliers_of, scale_of, weights_of
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.smoothing import registered
 from codegen.registration.solver import DEFAULT_SCHEME
+
+MOST_SOLVES = 20
+"""The most solves that looking for a strength may take."""
+CLOSE = 0.05
+"""How far residuals may be from the size that they are to have, as a fraction, when the search ends."""
+STALLED = 4
+"""Solves after which a search ends that comes no nearer."""
+EASIER = 16.0
+"""The factor by which the strength is raised where there is no solution."""
+ALIGNED = 1e4
+"""The ridge, as a multiple of the largest eigenvalue of the covariance, with which the alignment alone is left."""
+
+Said = Callable[[str], None]
 
 
 def register(
@@ -30,7 +54,7 @@ def register(
     margin: float | None = None,
     start: Registration | None = None,
     quick: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Said | None = None,
 ) -> Registration:
     """Find the map that carries the moving landmarks to the fixed ones.
 
@@ -46,7 +70,7 @@ def register(
     earlier registration, `start`, of as many landmarks, as when a landmark is dragged; it gives up soon where it is to
     be `quick`. With a sigma there are up to 20 solves, and `progress` is told a line after each.
 
-    The disc reaches beyond the images by a `margin`, by default that of `codegen.registration.frame.MARGINS`.
+    The disc reaches beyond the images by a `margin`, by default that of `codegen.registration.grid.MARGINS`.
 
     Raises LandmarkError when the landmarks cannot be used, ArgumentError for an unknown alignment or loss, and
     RegistrationError when no solution is found, or none whose residuals are as small as sigma.
@@ -55,7 +79,143 @@ def register(
         align = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=scheme, margin=margin).kind
     if sigma == "auto":
         sigma = choose_sigma(pairs, shape, fixed_shape=fixed_shape, align=align, scheme=scheme, margin=margin)
-    return registered(
-        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, loss=loss, scheme=scheme, steps=steps,
-        tolerance=tolerance, margin=margin, start=start, quick=quick, progress=progress,
-    )  # fmt: skip
+    weights = weights_of(loss, np.zeros(len(pairs)))
+    matching = Matching.of(
+        pairs, shape, fixed_shape=fixed_shape, align=align, sigma=sigma, scheme=scheme, margin=margin, weights=weights
+    )
+    velocities = None if start is None or len(start.pairs) != len(pairs) else _guess(matching, start)
+    if sigma == 0.0:
+        return solved(matching, steps, tolerance, velocities, quick)
+    if loss != "linear":
+        misses = np.nan_to_num(outliers_of(matching).errors) / sigma
+        matching = matching.weighted(weights_of(loss, misses, pairs.dimension))
+    if start is not None and velocities is not None and start.sigma == sigma and loss == "linear":
+        matching = replace(matching, strength=start.matching.strength)
+        if quick and steps is not None:
+            return in_steps(matching, steps, velocities, quick)
+    else:
+        matching = replace(matching, strength=_first_strength(matching))
+    return _Search(matching, loss, steps, tolerance, progress or _silent).run(velocities)
+
+
+def _silent(text: str) -> None:
+    """Say nothing."""
+
+
+def _first_strength(matching: Matching) -> float:
+    """The strength that the linear theory gives, of the landmarks that are trusted."""
+    freedom = Freedom.of(matching)
+    ridge = freedom.ridge_for(freedom.target(matching.sigma))
+    return min(ridge, ALIGNED * freedom.linear.largest) / replace(matching, strength=1.0).ridge
+
+
+def _guess(matching: Matching, known: Registration) -> NDArray[np.float64]:
+    """Velocities at the start from those of nearly the same landmarks: what differs is taken for a straight way."""
+    (start, target), (known_start, known_target) = matching.all_ends, known.matching.all_ends
+    return np.asarray(known.velocities + (target - start) - (known_target - known_start))
+
+
+@dataclass
+class _Search:
+    """The search for a strength, and for weights where the loss is robust; it counts its solves."""
+
+    matching: Matching
+    loss: Loss
+    steps: int | None
+    tolerance: float
+    say: Said
+    solves: int = 0
+
+    def run(self, velocities: NDArray[np.float64] | None) -> Registration:
+        """The registration with residuals as large as errors of sigma leave them; RegistrationError without any."""
+        found = self._first(velocities)
+        target = Freedom.of(self.matching).target(self.matching.sigma)
+        low, high = -np.inf, np.inf  # logarithms of strengths whose residuals are too small, and too large
+        known: list[tuple[float, float]] = []
+        while self.solves < MOST_SOLVES:
+            scale = scale_of(self.loss, found.residuals, found.dimension)
+            here, excess = float(np.log(found.matching.strength)), float(np.log(scale / target))
+            sigma, unit = self.matching.sigma, self.matching.unit
+            self.say(f"solve {self.solves}: residuals of {scale:.3g} {unit} for a sigma of {sigma:g}")
+            # Whether residuals are of the right size, or smaller although the alignment does nearly all.
+            aligned = found.matching.ridge >= 0.99 * ALIGNED * Linear.of(found.matching).largest
+            settled = self.loss == "linear" or self.solves > 3
+            if (abs(excess) <= CLOSE and settled) or (aligned and excess < 0.0):
+                break
+            low, high = (here, high) if excess < 0.0 else (low, here)
+            known.append((here, excess))
+            if _stalls(known):
+                break
+            following = self._next(found, known, low, high)
+            if following is None:
+                break
+            found = following
+        return self._finished(found)
+
+    def _first(self, velocities: NDArray[np.float64] | None) -> Registration:
+        """A solution with the first strength, or with a larger one where that has none."""
+        while True:
+            self.solves += 1
+            try:
+                return solved(self.matching, self.steps, 10.0 * self.tolerance, velocities)
+            except RegistrationError:
+                if self.solves >= 5:
+                    raise
+                self.matching = replace(self.matching, strength=EASIER * self.matching.strength)
+
+    def _next(
+        self, found: Registration, known: list[tuple[float, float]], low: float, high: float
+    ) -> Registration | None:
+        """The solution of a strength that is likely to be nearer; None where there is none, nor one on the way."""
+        wanted = _better(known, low, high)
+        matching = found.matching
+        if self.loss != "linear":
+            matching = matching.weighted(weights_of(self.loss, found.residuals / matching.sigma, found.dimension))
+        largest = ALIGNED * Linear.of(matching).largest / replace(matching, strength=1.0).ridge
+        here = known[-1][0]
+        for _ in range(3):
+            self.solves += 1
+            changed = replace(matching, strength=float(min(np.exp(wanted), largest)))
+            try:
+                return in_steps(changed, found.steps, _continued(found, changed), quick=True)
+            except RegistrationError:
+                wanted = 0.5 * (wanted + here)
+        return None
+
+    def _finished(self, found: Registration) -> Registration:
+        """The same with as many steps as were asked for, or as its error demands."""
+        scale = scale_of(self.loss, found.residuals, found.dimension)
+        if scale > 1.25 * self.matching.sigma:
+            finding = f"residuals are {scale:.3g} {self.matching.unit} where sigma is {self.matching.sigma:g}"
+            if out_of_order := said_of_partners(self.matching.pairs):
+                raise RegistrationError(f"{finding}, and no map comes nearer; {out_of_order}", IN_ORDER)
+            remedy = "give a larger sigma, or look for landmarks out of place"
+            raise RegistrationError(f"{finding}, and no map was found that comes nearer", remedy)
+        if self.steps is None and not (found.error <= self.tolerance * self.matching.pixel):
+            found = refined(found.matching, self.tolerance, found.velocities, found.steps)
+        return replace(found, solves=self.solves)
+
+
+def _stalls(known: list[tuple[float, float]]) -> bool:
+    """Whether residuals that are too large have not become smaller for some solves, though the strength has."""
+    recent = [excess for _, excess in known[-STALLED:]]
+    return len(recent) == STALLED and min(recent) > CLOSE and min(recent[1:]) > recent[0] - CLOSE
+
+
+def _better(known: list[tuple[float, float]], low: float, high: float) -> float:
+    """The logarithm of a strength, by a secant, within what is known; residuals grow about as its square root."""
+    here, excess = known[-1]
+    slope = 0.5
+    if len(known) > 1 and known[-2][0] != here:
+        slope = float(np.clip((excess - known[-2][1]) / (here - known[-2][0]), 0.1, 2.0))
+    wanted = here - float(np.clip(excess / slope, -4.0, 4.0))
+    if not low < wanted < high:
+        wanted = 0.5 * (low + high)
+    return wanted
+
+
+def _continued(found: Registration, changed: Matching) -> NDArray[np.float64]:
+    """Velocities of the pairs for another strength or other weights, as the linear theory has them."""
+    if changed.frame != found.frame:
+        return _guess(changed, found)
+    return Linear.of(changed).continued(found.velocities, found.matching.ridge, changed.ridge)

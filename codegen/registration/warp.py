@@ -1,9 +1,22 @@
-"""Warped images: every pixel of the result is looked up where the inverse map says that it comes from."""
+"""Warped images: every pixel of the result is looked up where the inverse map says that it comes from.
+
+Positions of all pixels from a coarse grid: cubic splines between exactly mapped points, with a measured error. The map
+is smooth except at landmarks, where its second derivative grows like a logarithm. So it is mapped exactly at every
+`spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells in which the
+spline was found to err too much, about landmarks a quarter of that, and their neighbours are mapped exactly, pixel by
+pixel.
+
+What is proved and what is sampled: nothing is proved. The error of the spline through every second node in each
+direction is measured at all nodes, and a quarter of it is taken for the error of the spline through all of them, since
+halving the spacing divides the error of a cubic spline by four where second derivatives are bounded and no more is
+known, and by sixteen where the map is smooth. `bound` is the largest of these errors outside the cells that were mapped
+exactly, or the largest that was found at the centres of the worst cells, which is `checked`, if that is larger.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -11,11 +24,196 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import binary_dilation, maximum_filter
 
 from codegen.errors import ArgumentError, ImageError
-from codegen.registration.coarse import BOUND, Positions, Spacing, map_grid
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
+
+Spacing: TypeAlias = int | Literal["auto"] | None
+Map: TypeAlias = Callable[[PointArray], PointArray]
+
+BOUND = 0.01
+"""Largest error in pixels that a coarse grid may have where positions are not exact."""
+LARGEST, SMALLEST = 32, 2
+HALVING = 4.0
+"""The least factor by which half the spacing reduces the error of a cubic spline; see above."""
+SINGULAR = 4.0
+"""How many times smaller an error must be about a landmark, where it varies within a cell."""
+PORTION = 1 << 20
+"""Pixels that are mapped at once, a whole number of the blocks in which a flow carries points."""
+CHECKED = 256
+"""Cells at whose centres the spline is compared with exact positions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Where each pixel of a grid is mapped to, shape (h, w, 2), and how that was found.
+
+    `spacing` is 1 where all pixels were mapped exactly; otherwise `exact` is the share of pixels that were, `bound` the
+    largest estimated error of the others, and `checked` that found at the centres of the worst cells, all in pixels.
+    """
+
+    places: NDArray[np.float64]
+    spacing: int = 1
+    exact: float = 1.0
+    bound: float = 0.0
+    checked: float = 0.0
+
+
+def map_grid(
+    function: Map, shape: Sequence[int], singular: PointArray, spacing: Spacing = None, bound: float = BOUND
+) -> Positions:
+    """Map every pixel of an image of shape (height, width, ...) by a function of points, exactly or from a coarse grid.
+
+    `singular` are the points, shape (n, 2), at which the function is not smooth. With "auto", the spacing is halved
+    until that no longer pays. Raises ArgumentError for a spacing that is no power of two from 2 to 32 and not "auto".
+    """
+    height, width = int(shape[0]), int(shape[1])
+    largest = LARGEST
+    while largest > SMALLEST and 6 * largest > min(height, width):
+        largest //= 2
+    if spacing is None or 6 * largest > min(height, width):
+        # Where every pixel is mapped to, shape (h, w, 2), of which few are on their way at once.
+        places = np.empty((height * width, 2))
+        for begin in range(0, len(places), PORTION):
+            rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
+            places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
+        return Positions(places.reshape(height, width, 2))
+    if spacing == "auto":
+        # Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add.
+        grid = _Grid.exact(function, ((height, width)), largest)
+        while grid.spacing > SMALLEST:
+            doubtful = grid.doubtful(grid.errors(), singular, bound)
+            if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
+                break
+            grid = grid.refined(function)
+        return _completed(function, grid, singular, bound)
+    if spacing not in (2, 4, 8, 16, 32):
+        raise ArgumentError(f"the spacing is {spacing!r}", "give 2, 4, 8, 16, 32 or auto")
+    return _completed(function, _Grid.exact(function, (height, width), min(spacing, largest)), singular, bound)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Exactly mapped nodes, from pixel 0 to beyond the last, an even number of cells in each direction.
+
+    `shifts`, shape (rows, columns, 2), are what the function adds to the nodes: where that is nothing, splines keep it.
+    """
+
+    shape: tuple[int, int]
+    spacing: int
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    shifts: NDArray[np.float64]
+
+    @classmethod
+    def exact(cls, function: Map, shape: tuple[int, int], spacing: int) -> _Grid:
+        y, x = (_nodes(length, spacing) for length in shape)
+        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return cls(shape, spacing, x, y, (function(nodes) - nodes).reshape(y.size, x.size, 2))
+
+    def refined(self, function: Map) -> _Grid:
+        """The grid of half the spacing; only what is new is mapped."""
+        shape, spacing = self.shape, self.spacing // 2
+        y, x = (_nodes(length, spacing) for length in shape)
+        shifts = np.full((y.size, x.size, 2), np.nan)
+        rows, columns = min(self.y.size, (y.size + 1) // 2), min(self.x.size, (x.size + 1) // 2)
+        shifts[: 2 * rows : 2, : 2 * columns : 2] = self.shifts[:rows, :columns]
+        new = np.isnan(shifts[..., 0])
+        nodes = np.stack(np.meshgrid(x, y), axis=-1)
+        shifts[new] = function(nodes[new]) - nodes[new]
+        return _Grid(shape, spacing, x, y, shifts)
+
+    def errors(self) -> NDArray[np.float64]:
+        """The spline's estimated error about each node, shape (rows, columns), in pixels."""
+        coarse = spline(self.y[::2], self.x[::2], self.shifts[::2, ::2], self.y, self.x)
+        return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
+
+    def doubtful(self, errors: NDArray[np.float64], singular: PointArray, bound: float) -> NDArray[np.bool_]:
+        """Cells with a corner of large error, or a singular point and an error that is not small; and neighbours."""
+        at_cells = _at_cells(errors)
+        large = ~(at_cells <= bound)
+        columns, rows = np.floor(singular / self.spacing).astype(int).T
+        inside = (rows >= 0) & (rows < large.shape[0]) & (columns >= 0) & (columns < large.shape[1])
+        rows, columns = rows[inside], columns[inside]
+        large[rows, columns] |= ~(maximum_filter(at_cells, 3)[rows, columns] <= bound / SINGULAR)
+        return np.asarray(binary_dilation(large, np.ones((3, 3))))
+
+    def pixels(self, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """The pixels that lie in cells."""
+        wide = np.repeat(np.repeat(cells, self.spacing, axis=0), self.spacing, axis=1)
+        return np.asarray(wide[: self.shape[0], : self.shape[1]])
+
+
+def _at_cells(errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
+
+
+def _nodes(length: int, spacing: int) -> NDArray[np.float64]:
+    cells = 2 * -(-length // (2 * spacing))
+    return spacing * np.arange(cells + 1.0)
+
+
+def _completed(function: Map, grid: _Grid, singular: PointArray, bound: float) -> Positions:
+    errors = grid.errors()
+    doubtful = grid.doubtful(errors, singular, bound)
+    height, width = grid.shape
+    places = spline(grid.y, grid.x, grid.shifts, np.arange(height), np.arange(width))
+    places[..., 0] += np.arange(width)
+    places[..., 1] += np.arange(height)[:, None]
+    rows, columns = np.nonzero(grid.pixels(doubtful))
+    if rows.size:
+        places[rows, columns] = function(np.stack([columns, rows], axis=1).astype(float))
+    remaining = np.where(doubtful, 0.0, _at_cells(errors))
+    checked = _checked(function, grid, remaining)
+    found = max(float(remaining.max()), checked)
+    return Positions(places, grid.spacing, rows.size / (height * width), found, checked)
+
+
+def _checked(function: Map, grid: _Grid, remaining: NDArray[np.float64]) -> float:
+    """The largest error of the spline at the centres of the cells in which the largest errors were measured."""
+    worst = np.argsort(remaining, axis=None)[-CHECKED:]
+    worst = worst[remaining.ravel()[worst] > 0.0]
+    if not worst.size:
+        return 0.0
+    rows, columns = np.unravel_index(worst, remaining.shape)
+    x, y = (columns + 0.5) * grid.spacing, (rows + 0.5) * grid.spacing
+    centres = np.stack([x, y], axis=1)
+    exact = function(centres) - centres
+    along_rows = basis(grid.y, y) @ _coefficients(grid.y, grid.x, grid.shifts).reshape(grid.y.size, -1)
+    weights = basis(grid.x, x).toarray()
+    found = np.einsum("nmc,nm->nc", along_rows.reshape(len(x), grid.x.size, 2), weights)
+    return float(np.linalg.norm(found - exact, axis=1).max())
+
+
+def spline(
+    y: NDArray[np.float64], x: NDArray[np.float64], values: NDArray[np.float64], to_y: Any, to_x: Any
+) -> NDArray[np.float64]:
+    """The cubic spline through values on a grid of y and x, shape (rows, columns, 2), at every y of every x of another.
+
+    Its ends are such that the first two cells in each direction share a cubic ("not a knot").
+    """
+    coefficients = _coefficients(y, x, values)
+    along, across = basis(y, to_y), basis(x, to_x)
+    rows, columns = len(to_y), len(to_x)
+    out = np.empty((rows, columns, 2))
+    for component in range(2):
+        out[..., component] = (across @ (along @ coefficients[..., component]).T).T
+    return out
+
+
+def _coefficients(y: NDArray[np.float64], x: NDArray[np.float64], values: NDArray[np.float64]) -> Any:
+    by_rows = make_interp_spline(y, values, k=3, axis=0).c
+    return np.moveaxis(make_interp_spline(x, np.moveaxis(by_rows, 1, 0), k=3, axis=0).c, 0, 1)
+
+
+def basis(nodes: NDArray[np.float64], at: Any) -> Any:
+    """The values of the cubic B-splines of nodes at some places, a sparse matrix."""
+    knots = np.concatenate([[nodes[0]] * 4, nodes[2:-2], [nodes[-1]] * 4])
+    return BSpline.design_matrix(np.asarray(at, dtype=float), knots, 3).tocsr()
+
 
 Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
 ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
@@ -30,7 +228,7 @@ SPLINE_PADDING = 12
 class WarpReport:
     """How positions were found: at every pixel, or from every `spacing`-th and a share of the others, `exact`.
 
-    `bound` is the largest error, in pixels, of a position that was interpolated; see `codegen.registration.coarse`.
+    `bound` is the largest error, in pixels, of a position that was interpolated; see `codegen.registration.warp`.
     `outside` counts the pixels of the result that come from outside the image.
     """
 
@@ -84,7 +282,12 @@ def warp_reported(
 ) -> tuple[NDArray[Any], WarpReport]:
     """The same as `warp`, and a report."""
     image = np.asarray(pixels)
-    _require_image(image, interpolation)
+    if interpolation not in ORDERS:
+        raise ArgumentError(f"interpolation is {interpolation!r}", f"use {', '.join(ORDERS)}")
+    if image.ndim not in (2, 3) or image.size == 0:
+        raise ImageError(f"the image has shape {image.shape}", "give (height, width) or (height, width, channels)")
+    if image.dtype.kind not in "uif":
+        raise ImageError(f"the image's values are of type {image.dtype}", "give integers or floating-point numbers")
     default = registration.shape if inverse else registration.fixed_shape
     found = positions or sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
     warped, outside = sample(image, found.places, ORDERS[interpolation], fill)
@@ -164,12 +367,3 @@ def as_type(values: Any, dtype: np.dtype[Any]) -> Any:
         return values.astype(dtype, copy=False)
     limits = np.iinfo(dtype)
     return np.clip(np.rint(values), limits.min, limits.max).astype(dtype)
-
-
-def _require_image(image: NDArray[Any], interpolation: str) -> None:
-    if interpolation not in ORDERS:
-        raise ArgumentError(f"interpolation is {interpolation!r}", f"use {', '.join(ORDERS)}")
-    if image.ndim not in (2, 3) or image.size == 0:
-        raise ImageError(f"the image has shape {image.shape}", "give (height, width) or (height, width, channels)")
-    if image.dtype.kind not in "uif":
-        raise ImageError(f"the image's values are of type {image.dtype}", "give integers or floating-point numbers")

@@ -54,7 +54,7 @@ def problems_report(
         return Report(report(problem, folder, quick, limit))
     from dataclasses import replace
 
-    from codegen.report.extent import FULL, GALLERY, QUICK, QUICK_PROBLEMS
+    from codegen.report.settings import FULL, GALLERY, QUICK, QUICK_PROBLEMS
 
     extent = QUICK if quick else GALLERY if everything else FULL
     chosen = [_one(problem)] if not everything else _all(Path("problems") if problem is None else problem)

@@ -163,6 +163,10 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         steps = few_steps(module, min(10, module.metadata.steps))
         solving.solve(module, steps=steps)  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
+    # Lines and bytes of a module, and lines of its kernels, that is of what is special about the problem.
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    heads = [i for i, line in enumerate(lines) if line.startswith("# ---- ")]
     return {
         "status": "built",
         "file": path.name,
@@ -170,7 +174,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         "load seconds": loaded - derived,
         "compile seconds": compiled - loaded if is_new else None,
         "compile processor seconds": busy_compiled - busy_derived if is_new else None,
-        **size_of(path),
+        **{"lines": len(lines), "bytes": len(text.encode()), "kernel lines": heads[1] - heads[0] if heads[1:] else 0},
         "operations": {name: list(counts) for name, counts in module.metadata.operations.items()},
         "left out": list(module.metadata.left_out),
         "solver": getattr(module.metadata, "solver", None),
@@ -178,14 +182,6 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         "order": module.metadata.order,
         "steps": module.metadata.steps,
     }
-
-
-def size_of(path: Path) -> dict[str, int]:
-    """Lines and bytes of a module, and lines of its kernels, that is of what is special about the problem."""
-    text = path.read_text(encoding="utf-8")
-    lines = text.splitlines()
-    heads = [i for i, line in enumerate(lines) if line.startswith("# ---- ")]
-    return {"lines": len(lines), "bytes": len(text.encode()), "kernel lines": heads[1] - heads[0] if heads[1:] else 0}
 
 
 def _derived(variant: Variant, folder: Path) -> Path:

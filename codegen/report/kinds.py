@@ -1,4 +1,4 @@
-"""The registry of reports: what is measured of a task, and what the thesis adds to some problems."""
+"""The registry of reports: what is measured of a task and of a problem, by which schemes, and what the thesis adds."""
 
 from __future__ import annotations
 
@@ -6,29 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from codegen.report.building import Variant, Workshop
-from codegen.report.extent import Extent
+from codegen.report import thesis
+from codegen.report.building import SURVEYS, Variant, Workshop
 from codegen.report.measure import optima, simulations
 from codegen.report.measure.orders import Order
-from codegen.report.section import Section
+from codegen.report.page import Section
 from codegen.report.sections import control as sections_control
 from codegen.report.sections import simulation as sections_simulation
+from codegen.report.settings import Extent
 from codegen.report.store import Case, Store, Values
-from codegen.report.thesis import (
-    craft as thesis_craft,
-)
-from codegen.report.thesis import (
-    landmarks as thesis_landmarks,
-)
-from codegen.report.thesis import (
-    linear as thesis_linear,
-)
-from codegen.report.thesis import (
-    orbit as thesis_orbit,
-)
-from codegen.report.thesis import (
-    pendulum as thesis_pendulum,
-)
 
 
 @dataclass(frozen=True)
@@ -69,10 +55,40 @@ class Extra:
 
 
 EXTRAS = {
-    "pendulum": Extra(thesis_pendulum.variants, thesis_pendulum.cases, thesis_pendulum.sections),
-    "linear_pendulum": Extra(thesis_linear.variants, thesis_linear.cases, thesis_linear.sections),
-    "orbital_transfer": Extra(thesis_orbit.variants, thesis_orbit.cases, thesis_orbit.sections),
-    "image_registration": Extra(thesis_landmarks.variants, thesis_landmarks.cases, thesis_landmarks.sections),
-    "hovercraft": Extra(thesis_craft.variants, thesis_craft.cases, thesis_craft.sections),
+    "pendulum": Extra(thesis.pendulum_variants, thesis.pendulum_cases, thesis.pendulum_sections),
+    "linear_pendulum": Extra(
+        thesis.linear_pendulum_variants, thesis.linear_pendulum_cases, thesis.linear_pendulum_sections
+    ),
+    "orbital_transfer": Extra(thesis.orbit_variants, thesis.orbit_cases, thesis.orbit_sections),
+    "image_registration": Extra(thesis.landmark_variants, thesis.landmark_cases, thesis.landmark_sections),
+    "hovercraft": Extra(thesis.hovercraft_variants, thesis.hovercraft_cases, thesis.hovercraft_sections),
 }
 """Experiments by the names of problem files."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A problem with the variants that are measured, and the names of schemes that are left out."""
+
+    problem: Path
+    task: str
+    variants: tuple[Variant, ...]
+    left: tuple[str, ...]
+
+
+def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
+    """The schemes to be measured: the default, those of highest and lowest order, then the rest, up to the cap."""
+    survey = store.get(SURVEYS, problem.stem) or {}
+    task = survey.get("task", "")
+    if task not in KINDS:
+        return Chosen(problem, task, (), ())
+    rows = [Variant(problem, method, scheme, order) for method, scheme, order, _ in survey["schemes"]]
+    cap = extent.most_simulated if task == "simulate" else extent.most_schemes
+    if survey["phases"] and extent.only_default_of_phases:
+        cap = 1
+    usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
+    lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
+    first = [rows[0], max(usable, key=lambda v: (v.order, v.method == rows[0].method)), lowest]
+    kept = list(dict.fromkeys([*first, *usable]))[:cap]
+    left = tuple(v.label for v in rows if v not in kept)
+    return Chosen(problem, task, tuple(v for v in rows if v in kept), left)

@@ -3,39 +3,39 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from codegen.files import write_text
 from codegen.machine import machine
-from codegen.report.measure import (
-    accuracy,
-    ansatz,
-    dimension,
-    effort,
-    fastest,
-    jumps,
-    paths,
-    smoothness,
-    sweeps,
-)
+from codegen.report.measure import landmark_effort, landmark_motion
+from codegen.report.page import Section, page
+from codegen.report.sections.questions import sections as of_questions
+from codegen.report.sections.thesis import sections as of_thesis
 from codegen.report.settings import Settings
 from codegen.report.store import Case, Store
 from codegen.terminal import progress
 
 PARTS: tuple[tuple[str, Callable[[Settings, Store], Iterator[Case]]], ...] = (
-    ("accuracy", accuracy.cases),
-    ("routes", sweeps.cases),
-    ("fastest", fastest.cases),
-    ("initial paths", paths.cases),
-    ("midpoint", effort.cases),
-    ("dimension", dimension.cases),
-    ("smoothness", smoothness.cases),
-    ("weak solution", ansatz.cases),
-    ("jumps", jumps.cases),
+    ("accuracy", landmark_effort.accuracy_cases),
+    ("routes", landmark_effort.route_cases),
+    ("fastest", landmark_effort.fastest_cases),
+    ("initial paths", landmark_motion.path_cases),
+    ("midpoint", landmark_effort.midpoint_cases),
+    ("dimension", landmark_effort.dimension_cases),
+    ("smoothness", landmark_motion.smoothness_cases),
+    ("weak solution", landmark_effort.weak_solution_cases),
+    ("jumps", landmark_motion.jump_cases),
 )
 """Parts of the study in the order in which they are measured."""
+
+_TITLE = "Geodesic interpolating splines: the thesis's chapter 5 and its open questions, measured"
+_INTRODUCTION = (
+    "Landmarks in the unit disc move by H = ½ Σ pᵢ·pⱼ G(qᵢ, qⱼ), G being the Green's function of the clamped plate, "
+    "from given places to given places. Every number on this page was measured by the run that made it; sentences take "
+    "their numbers, and what they claim, from these measurements. All of them are in measurements.csv beside this page."
+)
 
 
 def run(settings: Settings, folder: Path) -> Path:
@@ -47,13 +47,11 @@ def run(settings: Settings, folder: Path) -> Path:
             for case in cases(settings, store):
                 moved(number, f"{name}: {case.name}")
                 store.measured(case)
-    from codegen.report.page import render
-
     write_text(folder / "measurements.csv", store.table())
     write_text(folder / "environment.json", json.dumps(environment(settings), indent=2) + "\n")
-    page = folder / "index.html"
-    write_text(page, render(settings, store, environment(settings)))
-    return page
+    path = folder / "index.html"
+    write_text(path, render(settings, store, environment(settings)))
+    return path
 
 
 def environment(settings: Settings) -> dict[str, Any]:
@@ -69,3 +67,18 @@ def environment(settings: Settings) -> dict[str, Any]:
             "test functions": "numpy default_rng(5)",
         },
     }
+
+
+def render(settings: Settings, store: Store, environment: Mapping[str, Any]) -> str:
+    """The text of the page."""
+    introduction = _INTRODUCTION
+    if settings.quick:
+        introduction += (
+            " This is the quick form: one set of landmarks, three numbers of steps, the fast routes, no open questions."
+        )
+    return page(_TITLE, introduction, of_study(settings, store), environment)
+
+
+def of_study(settings: Settings, store: Store) -> list[Section]:
+    """The sections of the study of landmark registration."""
+    return of_thesis(settings, store) + ([] if settings.quick else of_questions(settings, store))

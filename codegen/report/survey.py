@@ -31,7 +31,7 @@ def survey(path: Path, arguments: Mapping[str, str] | None = None) -> dict[str, 
 
 def exact_cost(path: Path, arguments: Mapping[str, str] | None = None) -> float | None:
     """The optimal cost of a control problem whose maximum principle is solved in closed form, else None."""
-    from codegen.analysis.exact_optimum import exact_optimum
+    from codegen.analysis.maximum_principle import exact_optimum
 
     model = load_problem(path, dict(arguments or {}))
     if not isinstance(model, Model) or model.task != "control":

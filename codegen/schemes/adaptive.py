@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from codegen.schemes.base import PARTICLES, Scheme
+from codegen.schemes.base import PARTICLES, Scheme, Step
 from codegen.schemes.runge_kutta import RK4
-from codegen.schemes.step import Step
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,102 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
+import sympy
 from sympy import Expr, Rational, Symbol
 
 from codegen.errors import SchemeError
-from codegen.schemes.step import Step
+
+Shares: TypeAlias = tuple[tuple[int, Expr], ...]
+"""Numbers of states, each with the factor with which it enters a sum."""
+Rows: TypeAlias = tuple[tuple[Expr, ...], ...]
+
+
+@dataclass(frozen=True)
+class FieldPoint:
+    """A point X_j at the abscissa c of the step; the shares of states in its position and momentum add up to 1.
+
+    `weight` is that of the point in the integral of anything over the step.
+    """
+
+    abscissa: Expr
+    weight: Expr
+    position: Shares
+    momentum: Shares
+
+
+@dataclass(frozen=True)
+class Update:
+    """x = x_begin + g h sum_j w_j F(X_j) over all points of the step, with g the `fraction`."""
+
+    begin: int
+    fraction: Expr
+    weights: tuple[Expr, ...]
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """The weights b_i of a partitioned Runge-Kutta method, and its a_ij for coordinates and for momenta."""
+
+    weights: tuple[Expr, ...]
+    positions: Rows
+    momenta: Rows
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step through states 0, ..., s + 1, of which the first is that of the left node, the last of the right one.
+
+    Updates number n, of coordinates and of momenta, lead to state n + 1 at the fraction `abscissae[n]` of the step;
+    there is none where no point takes anything from that state.
+    """
+
+    points: tuple[FieldPoint, ...]
+    positions: tuple[Update | None, ...]
+    momenta: tuple[Update | None, ...]
+    abscissae: tuple[Expr, ...]
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether each state follows from the one before it alone, so that no stages depend on each other."""
+        for n, update in (*enumerate(self.positions), *enumerate(self.momenta)):
+            if update is None or update.begin != n:
+                return False
+            used = (point for point, weight in zip(self.points, update.weights, strict=True) if weight != 0)
+            if any(state not in (n, n + 1) for point in used for state, _ in (*point.position, *point.momentum)):
+                return False
+        return True
+
+    @property
+    def is_explicit(self) -> bool:
+        """True if each field depends on earlier fields of the step alone, so that stages need no equations."""
+        tableau = self.tableau
+        return not any(
+            entry for table in (tableau.positions, tableau.momenta) for i, row in enumerate(table) for entry in row[i:]
+        )
+
+    @property
+    def substeps(self) -> tuple[tuple[Expr, Expr, Expr], ...]:
+        """Of a chain with one point between each state and the next, fractions and shares of the next: (g, a, b)."""
+        links = enumerate(self.points, start=1)
+        return tuple((point.weight, dict(point.position)[n], dict(point.momentum)[n]) for n, point in links)
+
+    @property
+    def tableau(self) -> Tableau:
+        """The same step as a Runge-Kutta method, whose stages are the points."""
+        weights, positions = self._rows(self.positions, [point.position for point in self.points])
+        return Tableau(weights, positions, self._rows(self.momenta, [point.momentum for point in self.points])[1])
+
+    def _rows(self, updates: Sequence[Update | None], points: Sequence[Shares]) -> tuple[tuple[Expr, ...], Rows]:
+        """With which weights fields lead from the left node to the right one, and to each point."""
+        states = {0: sympy.zeros(1, len(points))}
+        for n, update in enumerate(updates):
+            if update:
+                states[n + 1] = states[update.begin] + update.fraction * sympy.Matrix([update.weights])
+        rows = [sum((share * states[n] for n, share in point), 0 * states[0]) for point in points]
+        return tuple(states[len(updates)]), tuple(tuple(row) for row in rows)
+
 
 FIRST_ORDER = "one-step"
 """The method for first-order systems x' = f(x, u, t)."""

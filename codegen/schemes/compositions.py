@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from sympy import Expr, Integer, Rational, S, Symbol, sqrt
 
 from codegen.errors import SchemeError
-from codegen.schemes.base import FIRST_ORDER, DiscreteLagrangian, Scheme
+from codegen.schemes.base import FIRST_ORDER, DiscreteLagrangian, Scheme, Step
 from codegen.schemes.one_step import ONE_STEPS, OneStep, Substep
-from codegen.schemes.step import Step
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import sympy
 from sympy import Expr, Rational, S
 
-from codegen.schemes.base import FIRST_ORDER, PARTICLES, Scheme
-from codegen.schemes.step import FieldPoint, Step, Update
+from codegen.schemes.base import FIRST_ORDER, PARTICLES, FieldPoint, Scheme, Step, Update
 
 _ZERO, _HALF, _ONE = Rational(0), Rational(1, 2), Rational(1)
 

@@ -16,15 +16,12 @@ def find(name: str, task: str) -> Scheme:
     """The scheme of that name; SchemeError tells which there are for the task."""
     offered = [n for n, s in PARTICLE_SCHEMES.items() if task == "connect" or not s.adaptive]
     found = PARTICLE_SCHEMES.get(name) if name in offered else None
-    if found is None and _is_composition(name):
+    if found is None and (
+        "-of-" in name or (schemes.is_known(name, "hamiltonian") and bool(schemes.find(name, "hamiltonian").parts))
+    ):
         found = schemes.find(name, "hamiltonian")
     if found is None:
         close = difflib.get_close_matches(name, offered, 1)
         hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(offered)}"
         raise SchemeError(f"there is no scheme {name!r} for particles and task {task}", hint)
     return found
-
-
-def _is_composition(name: str) -> bool:
-    """Whether a name is that of a composition, or <composition>-of-<base>."""
-    return "-of-" in name or (schemes.is_known(name, "hamiltonian") and bool(schemes.find(name, "hamiltonian").parts))

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from sympy import Expr, Integer, Rational, S, sqrt
 
-from codegen.schemes.base import FIRST_ORDER, PARTICLES, Scheme
-from codegen.schemes.step import FieldPoint, Rows, Step, Update
+from codegen.schemes.base import FIRST_ORDER, PARTICLES, FieldPoint, Rows, Scheme, Step, Update
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,6 @@ class RungeKutta(Scheme):
 
 
 def _table(*rows: str) -> tuple[tuple[Expr, ...], ...]:
-    """Rows of fractions, separated by blanks."""
     return tuple(tuple(Rational(entry) for entry in row.split()) for row in rows)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,18 +21,130 @@ from codegen.discretise import (
     repeated,
     variational_interval,
 )
+from codegen.expressions.invariants import Invariants
 from codegen.expressions.table_functions import tables_of
 from codegen.model import Model, legendre
 from codegen.model.conditions.table import CONDITIONS
 from codegen.model.definitions import Bounds, prescribed
 from codegen.model.from_file import load_problem
 from codegen.model.pairwise import PairwiseModel
-from codegen.show.delays import delay_blocks, is_past, of_the_whole, with_past
-from codegen.show.notation import Block, Notation, written
-from codegen.show.particles import pairwise_equations
+from codegen.show.notation import WIDTH, Block, Notation, written
 from codegen.tables.data import OUTSIDE
+from codegen.transcribe.connect import PairwiseProgram, pairwise
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
+
+
+def pairwise_equations(model: PairwiseModel, scheme: str | None, method: str | None, latex: bool) -> str:
+    """The Hamiltonian, its scalars, Hamilton's equations and the equations of a step."""
+    program = pairwise(model, scheme, method)
+    lines = [f"{model.title.rstrip('.')} ({program.method} method, scheme {program.scheme})", ""]
+    rows = list(_rows(model, program))
+    if latex:
+        return "\n".join(
+            [rf"\section*{{{lines[0]}}}", *(rf"\[ {sympy.latex(a)} = {sympy.latex(b)} \]" for a, b in rows)]
+        )
+    for left, right in rows:
+        lines += textwrap.wrap(f"{left} = {sympy.sstr(right)}", WIDTH, initial_indent="  ", subsequent_indent="      ")
+    return "\n".join(lines)
+
+
+def _rows(model: PairwiseModel, program: PairwiseProgram) -> Iterator[tuple[Symbol, Expr]]:
+    parts = Invariants.of(model.pair_term, model.first.moving, model.second.moving)
+    yield Symbol("self"), model.self_term
+    yield from zip(parts.symbols, parts.polynomials, strict=True)
+    yield Symbol("pair"), parts.outer
+    if model.limit is not None:
+        yield Symbol("limit of pair where particles meet"), model.limit
+    names = dict(zip(parts.symbols, (Symbol(f"pair_by_{s}") for s in parts.symbols), strict=True))
+    for k, symbol in enumerate(parts.symbols):
+        yield names[symbol], parts.slope(k)
+    for z in model.first.moving:
+        total = sum(
+            (names[s] * sympy.diff(p, z) for s, p in zip(parts.symbols, parts.polynomials, strict=True)), sympy.S.Zero
+        )
+        yield Symbol(f"pair_by_{z}"), total
+    h = Symbol("h")
+    for fraction, a, b in program.substeps:
+        q = f"H_p((1 - {a}) q_0 + {a} q_1, (1 - {b}) p_0 + {b} p_1)"
+        yield Symbol("q_1"), Symbol("q_0") + fraction * h * Symbol(q)
+        yield Symbol("p_1"), Symbol("p_0") - fraction * h * Symbol(q.replace("H_p", "H_q"))
+
+
+Rows = Sequence[tuple[Symbol, Expr]]
+
+
+def is_past(name: str) -> bool:
+    """Whether a name is that of a value of the past."""
+    return "@t-" in name
+
+
+def with_past(model: Model) -> Model:
+    """The model with values of the past as quantities of their own, whose equations are none of the problem's."""
+    coordinates: dict[Symbol, Symbol] = {}
+    controls = []
+    for delay in model.delays:
+        x, lag = delay.quantity, delay.symbol.name.partition("@")[2]
+        if x in model.controls:
+            controls.append(delay.symbol)
+            continue
+        if x not in (*model.coordinates, *model.rates):  # a velocity, where momenta are the rates
+            continue
+        index = (model.rates if x in model.rates else model.coordinates).index(x)
+        rate = f"{model.rates[index]}@{lag}" if model.rates else ""
+        coordinates[Symbol(f"{model.coordinates[index]}@{lag}", real=True)] = Symbol(rate, real=True)
+    if not model.delays:
+        return model
+    none = (None,) * len(coordinates)
+    zeros = (sympy.S.Zero,) * len(coordinates)
+    first_order = model.form == "first-order"
+    assert model.end is not None, "only control problems have delays"
+    rates = none if model.rates else ()
+    return replace(
+        model,
+        coordinates=(*model.coordinates, *coordinates),
+        rates=(*model.rates, *coordinates.values()) if model.rates else (),
+        controls=(*model.controls, *controls),
+        force=() if first_order else (*model.force, *zeros),
+        dynamics=(*model.dynamics, *zeros) if first_order else (),
+        start=replace(model.start, positions=(*model.start.positions, *none), rates=(*model.start.rates, *rates)),
+        end=replace(model.end, positions=(*model.end.positions, *none), rates=(*model.end.rates, *rates)),
+    )
+
+
+def delay_blocks(model: Model) -> Iterator[Block]:
+    """The histories, and how the motion is cut."""
+    whole, segments = model.authored, model.segments
+    if not whole.delays:
+        return
+    histories = {delay.quantity: delay.history for delay in whole.delays}
+    yield Block("Before t = 0", tuple(histories.items()))
+    if segments is not None and segments.number > 1:
+        backs = {delay.lag: back for delay, back in zip(whole.delays, segments.steps_back, strict=True) if back}
+        counts = {lag: f"{back} segment{'s' if back > 1 else ''}" for lag, back in backs.items()}
+        shifts = ", ".join(f"t - {lag} is {count} before" for lag, count in counts.items())
+        text = (
+            f"{segments.number} segments of length {model.duration} run side by side, each beginning where the one "
+            f"before it ends: {shifts}, at the same point of a step"
+        )
+        yield Block("Method of steps", (), ((text, text + r"\\"),))
+
+
+def of_the_whole(model: Model, rows: Rows) -> tuple[tuple[Symbol, Expr], ...]:
+    """What holds at the ends of the whole motion, without what joins segments."""
+    if model.segments is None:
+        return tuple(rows)
+    names = {own: (whole, number) for own, whole, number in model.segments.names}
+    ends = {"0": 1, "T": model.segments.number}
+    kept = []
+    for symbol, value in rows:
+        name, mark, end = symbol.name.rpartition("@")
+        stem = "p_" if name not in names and name.startswith("p_") else ""
+        whole, number = names.get(name.removeprefix(stem), ("", 0))
+        if number == ends.get(end):
+            kept.append((Symbol(f"{stem}{whole}{mark}{end}", real=True), value))
+    return tuple(kept)
+
 
 _SHORTEN_LIMIT = 120
 """Operation count up to which simplification is worth its time."""
@@ -141,7 +254,6 @@ def _switch(model: Model, number: int) -> Block:
 
 
 def _side(model: Model, method: str) -> Model:
-    """The model on the side of mechanics where the method works, without boundaries."""
     transform = legendre.lagrangian_form if method == "variational" else legendre.hamiltonian_form
     return transform(model.with_free_ends)
 

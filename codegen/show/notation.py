@@ -187,12 +187,10 @@ def _rows(value: Expr, width: Callable[[Expr], int], room: int) -> Iterator[Expr
 
 
 def _terms(value: Expr) -> list[Expr]:
-    """The terms of a sum, or of a product with one sum as factor, in the order in which they are printed."""
     return list(expand_mul(value, deep=False).as_ordered_terms())
 
 
 def _sign(row: Expr) -> str:
-    """The sign before a row that continues a sum; a negative first term brings its own."""
     return "  " if row.as_ordered_terms()[0].could_extract_minus_sign() else "+ "
 
 

@@ -68,7 +68,7 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
         status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(attempt))
     elif metadata.inequalities and (beyond := prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
-    elif status == "solved" and (outside := _beyond_tables(grid, unknowns)):
+    elif status == "solved" and (outside := ("" if grid.problem.inputs is None else tables_beyond(grid, unknowns))):
         status = "outside a table"
         message = (
             f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
@@ -138,11 +138,6 @@ def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArr
     distance = np.minimum(*bound_distances(module, grid, unknowns))
     held[primal] = distance <= AT_BOUND * np.maximum(1.0, np.abs(unknowns[primal]))
     return held
-
-
-def _beyond_tables(grid: Grid, unknowns: Vector) -> str:
-    """Which table is read outside its range, where that matters, or nothing."""
-    return "" if grid.problem.inputs is None else tables_beyond(grid, unknowns)
 
 
 def stored_numbers(metadata: ControlRecord, run: Run) -> int:

@@ -11,8 +11,7 @@ import numpy as np
 from codegen.errors import ArgumentError
 from codegen.interfaces import Grid, Vector, few_steps, time_grid
 from codegen.runtime.record import Task, phrase
-from codegen.solutions.derivatives import Derivatives, Sensitivities
-from codegen.solutions.result import Result
+from codegen.solutions.result import Derivatives, Result, Sensitivities
 from codegen.solutions.segments import put_together, segments_of
 
 SHARP = 1e-12

@@ -29,7 +29,10 @@ def simulate_result(
 ) -> Result:
     """Re-evaluate the residual of an attempt, and downgrade a false claim of success."""
     metadata = module.metadata
-    residual, rounding = attempt.residual, _expected_rounding(attempt)
+    # What rounding may leave of residuals of ordinary equations; those of a variational step divide by h.
+    step = attempt.t[-1] / max(attempt.steps, 1)
+    size = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
+    residual, rounding = attempt.residual, (1e3 * float(np.finfo(float).eps) * size)
     if run.every == 1 and attempt.t.size > 1:
         residual = module.path_residual(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
         if residual > max(attempt.tolerance, rounding):
@@ -68,13 +71,6 @@ def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: Sim
 def stored_numbers(metadata: Record, run: Run) -> int:
     """How many numbers are kept: the path, its positions and momenta, times and energies."""
     return (run.steps // run.every + 1) * (4 * len(metadata.coordinates) + 2)
-
-
-def _expected_rounding(attempt: SimulateAttempt) -> float:
-    """What rounding may leave of residuals of ordinary equations; those of a variational step divide by h."""
-    step = attempt.t[-1] / max(attempt.steps, 1)
-    size = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
-    return 1e3 * float(np.finfo(float).eps) * size
 
 
 def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> float:

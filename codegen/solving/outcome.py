@@ -22,21 +22,16 @@ from codegen.runtime.record import Kind, Role
 from codegen.solutions import output
 from codegen.solutions.between_nodes import excursions
 from codegen.solutions.display import Background
-from codegen.solutions.poles import poles
+from codegen.solutions.poles import poles, stages_beyond
 from codegen.solutions.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solutions.segments import put_together, segments_of
 from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
-from codegen.solutions.stages import stages_beyond
-from codegen.solving.accuracy.double_steps import discretisation_error
+from codegen.solving.accuracy.arcs import discretisation_error
 from codegen.solving.accuracy.loop import to_accuracy
-from codegen.solving.multistart import best_of
-from codegen.solving.other_observations import with_observations
-from codegen.solving.other_tables import with_tables
-from codegen.solving.other_values import with_values
-from codegen.solving.refinement import refine, transferred
+from codegen.solving.other_values import with_observations, with_tables, with_values
 from codegen.solving.request import Request
-from codegen.solving.run import run_and_verify
-from codegen.solving.warm_start import start_of
+from codegen.solving.run import refine, run_and_verify, transferred
+from codegen.solving.warm_start import best_of, start_of
 from codegen.tasks import task_of
 
 LEAST_TIME = 1e-9
@@ -223,7 +218,6 @@ _TOO_TIGHT = ("inaccurate", "stalled")
 
 
 def _looser(run: Run) -> float:
-    """A larger tolerance, unless it is as large as any."""
     return min(LARGEST_TOLERANCE, 100.0 * (run.tolerance or LARGEST_TOLERANCE))
 
 

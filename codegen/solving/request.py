@@ -188,7 +188,6 @@ def _is_of_tasks(name: str) -> bool:
 
 
 def _takers(name: str, task: Task) -> list[str]:
-    """The drivers that take an option for a task."""
     return [d.name for d in DRIVERS.values() if name in task.options or d.takes(task.name, name)]
 
 
@@ -201,12 +200,10 @@ def _meaningless(name: str, task: Task, driver: Driver) -> ArgumentError:
 
 
 def _option(name: str) -> str:
-    """The option of the command line for an argument of `codegen.solve`."""
     return "--set" if name == "arguments" else f"--{name.replace('_', '-')}"
 
 
 def _are_named(value: Any) -> bool:
-    """Whether a value maps names to something."""
     return isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
 
 

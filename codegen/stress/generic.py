@@ -15,7 +15,7 @@ from codegen.interfaces import is_connect, is_of_particles
 from codegen.loading import load
 from codegen.runtime.record import Form, Record
 from codegen.stress.cases import OUTCOMES, Case, Setup, Values
-from codegen.stress.expectations import EXPECTATIONS
+from codegen.stress.classify import EXPECTATIONS
 from codegen.stress.families.common import registered
 
 FACTORS = (1e-12, 1e-6, 1e6, 1e12)

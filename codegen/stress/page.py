@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen.drivers import DRIVERS
-from codegen.files import replacing, write_text
+from codegen.files import rendered, replacing, write_text
 from codegen.machine import versions
 from codegen.stress.cases import DEFECTS, OUTCOMES, Row
 
@@ -148,16 +148,10 @@ def _record(row: Row) -> dict[str, object]:
 
 def write_page(rows: Sequence[Row], seconds: float, path: Path) -> None:
     """One HTML file without scripts or anything from elsewhere."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), undefined=StrictUndefined, autoescape=True, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
     failed = [line(row) for row in rows if not row.passed]
-    text = environment.get_template("page.html.j2").render(
-        sections=sections(rows), columns=COLUMNS, counts=counts(rows), failed=failed, outcomes=OUTCOMES,
-        defects=DEFECTS, seconds=f"{seconds:.0f}",
+    text = rendered(
+        Path(__file__).parent / "page.html.j2", sections=sections(rows), columns=COLUMNS, counts=counts(rows),
+        failed=failed, outcomes=OUTCOMES, defects=DEFECTS, seconds=f"{seconds:.0f}",
         environment=", ".join(f"{name} {value}" for name, value in versions().items()),
     )  # fmt: skip
     write_text(path, text)

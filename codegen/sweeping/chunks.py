@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.drivers import DRIVERS
-from codegen.interfaces import GeneratedModule
+from codegen.interfaces import GeneratedModule, Matrix
 from codegen.runtime.record import Task
 from codegen.solutions.result import Run
 
@@ -115,3 +115,30 @@ def about_a_second(module: GeneratedModule, driver: str, run: Run, iterations: i
     else:
         seconds = SIMULATE_RATE * max(iterations, run.steps) * len(metadata.coordinates)
     return max(1, min(MOST, int(1.0 / (OVERHEAD + seconds * (1.0 if DRIVERS[driver].generated else SLOWER)))))
+
+
+def serpentine(shape: Sequence[int]) -> NDArray[np.intp]:
+    """The cells of a grid, counted with the last dimension varying fastest, such that neighbours follow each other.
+
+    Every other row is run through backwards, in all dimensions.
+    """
+    order = np.zeros(1, dtype=np.intp)
+    size = 1
+    for length in reversed(shape):
+        order = np.concatenate([k * size + (order if k % 2 == 0 else order[::-1]) for k in range(length)])
+        size *= length
+    return order
+
+
+def nearest_chain(points: Matrix) -> NDArray[np.intp]:
+    """Points (n, dimensions) from the first one on, each followed by the nearest of those that are left."""
+    number = len(points)
+    order = np.zeros(number, dtype=np.intp)
+    left, rest = np.arange(1, number), points[1:].copy()
+    for place in range(1, number):
+        nearest = int(np.argmin(((rest - points[order[place - 1]]) ** 2).sum(axis=1)))
+        order[place] = left[nearest]
+        # The last one takes the place of the one that is taken, so that nothing is moved.
+        left[nearest], rest[nearest] = left[-1], rest[-1]
+        left, rest = left[:-1], rest[:-1]
+    return order

@@ -196,7 +196,6 @@ def layout_of(shapes: Iterable[Shapes], steps: int | None, keep: Sequence[str] |
 
 
 def _is_one(shapes: Iterable[Shapes], name: str) -> bool:
-    """Whether an array has its rows at the same places in all modules."""
     return len({own.rows[name] for own in shapes if name in own.rows and _has(own, name)}) == 1
 
 

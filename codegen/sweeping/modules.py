@@ -106,7 +106,6 @@ def _points(request: Request, modules: Sequence[Any]) -> PointSet | None:
 
 
 def _shapes(request: Request, module: Any, points: PointSet | None) -> Shapes:
-    """The arrays of a module."""
     return shapes_of(module, request.every, request.sensitivities, 0 if points is None else len(points.start))
 
 

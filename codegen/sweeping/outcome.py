@@ -16,9 +16,8 @@ import numpy as np
 
 from codegen.author.sources import ProblemFile, ProblemObject
 from codegen.engines import connected
-from codegen.engines.tally import Tally, counted
 from codegen.engines.team import Progress, Team, Working, silent
-from codegen.engines.work import Done
+from codegen.engines.work import Done, Tally, counted
 from codegen.machine import versions
 from codegen.solutions.result import Run, component_units
 from codegen.solving.request import Request
@@ -27,14 +26,12 @@ from codegen.sweeping import store
 from codegen.sweeping.case import Attempt
 from codegen.sweeping.cases import Cases
 from codegen.sweeping.chunks import Chunks, about_a_second, blocks_of
-from codegen.sweeping.dataset import Frame, Memory, require_xarray, write_netcdf
 from codegen.sweeping.jumps import Costs, along, jumps_of
 from codegen.sweeping.layout import Layout, layout_of
 from codegen.sweeping.modules import Modules, modules_of
 from codegen.sweeping.quantities import GUESS, STEPS
 from codegen.sweeping.request import OPTIONS, SweepRequest
-from codegen.sweeping.store import Store
-from codegen.sweeping.unfinished import only_sweep, resumable
+from codegen.sweeping.store import Frame, Memory, Store, only_sweep, require_xarray, resumable, write_netcdf
 from codegen.sweeping.work import Rows, Work
 from codegen.tasks import task_of
 

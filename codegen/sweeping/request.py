@@ -9,14 +9,13 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen.engines.tally import counted
 from codegen.engines.team import team_size
+from codegen.engines.work import counted
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.solutions.output import require_folder
 from codegen.solving.request import Request
 from codegen.sweeping import cases as reading
-from codegen.sweeping.cases import Cases
-from codegen.sweeping.samples import NUMBER, require_method, samples
+from codegen.sweeping.cases import NUMBER, Cases, require_method, samples
 
 if TYPE_CHECKING:
     from codegen.interfaces import GeneratedModule

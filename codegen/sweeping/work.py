@@ -5,11 +5,15 @@ It can be pickled, and is small: an engine sends it to its workers once, and the
 
 from __future__ import annotations
 
+import hashlib
 import math
+import platform
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,23 +21,67 @@ from numpy.typing import NDArray
 
 from codegen import loading
 from codegen.drivers import DRIVERS
-from codegen.engines.tally import LOST, Tally
-from codegen.engines.work import Abandoned, Done
+from codegen.engines.machines import Target, alone, compiled_note, target, workers_folder
+from codegen.engines.work import LOST, Abandoned, Done, Tally
 from codegen.errors import ArgumentError
+from codegen.files import write_text
+from codegen.machine_code import ahead_of_time
 from codegen.solutions.result import Run
 from codegen.solutions.sensitivities import UNSOLVED
-from codegen.sweeping.case import Attempt, Variant, Varied, not_built, solve_case
+from codegen.sweeping.case import Attempt, Continuation, Start, Variant, Varied, not_built, solve_case
 from codegen.sweeping.cases import Cases, rows_of
-from codegen.sweeping.chunks import Chunks, Piece
-from codegen.sweeping.continuation import Continuation, Start
-from codegen.sweeping.improving import Neighbours, improved, is_better
-from codegen.sweeping.jumps import Grid, along_dimensions
+from codegen.sweeping.chunks import Chunks, Piece, nearest_chain, serpentine
+from codegen.sweeping.jumps import Grid, Neighbours, along_dimensions, improved, is_better, scattered
 from codegen.sweeping.layout import JUMPS, RATE, Layout, Shapes, free_label
-from codegen.sweeping.order import nearest_chain, serpentine
-from codegen.sweeping.quantities import GUESS, Quantity, as_argument
-from codegen.sweeping.rates import CaseRates, Wanted
-from codegen.sweeping.scattered import scattered
-from codegen.sweeping.texts import Texts, texts_of
+from codegen.sweeping.quantities import GUESS, CaseRates, Quantity, Wanted, as_argument
+
+
+@dataclass(frozen=True, eq=False)
+class Texts:
+    """The texts of modules by their variants, and the machine that they come from."""
+
+    texts: dict[tuple[str, ...], str]
+    origin: Target
+
+    def placed(
+        self, variants: Mapping[tuple[str, ...], Variant], driver: str
+    ) -> tuple[dict[tuple[str, ...], Variant], tuple[str, ...]]:
+        """The variants where this machine has their modules, compiled for it, and what is to be said of it."""
+        here, notes, found = target(), [], dict(variants)
+        for key, text in self.texts.items():
+            variant = variants[key]
+            assert variant.path is not None, "what has a text has a name"
+            path = variant.path if self._is_here(variant.path, text, here) else _place(variant.path.name, text, here)
+            if _compiled(path, text, driver):
+                notes.append(compiled_note(path.stem, here, self.origin, "the sweep"))
+            found[key] = replace(variant, path=path)
+        return found, tuple(notes)
+
+    def _is_here(self, path: Path, text: str, here: Target) -> bool:
+        """Whether the module is there in the same place, and its machine code, if there is some, fits."""
+        try:
+            return here == self.origin and path.read_text(encoding="utf-8") == text
+        except (OSError, UnicodeDecodeError):
+            return False
+
+
+def _place(name: str, text: str, here: Target) -> Path:
+    """Where this machine keeps a module; several may share a disk."""
+    machine = f"{platform.node()}-{here.processor}-{here.features}-numba-{here.numba}-python-{here.python}"
+    return workers_folder() / machine / hashlib.sha256(text.encode()).hexdigest()[:20] / name
+
+
+def _compiled(path: Path, text: str, driver: str) -> bool:
+    """Have a module where it belongs, with its machine code; whether it was this process that had to compile it."""
+    with alone(str(path)):
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, text)
+        if not DRIVERS[driver].generated:
+            return False
+        seconds, _ = ahead_of_time.require(path, loading.load(path), False, lambda what: nullcontext())
+        return seconds > 0.0
+
 
 Rows = dict[str, NDArray[Any]]
 """Arrays by name, with a row for each case of a chunk in the order in which cases are counted."""
@@ -85,7 +133,14 @@ class Work:
             remedy = "build it, and give its path"
             raise ArgumentError("a module that is in no file cannot be sent to a cluster", remedy)
         bare = replace(self, cases=Cases((), (), {}, {}), chunks=Chunks((), ()))
-        return Parcel(bare, texts_of(self.variants), () if self.sink is None else self.sink.mark())
+        # The texts of what is in files.
+        variants = self.variants
+        texts = {
+            key: variant.path.read_text(encoding="utf-8")
+            for key, variant in variants.items()
+            if variant.path is not None and variant.shapes is not None
+        }
+        return Parcel(bare, Texts(texts, target()), () if self.sink is None else self.sink.mark())
 
     def returned(self, number: int, done: Done) -> Done:
         """Write the rows of a worker who does not see the sink."""

@@ -68,7 +68,6 @@ def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real:
 
 
 def _plain(height: Any) -> Any:
-    """A number of Python, which those with many digits know how to multiply, or an array."""
     return float(height) if np.ndim(height) == 0 else height
 
 

@@ -12,18 +12,19 @@ from codegen.transcribe.connect import PairwiseProgram
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
 from codegen.verify.control import verify_control
-from codegen.verify.couplings import verify_couplings
-from codegen.verify.execution import Text
+from codegen.verify.execution import Text, verify_tables
 from codegen.verify.particles import verify_particles
+from codegen.verify.shares import verify_couplings
 from codegen.verify.steps import verify_step
-from codegen.verify.tables import verify_tables
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
     """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
     tables = () if isinstance(program, PairwiseProgram) else tables_of(program.model)
     parts = Text(text, tables)
-    verify_tables(tables, _first_place(program), parts)
+    verify_tables(
+        tables, len(parameters(program) if isinstance(program, ControlProgram) else program.model.parameters), parts
+    )
     if isinstance(program, ControlProgram):
         verify_control(program, parts)
         verify_couplings(program, parts)
@@ -31,8 +32,3 @@ def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -
         verify_step(program, parts)
     else:
         verify_particles(program, parts)
-
-
-def _first_place(program: ControlProgram | StepProgram | PairwiseProgram) -> int:
-    """How many numbers stand before those of tables, where kernels read them."""
-    return len(parameters(program) if isinstance(program, ControlProgram) else program.model.parameters)

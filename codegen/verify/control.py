@@ -15,12 +15,10 @@ from codegen.errors import VerificationError
 from codegen.lower.control.layout import parameters
 from codegen.lower.control.phases import named_elements
 from codegen.transcribe.program import ControlProgram
-from codegen.verify.execution import Text
+from codegen.verify.execution import Tape, Text
 from codegen.verify.judgement import complex_numbers
-from codegen.verify.mixed import columns_of, mixed_shares, pattern_of
 from codegen.verify.points import GuessedPoints, Values, random_points, with_time
-from codegen.verify.shares import Share, ShareComparison
-from codegen.verify.tape import Tape
+from codegen.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
 
 _DRAWN = 30
 _ROUNDING = 1e-8
@@ -223,6 +221,5 @@ def _ends(program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPo
 
 
 def _pattern(module: Mapping[str, Any], prefix: str) -> tuple[tuple[int, int], ...]:
-    """Rows and columns of an emitted Hessian; none where there is no kernel."""
     rows, columns = (module.get(f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
     return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))

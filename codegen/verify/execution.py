@@ -1,22 +1,121 @@
-"""Generated text executed by the interpreter: parts of a module as they stand, and kernels in any arithmetic."""
+"""Generated text executed by the interpreter: parts of a module as they stand, and kernels in any arithmetic.
+
+Sympy expressions as they stand, evaluated operation by operation in any arithmetic, with equal parts only once. Nothing
+here is shared with differentiation, with the search for common parts, or with printing.
+"""
 
 from __future__ import annotations
 
 import ast
 import math
 import operator
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
 from importlib import resources
 from types import CodeType, SimpleNamespace
 from typing import Any
 
 import numpy as np
+import sympy
+from sympy import Basic, Expr, Symbol
 
+from codegen.errors import VerificationError
 from codegen.expressions.special_functions import STEMS
+from codegen.expressions.table_functions import TableBase
 from codegen.runtime.arguments import with_counts
 from codegen.tables.data import TableData
 from codegen.tables.evaluation import ORDERS, derivative
-from codegen.verify.tape import Arithmetic
+
+
+@dataclass(frozen=True)
+class Arithmetic:
+    """What a tape is evaluated with: `number` of a string of digits, `function` by the name it has in `math`."""
+
+    number: Callable[[str], Any]
+    function: Callable[[str], Callable[..., Any]]
+    power: Callable[[Any, Any], Any]
+    maximum: Callable[..., Any]
+    minimum: Callable[..., Any]
+    absolute: Callable[[Any], Any]
+    sign: Callable[[Any], Any]
+    where: Callable[[Any, Any, Any], Any]
+    real: Callable[[Any], Any]
+
+
+class Tape:
+    """The parts of some expressions, each after those that it is made of."""
+
+    def __init__(self, expressions: Sequence[Expr]) -> None:
+        self.indices: dict[Basic, int] = {}
+        self.parts: list[tuple[Basic, tuple[int, ...]]] = []
+        self.results = [self._placed(sympy.sympify(e)) for e in expressions]
+
+    def _placed(self, root: Basic) -> int:
+        waiting = [root]
+        while waiting:
+            part = waiting[-1]
+            missing = [] if part in self.indices else [a for a in part.args if a not in self.indices]
+            if missing:
+                waiting += missing
+                continue
+            waiting.pop()
+            if part not in self.indices:
+                self.indices[part] = len(self.parts)
+                self.parts.append((part, tuple(self.indices[a] for a in part.args)))
+        return self.indices[root]
+
+    def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic) -> list[Any]:
+        """The values of the expressions, given those of their symbols."""
+        known: list[Any] = []
+        for part, indices in self.parts:
+            known.append(_value(part, [known[index] for index in indices], values, arithmetic))
+        return [known[index] for index in self.results]
+
+
+def _value(part: Basic, given: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:
+    if part.is_Symbol:
+        return values[part]
+    if part.is_Rational:
+        return a.number(str(part.p)) / a.number(str(part.q)) if part.q != 1 else a.number(str(part.p))
+    if part.is_Number or isinstance(part, sympy.NumberSymbol):
+        return a.number(str(part.evalf(130)))
+    if part.is_Add:
+        return reduce(operator.add, given)
+    if part.is_Mul:
+        return reduce(operator.mul, given)
+    if part.is_Pow:
+        exponent = part.exp
+        if exponent.is_Integer:
+            return a.power(given[0], int(exponent))
+        return a.function("sqrt")(given[0]) if exponent == sympy.S.Half else a.power(*given)
+    if isinstance(part, sympy.Piecewise):
+        return reduce(lambda rest, pair: a.where(pair[1], pair[0], rest), reversed(given), a.number("nan"))
+    if isinstance(part, sympy.functions.elementary.piecewise.ExprCondPair):
+        return tuple(given)
+    if part.is_Boolean or part.is_Relational:
+        if part.is_Relational:
+            return _RELATIONS[part.rel_op](*map(a.real, given))
+        if isinstance(part, sympy.Not):
+            return given[0] == False  # noqa: E712  # arrays are negated one by one
+        if isinstance(part, (sympy.And, sympy.Or)):
+            return reduce(operator.and_ if isinstance(part, sympy.And) else operator.or_, given)
+        return bool(part)
+    if isinstance(part, TableBase):
+        return derivative(part.table, part.order, given, a.real)
+    name = type(part).__name__
+    own = {"Abs": a.absolute, "Max": a.maximum, "Min": a.minimum, "sign": a.sign}
+    if name in own:
+        return own[name](*given)
+    if name == "Heaviside":
+        return (a.sign(given[0]) + 1) / 2
+    return a.function(name)(*given)
+
+
+_RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
+    **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
+    **{"==": operator.eq, "!=": operator.ne},
+}
 
 
 class Text:
@@ -104,7 +203,6 @@ class Text:
 
 
 def _looked_up(table: TableData, a: Arithmetic) -> Callable[..., Any]:
-    """What an emitted look-up returns, of the table itself and in an arithmetic."""
     orders = ORDERS[len(table.shape.inputs)]
     return lambda parameters, *at: tuple(derivative(table, order, at, a.real) for order in orders)
 
@@ -236,3 +334,42 @@ _NUMBERS = {
     "nan": "nan",
     "inf": "inf",
 }
+
+
+_POINTS = 6
+_TOLERANCE = 1e-9
+
+
+def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
+    """Execute each look-up, whose numbers stand from `first` on; VerificationError names a derivative that is wrong."""
+    if not tables:
+        return
+    module = text.interpreted("TABLES", *(table.shape.lookup for table in tables))
+    numbers = np.concatenate([np.full(first, np.nan), *module["TABLES"].values()])
+    for table in tables:
+        orders = ORDERS[len(table.shape.sizes)]
+        for point in _points(table):
+            found = module[table.shape.lookup](numbers, *point)
+            for order, value in zip(orders, found, strict=True):
+                right = float(derivative(table, order, point, lambda x: x))
+                if not abs(value - right) <= _TOLERANCE * _size(table, order):
+                    raise VerificationError(
+                        f"the emitted code gives {value:.8g} for derivative {order} of table {table.shape.name}, where "
+                        f"{right:.8g} is right",
+                        "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                    )
+
+
+def _points(table: TableData) -> Iterator[list[float]]:
+    """Points inside the table's range, and beyond it by a tenth of that."""
+    generator = np.random.default_rng(11)
+    for _ in range(_POINTS):
+        yield [float(axis[0] + generator.uniform(-0.1, 1.1) * np.ptp(axis)) for axis in table.axes]
+
+
+def _size(table: TableData, order: Sequence[int]) -> float:
+    """How large a derivative is, by values and slopes and the widths of cells."""
+    size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
+    for axis, o in zip(table.axes, order, strict=True):
+        size /= float(np.diff(axis).min(initial=1.0)) ** o
+    return size

@@ -1,17 +1,279 @@
-"""Emitted values against exact ones: what differs by more than rounding is looked at again with many digits."""
+"""Emitted values against exact ones: what differs by more than rounding is looked at again with many digits.
+
+Functions of complex arrays that continue real ones, so that complex steps differentiate them exactly. With a tiny
+imaginary part, f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables to estimate
+derivatives of real functions, SIAM Review 40). What has branches chooses them by real parts; outside the real domain of
+a function the result is NaN, as it is in machine code.
+
+The second opinion: where values in machine numbers differ, both are computed with many digits. Kernels are executed
+with numbers that carry the size of the terms that they are made of, so that rounding of the coefficients in the text,
+which is all that may differ, is told from an error. References are differences with 400 digits of the expressions
+themselves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mpmath
 import numpy as np
+from sympy import Symbol
 
 from codegen.errors import VerificationError
-from codegen.verify import arithmetic
-from codegen.verify.multiprecision import DIGITS, TOLERANCE, Sized
-from codegen.verify.tape import Arithmetic
+from codegen.expressions.special_functions import STEMS, by_name
+from codegen.verify.execution import Arithmetic
+
+DIGITS = 400
+_INCREMENTS = ("1e-35", "1e-40")
+Exact = Callable[[Mapping[Symbol, Any]], Any]
+"""A value of numbers with many digits."""
+TOLERANCE = 1e-11
+"""Of the size of the terms that a value is made of; coefficients in a text have 17 digits."""
+
+
+class Sized:
+    """A number and the size of the terms that it is made of: the first-order bound of its rounding, without epsilon."""
+
+    __slots__ = ("size", "value")
+
+    def __init__(self, value: Any, size: Any = None) -> None:
+        self.value = mpmath.mpf(value)
+        self.size = abs(self.value) if size is None else max(size, abs(self.value))
+
+    def __add__(self, other: Any) -> Sized:
+        other = sized(other)
+        return Sized(self.value + other.value, self.size + other.size)
+
+    def __neg__(self) -> Sized:
+        return Sized(-self.value, self.size)
+
+    def __sub__(self, other: Any) -> Sized:
+        return self + -sized(other)
+
+    def __rsub__(self, other: Any) -> Sized:
+        return sized(other) + -self
+
+    def __mul__(self, other: Any) -> Sized:
+        other = sized(other)
+        return Sized(self.value * other.value, abs(self.value) * other.size + abs(other.value) * self.size)
+
+    def __truediv__(self, other: Any) -> Sized:
+        other = sized(other)
+        quotient = self.value / other.value
+        return Sized(quotient, (self.size + abs(quotient) * other.size) / abs(other.value))
+
+    def __rtruediv__(self, other: Any) -> Sized:
+        return sized(other) / self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def sized(value: Any) -> Sized:
+    """A number as one with a size."""
+    return value if isinstance(value, Sized) else Sized(value)
+
+
+def _applied(function: Any, *arguments: Any) -> Sized:
+    """A function of sized numbers; the size of the result includes its change when arguments change by their sizes."""
+    given = [sized(argument) for argument in arguments]
+    values = [argument.value for argument in given]
+    value, size, little = function(*values), mpmath.mpf(0), mpmath.mpf(10) ** -30
+    if not isinstance(value, mpmath.mpf) or not mpmath.isfinite(value):
+        raise ValueError("no real value")
+    for index, argument in enumerate(given):
+        moved = [*values[:index], argument.value + little * argument.size, *values[index + 1 :]]
+        size += abs(mpmath.re(function(*moved)) - value) / little
+    return Sized(value, abs(value) + size)
+
+
+def _real(value: Any) -> Any:
+    return value.value if isinstance(value, Sized) else value
+
+
+def _only(value: Any) -> Any:
+    if not isinstance(value, mpmath.mpf):
+        raise ValueError("no real value")
+    return value
+
+
+SIZED = Arithmetic(
+    number=Sized,
+    function=lambda name: lambda *x: _applied(by_name(name), *x),
+    power=lambda b, e: _applied(lambda base: base ** _real(e), b),
+    maximum=lambda *x: max(map(sized, x), key=_real),
+    minimum=lambda *x: min(map(sized, x), key=_real),
+    absolute=lambda x: -sized(x) if _real(x) < 0 else sized(x),
+    sign=lambda x: Sized(mpmath.sign(_real(x))),
+    where=lambda condition, one, other: one if condition else other,
+    real=_real,
+)
+EXACT = Arithmetic(
+    number=mpmath.mpf,
+    function=lambda name: lambda *x: _only(by_name(name)(*x)),
+    power=lambda b, e: _only(b**e),
+    maximum=max,
+    minimum=min,
+    absolute=abs,
+    sign=mpmath.sign,
+    where=lambda condition, one, other: one if condition else other,
+    real=lambda x: x,
+)
+
+
+def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]) -> tuple[Any, Any]:
+    """A value, or its first or second derivative by one or two symbols, at a point, and the error of it."""
+    exact = {symbol: mpmath.mpf(float(number)) for symbol, number in point.items()}
+    far, near = (_difference(value, exact, by, mpmath.mpf(increment)) for increment in _INCREMENTS)
+    # A derivative may be lost beside terms that are far larger.
+    smallest = mpmath.mpf(_INCREMENTS[1]) ** len(by)
+    return near, abs(far - near) + abs(value(exact)) * mpmath.mpf(10) ** (5 - DIGITS) / smallest
+
+
+def _difference(value: Exact, point: Mapping[Symbol, Any], by: Sequence[Symbol], increment: Any) -> Any:
+    steps = {symbol: increment * (abs(point[symbol]) or 1) for symbol in by}
+
+    def at(*moved: Symbol) -> Any:
+        values = dict(point)
+        for symbol in moved:
+            values[symbol] += steps[symbol]
+        return value(values)
+
+    if not by:
+        return at()
+    if len(by) == 1:
+        return (at(by[0]) - at()) / steps[by[0]]
+    a, b = by
+    return (at(a, b) - at(a) - at(b) + at()) / (steps[a] * steps[b])
+
+
+Array = Any
+Function = Callable[..., Array]
+
+
+def power(base: Array, exponent: Array) -> Array:
+    """The power; NaN where a negative number has an exponent that is not whole."""
+    if isinstance(exponent, int):
+        return np.asarray(base) ** exponent
+    exponent = np.asarray(exponent)
+    whole = (exponent.real == np.round(exponent.real)) & (exponent.imag == 0)
+    if whole.all() and exponent.ndim == 0:
+        return np.asarray(base) ** int(exponent.real)
+    base = np.asarray(base)
+    return np.where((base.real >= 0) | whole, _complex(base) ** exponent, np.nan)
+
+
+def maximum(*values: Array) -> Array:
+    """The value with the largest real part."""
+    return _chosen(values, lambda a, b: a.real >= b.real)
+
+
+def minimum(*values: Array) -> Array:
+    """The value with the smallest real part."""
+    return _chosen(values, lambda a, b: a.real <= b.real)
+
+
+def absolute(value: Array) -> Array:
+    """The value or its negative, whose real part is positive."""
+    return value * sign(value)
+
+
+def sign(value: Array) -> Array:
+    """The sign of the real part."""
+    return np.sign(np.asarray(value).real)
+
+
+def where(condition: Array, one: Array, other: Array) -> Array:
+    """One value where a condition holds, else the other."""
+    return np.where(condition, one, other)
+
+
+def named(name: str) -> Function:
+    """The function of one variable (atan2: two) that `math` or `mpmath` knows by a name."""
+    if name in _INSIDE:
+        function, inside = _INSIDE[name]
+        return lambda x: np.where(inside(np.asarray(x).real), function(_complex(x)), np.nan)
+    if name in _ENTIRE:
+        return lambda x: _ENTIRE[name](_complex(x))
+    return _arctangent if name == "atan2" else _by_digits(by_name(name))
+
+
+def _extended(number: Any) -> Any:
+    """A number of mpmath with the digits of an extended one; beyond its range it is zero or infinite."""
+    size = abs(number)
+    if size < _SMALLEST or not size < 1 / _SMALLEST:
+        return np.longdouble(0) if size < 1 else np.longdouble(mpmath.sign(number)) * np.inf
+    return np.longdouble(mpmath.nstr(number, 25))
+
+
+_SMALLEST = mpmath.mpf(10) ** -4900
+CONTINUED: dict[str, Function] = {
+    **{name: (lambda x, name=name: named(name)(x)) for name in ("erf", "erfc", "gamma")},
+    "gammaln": lambda x: named("lgamma")(x),
+    **{stem: (lambda order, x, stem=stem: named(f"{stem}_{order}")(x)) for stem in STEMS},
+}
+"""Functions for lambdify that numpy does not continue, by the names that it prints."""
+
+
+def _chosen(values: Sequence[Array], better: Callable[[Array, Array], Array]) -> Array:
+    found = np.asarray(values[0])
+    for value in map(np.asarray, values[1:]):
+        found = np.where(better(found, value), found, value)
+    return found
+
+
+def _complex(value: Array) -> Array:
+    array = np.asarray(value)
+    return array if np.iscomplexobj(array) else array.astype(np.clongdouble)
+
+
+def _arctangent(y: Array, x: Array) -> Array:
+    y, x = _complex(y), _complex(x)
+    square = x.real**2 + y.real**2
+    return np.arctan2(y.real, x.real) + 1j * ((x.real * y.imag - y.real * x.imag) / square)
+
+
+def _by_digits(function: Callable[[Any], Any]) -> Function:
+    """A function that numpy does not continue: its value and derivative with 30 digits, one number after the other."""
+
+    def continued(x: Array) -> Array:
+        values = _complex(x)
+        found = np.empty(values.shape, values.dtype)
+        known: dict[Any, tuple[Any, Any]] = {}
+        for index, value in np.ndenumerate(values):
+            if value.real not in known:
+                known[value.real] = _value_and_slope(function, value.real)
+            height, slope = known[value.real]
+            found[index] = height + 1j * (slope * value.imag)
+        return found
+
+    return continued
+
+
+def _value_and_slope(function: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
+    with mpmath.workdps(30):
+        try:
+            point = mpmath.mpf(str(at))
+            return _extended(function(point)), _extended(mpmath.diff(function, point))
+        except (TypeError, ValueError, ArithmeticError):
+            return np.nan, np.nan
+
+
+_INSIDE: dict[str, tuple[Function, Function]] = {
+    "sqrt": (np.sqrt, lambda x: x >= 0),
+    "log": (np.log, lambda x: x > 0),
+    "log1p": (np.log1p, lambda x: x > -1),
+    "asin": (np.arcsin, lambda x: abs(x) < 1),
+    "acos": (np.arccos, lambda x: abs(x) < 1),
+    "acosh": (np.arccosh, lambda x: x > 1),
+    "atanh": (np.arctanh, lambda x: abs(x) < 1),
+}
+_ENTIRE: dict[str, Function] = {
+    **{name: getattr(np, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1")},
+    "atan": np.arctan,
+    "asinh": np.arcsinh,
+}
+
 
 _RELATIVE = 1e-9
 _ROUNDING = 100.0
@@ -29,13 +291,13 @@ def complex_numbers(kind: Any) -> Arithmetic:
     real = np.longdouble if kind is np.clongdouble else np.float64
     return Arithmetic(
         number=lambda digits: real(digits),
-        function=arithmetic.named,
-        power=arithmetic.power,
-        maximum=arithmetic.maximum,
-        minimum=arithmetic.minimum,
-        absolute=arithmetic.absolute,
-        sign=arithmetic.sign,
-        where=arithmetic.where,
+        function=named,
+        power=power,
+        maximum=maximum,
+        minimum=minimum,
+        absolute=absolute,
+        sign=sign,
+        where=where,
         real=lambda value: np.asarray(value).real,
     )
 

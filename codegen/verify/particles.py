@@ -15,9 +15,8 @@ from sympy import Symbol
 from codegen.errors import VerificationError
 from codegen.model.pairwise import PairwiseModel
 from codegen.transcribe.connect import PairwiseProgram
-from codegen.verify.execution import Text
+from codegen.verify.execution import Tape, Text
 from codegen.verify.judgement import complex_numbers, step_of
-from codegen.verify.tape import Tape
 
 _PARTICLES = 3
 _SCALES = (0.6, 0.05)
@@ -105,22 +104,19 @@ class _Exact:
         length = np.longdouble(_DIFFERENCE) * abs(flat).max()
         moves = length * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
         points = (flat + moves)[:, None, :] + 1j * self.step * np.eye(size)
-        values = self._energy(points.reshape(*points.shape[:2], *state.shape), own, parameters)
+        states = points.reshape(*points.shape[:2], *state.shape)
+        model = self.model
+        common: dict[Symbol, Any] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
+        values = np.zeros(states.shape[:2], np.clongdouble)
+        for i in range(_PARTICLES):
+            here = common | self._symbols(model.first, states, own, i)
+            values = values + self.alone.evaluate(here, self.numbers)[0]
+            for j in range(i):
+                both = here | self._symbols(model.second, states, own, j)
+                values = values + self.both.evaluate(both, self.numbers)[0]
         slopes = values.imag / self.step
         hessian = (slopes[1 : size + 1] - slopes[size + 1 :]) / (2 * length)
         return values[0, 0].real, slopes[0].reshape(state.shape), hessian
-
-    def _energy(self, states: Array, own: Array, parameters: Array) -> Array:
-        model = self.model
-        common: dict[Symbol, Any] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
-        total = np.zeros(states.shape[:2], np.clongdouble)
-        for i in range(_PARTICLES):
-            here = common | self._symbols(model.first, states, own, i)
-            total = total + self.alone.evaluate(here, self.numbers)[0]
-            for j in range(i):
-                both = here | self._symbols(model.second, states, own, j)
-                total = total + self.both.evaluate(both, self.numbers)[0]
-        return total
 
     def _symbols(self, symbols: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
         moving = [states[:, :, part, particle, k] for part in range(2) for k in range(states.shape[-1])]

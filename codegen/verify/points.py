@@ -13,8 +13,8 @@ import numpy as np
 from sympy import Symbol
 
 from codegen.discretise import LENGTHS, STEP
+from codegen.verify.execution import Arithmetic
 from codegen.verify.judgement import complex_numbers
-from codegen.verify.tape import Arithmetic
 
 
 class Evaluated(Protocol):

@@ -6,19 +6,20 @@ emitted gradient, which by then is known to be right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
 import numpy as np
-from sympy import Expr, Symbol
+from sympy import Expr, S, Symbol
 
-from codegen.verify.execution import Text
-from codegen.verify.judgement import complex_numbers, judge, step_of
-from codegen.verify.multiprecision import EXACT, SIZED, Sized, difference, sized
-from codegen.verify.points import Values, finite_points
-from codegen.verify.tape import Tape
+from codegen.derive.mixed import data_of
+from codegen.lower.control.layout import parameters
+from codegen.transcribe.program import ControlProgram, Coupling
+from codegen.verify.execution import Tape, Text
+from codegen.verify.judgement import EXACT, SIZED, Sized, complex_numbers, difference, judge, sized, step_of
+from codegen.verify.points import Values, finite_points, random_points
 
 Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
 """Calls a kernel with values of symbols and a list to fill."""
@@ -130,3 +131,178 @@ class ShareComparison:
             return reduce(Sized.__add__, entries, Sized(0))
         value: Any = filled[by[0]] if order else returned
         return sized(value)
+
+
+Columns = dict[int, Symbol]
+"""Data by the index of the column in which kernels write derivatives by them."""
+
+
+def columns_of(program: ControlProgram, begins_at: int = 0) -> Columns:
+    """Data of intervals that begin at the inner time of this number, or at none (-1)."""
+    inner, data = program.inner, data_of(program)
+    first, count = len(data) - len(inner.symbols), len(inner.times)
+    columns = {i: datum for i, datum in enumerate(data[:first]) if datum not in inner.parameters}
+    if begins_at >= 0:  # numbers of the node stand among the parameters
+        numbers = inner.parameters[count + begins_at :: count] if count else ()
+        columns |= {first + i: number for i, number in enumerate(numbers)}
+    return columns
+
+
+def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], columns: Columns) -> list[Share]:
+    """Two shares in place of one: its slopes by data, and the mixed derivatives of its gradient by unknowns and data.
+
+    `kernel` fills both, the latter by a `pattern` of unknowns and columns. What is not among the share's indices is
+    pinned, and counts as data.
+    """
+    data = [datum for datum in columns.values() if datum not in share.unknowns]
+    unknowns = (*share.unknowns, *data)
+    indices = {column: unknowns.index(datum) for column, datum in columns.items()}
+    pairs = tuple(pattern)
+    width = 1 + max((*columns, *(column for _, column in pairs)))
+
+    def call_slopes(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        slopes: list[Any] = [0] * width
+        mixed: list[Any] = [0] * len(pairs)
+        share.call_gradient(lambda *given: called(*given[:-1], slopes, mixed), values, [])
+        for column, index in indices.items():
+            filled[index] = slopes[column] + filled[index]
+        return 0
+
+    def call_mixed(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        slopes: list[Any] = [0] * width
+        share.call_gradient(lambda *given: called(*given[:-1], slopes, given[-1]), values, filled)
+
+    of_slopes = replace(
+        share, beside=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
+        hessian=kernel, call_gradient=call_slopes,
+    )  # fmt: skip
+    every = tuple((row, index) for row in share.indices for index in indices.values() if index not in share.indices)
+    of_mixed = replace(
+        share, unknowns=unknowns, pattern=tuple((row, indices[column]) for row, column in pairs if column in indices),
+        pairs=every, hessian=kernel, call_hessian=_picked(call_mixed, [column in indices for _, column in pairs]),
+    )  # fmt: skip
+    return [of_slopes, of_mixed]
+
+
+def _picked(call: Callable[..., Any], is_wanted: list[bool]) -> Callable[..., Any]:
+    """A call that fills only what is wanted."""
+
+    def called(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        every: list[Any] = [0] * len(is_wanted)
+        call(kernel, values, every)
+        filled[:] = [value for value, wanted in zip(every, is_wanted, strict=True) if wanted]
+
+    return called
+
+
+def pattern_of(text: Text, prefix: str = "") -> tuple[tuple[int, int], ...]:
+    """Unknowns and columns of the mixed derivatives of intervals, or of an end."""
+    names = f"{prefix}MIXED_ROWS", f"{prefix}MIXED_COLUMNS"
+    module = text.interpreted(*names)
+    return tuple((int(row), int(column)) for row, column in zip(*(module[name] for name in names), strict=True))
+
+
+_DRAWN = 30
+_TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_INDICES")
+_KERNEL, _MIXED = "coupling_term", "coupling_mixed"
+
+
+def verify_couplings(program: ControlProgram, text: Text) -> None:
+    """Compare every condition between bodies with the terms that the tables name; VerificationError names an entry."""
+    if not program.couplings:
+        return
+    module = text.interpreted(*_TABLES)
+    terms = list(zip(*(module[table].tolist() for table in _TABLES), strict=True))
+    for number, coupling in enumerate(program.couplings):
+        own = [(kind, indices[:count]) for kind, row, count, indices in terms if row == number]
+        share = _share(program, coupling, own)
+        symbols = list(dict.fromkeys([*share.unknowns, *parameters(program)]))
+        points = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
+        for compared in (share, *(_by_data(program, share, own) if text.defines(_MIXED) else ())):
+            ShareComparison(compared, text, [points]).verify()
+
+
+def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, Sequence[int]]]) -> tuple[Share, Share]:
+    """The share with slopes by data in place of those by unknowns, and with mixed derivatives by both."""
+    every, others, size = shared_symbols(program), parameters(program), len(share.unknowns)
+    data = {column: s for column, s in columns_of(program, -1).items() if s in others}
+    places = dict(zip(data, range(size, size + len(data)), strict=True))
+    pattern = tuple((row, place) for row in range(size) for place in places.values())
+    entry = {pair: i for i, pair in enumerate(pattern)}
+
+    def call(kernel: Any, values: Mapping[Symbol, Any], slopes: list[Any], mixed: list[Any]) -> int:
+        for kind, indices in terms:
+            by_data, by_both = dict[int, Any](), dict[tuple[int, int], Any]()
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, beside, by_data, by_both)
+            for column, value in by_data.items():
+                slopes[places[column]] = value + slopes[places[column]]
+            for (a, column), value in by_both.items():
+                i = entry[share.unknowns.index(every[indices[a]]), places[column]]
+                mixed[i] = value + mixed[i]
+        return 0
+
+    common = replace(share, unknowns=(*share.unknowns, *data.values()), hessian=_MIXED)
+    return (
+        replace(
+            common, beside=S.Zero, indices=tuple(places.values()), pattern=(), pairs=(), gradient=_MIXED,
+            call_gradient=lambda kernel, values, filled: call(kernel, values, filled, [0] * len(pattern)),
+        ),
+        replace(
+            common, pattern=pattern, pairs=pattern,
+            call_hessian=lambda kernel, values, filled: call(kernel, values, [0] * (size + len(data)), filled),
+        ),
+    )  # fmt: skip
+
+
+def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
+    """A condition as a scalar of the shared unknowns that it reads, or that its terms read."""
+    every, others = shared_symbols(program), parameters(program)
+    named = {index for _, indices in terms for index in indices}
+    read = [index for index, symbol in enumerate(every) if index in named or coupling.expression.has(symbol)]
+    local, size = {index: i for i, index in enumerate(read)}, len(read)
+    pattern = tuple((row, column) for row in range(size) for column in range(row + 1))
+    entry = {pair: i for i, pair in enumerate(pattern)}
+
+    def call_gradient(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        total: Any = 0
+        for kind, indices in terms:
+            slopes = [0] * len(indices)
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            total = kernel(kind, inputs, beside, slopes, [0] * len(indices) ** 2) + total
+            for index, slope in zip(indices, slopes, strict=True):
+                filled[local[index]] = slope + filled[local[index]]
+        return total
+
+    def call_hessian(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        for kind, indices in terms:
+            curvatures = [0] * len(indices) ** 2
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, beside, [0] * len(indices), curvatures)
+            for a, row in enumerate(indices):
+                for b, column in enumerate(indices):
+                    if local[column] <= local[row]:
+                        i = entry[local[row], local[column]]
+                        filled[i] = curvatures[a * len(indices) + b] + filled[i]
+
+    return Share(
+        name=f"the condition {coupling.multiplier.meaning.of}",
+        scalar=coupling.expression,
+        beside=coupling.expression,
+        unknowns=tuple(every[index] for index in read),
+        indices=tuple(range(size)),
+        pattern=pattern,
+        gradient=_KERNEL,
+        hessian=_KERNEL,
+        call_gradient=call_gradient,
+        call_hessian=call_hessian,
+        returned="the value of",
+    )
+
+
+def shared_symbols(program: ControlProgram) -> list[Symbol]:
+    """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
+    symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.bodies * program.own)]
+    for symbol, body, j in program.coupling_symbols:
+        symbols[body * program.own + j] = symbol
+    return [*symbols, *program.shared_symbols[program.own :]]

@@ -10,11 +10,9 @@ from sympy import Expr, Symbol
 
 from codegen.expressions.checks import rounded_at
 from codegen.transcribe.step_program import StepProgram
-from codegen.verify.execution import Text
-from codegen.verify.judgement import complex_numbers, judge, step_of
-from codegen.verify.multiprecision import EXACT, SIZED, Sized, difference, sized
+from codegen.verify.execution import Arithmetic, Tape, Text
+from codegen.verify.judgement import EXACT, SIZED, Sized, complex_numbers, difference, judge, sized, step_of
 from codegen.verify.points import Values, finite_points, random_points
-from codegen.verify.tape import Arithmetic, Tape
 
 _DRAWN = 30
 Assignment = tuple[Symbol, Expr]
@@ -175,5 +173,4 @@ class _Kernels:
 
 
 def _columns(values: Sequence[Any], count: int) -> Any:
-    """Values of entries, each for all points or one for all, as an array (points, entries)."""
     return np.stack([np.broadcast_to(np.asarray(value).real, count) for value in values], axis=1)

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from references import ROOT
 from speed import ratio, read_speed
 
-from codegen.plots.picture import Picture
-from codegen.plots.purposes import using
+from codegen.plots.picture import Picture, using
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 
 MEASURED = ROOT / "docs" / "measured"

@@ -13,9 +13,13 @@ import sympy
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from codegen.analysis.exact_optimum import ExactOptimum, exact_optimum
-from codegen.analysis.maximum_principle import necessary_conditions
-from codegen.analysis.reference_optimum import Reference, reference_optimum
+from codegen.analysis.maximum_principle import (
+    ExactOptimum,
+    Reference,
+    exact_optimum,
+    necessary_conditions,
+    reference_optimum,
+)
 from codegen.author.problem import Control
 from codegen.author.symbols import (
     canonical_pair,

@@ -15,19 +15,11 @@ from simulation_systems import SYSTEMS, model_of
 from sympy import Rational, S, cos, sin
 from textbook_steps import TEXTBOOK, textbook_step
 
-from codegen import (
-    Control,
-    Simulate,
-    canonical_pair,
-    control,
-    coordinate,
-    schemes,
-)
+from codegen import Control, Simulate, canonical_pair, control, coordinate, schemes
 from codegen.analysis import modified_equations as subject
 from codegen.analysis.flow_series import flow_series
 from codegen.analysis.modified_equations import modified_equations
-from codegen.checks.derivation.one_step import generic_model
-from codegen.checks.derivation.symplecticity import generic_model_without_forces
+from codegen.checks.derivation.one_step import generic_model, generic_model_without_forces
 from codegen.errors import ExpressionError
 from codegen.model import Boundary, normalise
 from codegen.model.from_file import load_problem

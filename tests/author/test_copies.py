@@ -22,7 +22,7 @@ from codegen import (
     time,
     together,
 )
-from codegen.author.copies import has_path_couplings
+from codegen.author.bodies import has_path_couplings
 from codegen.drawing import Circle
 from codegen.errors import CodegenError
 from codegen.model import normalise

@@ -9,7 +9,7 @@ from conftest import PROBLEMS
 from codegen.author.points import read_points
 from codegen.cli import main
 from codegen.errors import PointsError
-from codegen.solutions.intersecting_paths import intersecting_paths
+from codegen.solutions.connect import intersecting_paths
 
 HEAD = "x0,y0,x1,y1\n"
 

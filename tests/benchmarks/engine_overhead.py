@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from control_speed import machine
 
 from codegen.engines import engine_for
-from codegen.engines.tally import Tally
-from codegen.engines.work import Done
+from codegen.engines.work import Done, Tally
 
 CHUNK = 1.0
 """Seconds of a chunk, as a sweep sizes them."""

@@ -31,8 +31,7 @@ from published_references import PUBLISHED
 from codegen.compiler import build
 from codegen.interfaces import time_grid
 from codegen.solutions.control import held_at_bounds
-from codegen.solutions.estimates import estimates_of
-from codegen.solutions.fit import Fit
+from codegen.solutions.estimates import Fit, estimates_of
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 NAMES = ("gas_oil", "methanol", "predator_prey")

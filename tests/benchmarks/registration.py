@@ -34,7 +34,7 @@ from skimage.transform import warp as skimage_warp
 from codegen.author.points import PointSet, read_points
 from codegen.errors import RegistrationError
 from codegen.registration import LandmarkPairs, certify, register, warp_reported
-from codegen.registration.frame import coarse_grid, pixel_grid
+from codegen.registration.grid import coarse_grid, pixel_grid
 from codegen.registration.warp import sources
 
 SIDE = 128

@@ -18,7 +18,7 @@ from noisy_landmarks import noisy_pairs
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration import LandmarkPairs, certify, register
-from codegen.registration.frame import coarse_grid
+from codegen.registration.grid import coarse_grid
 
 
 def folded_by_differences(found: Any, side: int, count: int = 257) -> tuple[int, float]:

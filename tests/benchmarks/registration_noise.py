@@ -35,8 +35,8 @@ from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 
 from codegen.registration import LandmarkPairs, certify, find_outliers, register
 from codegen.registration.certificate import certify_with_positions
-from codegen.registration.frame import coarse_grid
-from codegen.registration.likelihood import likely_sigma
+from codegen.registration.grid import coarse_grid
+from codegen.registration.noise import likely_sigma
 from codegen.registration.warp import sources
 
 SHAPE = (SIDE, SIDE)

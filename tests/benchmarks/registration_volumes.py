@@ -44,10 +44,8 @@ from codegen.errors import CodegenError
 from codegen.registration import LandmarkPairs, certify, register
 from codegen.registration.certificate import in_provable_steps
 from codegen.registration.grid import Grid
-from codegen.registration.volumes.blocks import warped
-from codegen.registration.volumes.fields import write_field
-from codegen.registration.volumes.files import Volume
-from codegen.registration.volumes.nodes import Nodes
+from codegen.registration.volumes.files import Volume, write_field
+from codegen.registration.volumes.warp import Nodes, warped
 
 
 def measured(function: Map, pairs: LandmarkPairs, truth: Map | None, points: Points, pixel: float) -> list[float]:

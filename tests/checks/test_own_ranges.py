@@ -9,7 +9,7 @@ from sympy import exp, log
 import codegen
 from codegen import Control, control, states
 from codegen.checks import evaluation
-from codegen.checks.own_ranges import own_ranges, range_of
+from codegen.checks.evaluation import own_ranges, range_of
 from codegen.model import normalise
 
 r, v = states("r v")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mpmath
 import pytest
 
-from codegen.checks.module.agreement import Agreement
-from codegen.checks.module.coupling_kernels import check_couplings
+from codegen.checks.evaluation import Agreement
+from codegen.checks.module.derivatives import check_couplings
 
 
 def agreement(emitted, exact):

@@ -8,10 +8,8 @@ import pytest
 import sympy
 
 from codegen import checks, schemes
-from codegen.checks.derivation.area_preservation import area_factor
-from codegen.checks.derivation.consistency import first_difference
-from codegen.checks.derivation.midpoint_equivalence import residuals
-from codegen.checks.derivation.noether import momentum_change
+from codegen.checks.derivation.consistency import first_difference, residuals
+from codegen.checks.derivation.one_step import area_factor, momentum_change
 
 ALL = [pytest.param(s, id=f"{method}-{s.name}") for method, table in schemes.METHODS.items() for s in table.values()]
 
@@ -92,15 +90,15 @@ def test_momentum_of_a_coordinate_that_is_not_cyclic_changes(prepared):
 
 
 def test_noether_fails_where_a_scheme_breaks_the_symmetry(prepared, monkeypatch):
-    from codegen.checks.derivation import noether
+    from codegen.checks.derivation import one_step
 
-    genuine = noether.variational_interval
+    genuine = one_step.variational_interval
 
     def broken(*given):
         interval = genuine(*given)
         return replace(interval, lagrangian=interval.lagrangian + interval.q.left[1] ** 2)
 
-    monkeypatch.setattr(noether, "variational_interval", broken)
+    monkeypatch.setattr(one_step, "variational_interval", broken)
     (finding,) = checks.apply("discrete Noether", prepared("orbital_transfer"))
     assert not finding.passed
     assert "phi_k" in finding.detail

@@ -10,7 +10,7 @@ from conftest import PROBLEMS
 from failed_checks import failures
 
 from codegen import checks
-from codegen.checks.solution.second_order import is_determined
+from codegen.checks.solution.optimum import is_determined
 
 
 def with_solution(context, **changes):

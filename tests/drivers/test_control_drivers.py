@@ -12,10 +12,9 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from codegen import drivers, solving
-from codegen.drivers import quiet
+from codegen.drivers import shared
 from codegen.drivers.newton import control as newton
-from codegen.drivers.quiet import quiet_single_thread
-from codegen.drivers.scaled import ScaledProblem
+from codegen.drivers.shared import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError, NumericsError
 from codegen.runtime.search.nlp import NonlinearProgram
 from codegen.solutions.control import control_result
@@ -196,7 +195,7 @@ def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(mon
             yield
             threads[0] = before
 
-    monkeypatch.setattr(quiet, "_libraries", Libraries)
+    monkeypatch.setattr(shared, "_libraries", Libraries)
     filters = list(warnings.filters)
     first, second = quiet_single_thread(), quiet_single_thread()
     first.__enter__()

@@ -8,7 +8,7 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.compiler import build
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread
 from codegen.loading import load
 
 PAGE = PROBLEMS.parent / "docs" / "guide" / "optimisers.md"

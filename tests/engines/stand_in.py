@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codegen.engines.tally import LOST, Tally
-from codegen.engines.work import Done
+from codegen.engines.work import LOST, Done, Tally
 
 
 @dataclass(frozen=True)

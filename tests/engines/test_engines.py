@@ -6,7 +6,7 @@ import pytest
 from stand_in import StandIn
 
 from codegen.engines import ENGINES, engine_for
-from codegen.engines.tally import LOST
+from codegen.engines.work import LOST
 
 pytest.importorskip("distributed")
 

@@ -13,7 +13,7 @@ from stand_in import StandIn
 
 from codegen.engines import engine_for
 from codegen.engines.processes import TRIES
-from codegen.engines.tally import LOST
+from codegen.engines.work import LOST
 
 
 def solved(work, workers, numbers):

@@ -12,7 +12,7 @@ from sympy import cos
 
 import codegen
 from codegen import Control, Simulate, coordinates, parameters, states
-from codegen.horizons.plants import plant_of
+from codegen.horizons.motion import plant_of
 
 H = HORIZON / STEPS
 

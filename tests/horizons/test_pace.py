@@ -8,9 +8,8 @@ from horizon_problems import STEPS, exactly, regulator
 
 import codegen
 from codegen.horizons import judgement
-from codegen.horizons.judgement import BestIterate
-from codegen.horizons.pace import MOST, Expectation, Pace
-from codegen.runtime.search import cascade, descent
+from codegen.horizons.judgement import MOST, BestIterate, Expectation, Pace
+from codegen.runtime.search import descent
 from codegen.runtime.search.iterates import search_on
 from codegen.runtime.search.point import evaluate
 
@@ -24,13 +23,14 @@ class Clock:
     def __init__(self, monkeypatch):
         self.now, self.slowness, self._generator = 0.0, 1.0, np.random.default_rng(5)
         monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
-        for module in (cascade, judgement):
-            monkeypatch.setattr(module, "evaluate", self.timed(evaluate))
+        monkeypatch.setattr(judgement, "evaluate", self.timed(evaluate))
         own = descent.descend
 
         def descend(*given):
             integers = next(array for array in given if getattr(array, "dtype", None) == np.int64)
             before = integers[descent.ITERATIONS]
+            if integers[descent.STAGE] != descent.GO_ON:  # a search begins with an evaluation
+                self.passes(EVALUATION)
             status = own(*given)
             for _ in range(integers[descent.ITERATIONS] - before):
                 self.passes(ITERATION)

@@ -199,7 +199,7 @@ def test_a_frame_has_a_row_for_each_node(solution):
 @pytest.mark.parametrize(("method", "library"), [("to_dataset", "xarray"), ("to_frame", "pandas")])
 def test_a_missing_library_is_named_with_its_extra(monkeypatch, solution, method, library):
     real = importlib.util.find_spec
-    monkeypatch.setattr("codegen.solutions.datasets.find_spec", lambda name: None if name == library else real(name))
+    monkeypatch.setattr("codegen.solutions.display.find_spec", lambda name: None if name == library else real(name))
     with pytest.raises(ExtraError, match=rf"needs {library}, which is not installed; pip install .*\[sweep\]"):
         getattr(solution, method)()
 

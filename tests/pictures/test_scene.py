@@ -11,19 +11,12 @@ from conftest import PROBLEMS
 from drawn_oscillator import oscillator
 from sympy import cos, pi, sin
 
-from codegen import (
-    Control,
-    body_number,
-    control,
-    coordinates,
-    free_parameter,
-    time,
-)
+from codegen import Control, body_number, control, coordinates, free_parameter, time
 from codegen.author.symbols import recorded_declarations
 from codegen.drawing import Arrow, Circle, Mass, Rod, Trail
 from codegen.model import Model, normalise
 from codegen.model.from_file import load_problem
-from codegen.pictures.scene import fine_times, scene
+from codegen.pictures import fine_times, scene
 from codegen.solutions.result import Result
 
 DRAWN = (

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from codegen.cli import main, pictures
 from codegen.drawing import Mass, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.plots import animation as animate
+from codegen.plots import shapes
 from codegen.solving.outcome import outcome_of
 from codegen.solving.request import Request
 
@@ -36,7 +36,7 @@ BARE = SWING.replace("drawing=[Rod((0, 0), bob), Mass(bob, 0.1)],", "").replace(
 
 def short(frames: int = 4) -> Scene:
     """A scene of few frames: a disc that moves along a line."""
-    t = np.linspace(0.0, 1.0, animate.FINE * (frames - 1) + 1)
+    t = np.linspace(0.0, 1.0, shapes.FINE * (frames - 1) + 1)
     x = t[None, :]
     return Scene(t, (Trail((x, 0 * x)), Mass((x, 0 * x), 0.1 + 0 * x)))
 
@@ -54,15 +54,15 @@ def gif(path):
 class TestTimes:
     @pytest.mark.parametrize(("duration", "seconds"), [(0.01, 2), (1, 2), (2.5, 2.5), (8, 8), (10000, 8)])
     def test_as_long_as_the_motion_within_limits(self, duration, seconds):
-        times = animate.scene_times(np.array([0.0, 0.3 * duration, duration]))
+        times = shapes.scene_times(np.array([0.0, 0.3 * duration, duration]))
         assert (times[0], times[-1]) == (0.0, duration)
-        assert len(times[:: animate.FINE]) == round(animate.RATE * seconds) + 1
+        assert len(times[:: shapes.FINE]) == round(shapes.RATE * seconds) + 1
         np.testing.assert_allclose(np.diff(times), times[1], rtol=1e-9)
 
 
 class TestGif:
     def test_frames(self, tmp_path):
-        animate.save(short(), "A disc moves.", tmp_path / "a.gif")
+        shapes.save(short(), "A disc moves.", tmp_path / "a.gif")
         frames, durations = gif(tmp_path / "a.gif")
         assert len(frames) == 4
         assert durations == [40, 40, 40, 1000]
@@ -78,21 +78,21 @@ class TestGif:
             blue = (frame[:, :, 2].astype(int) - frame[:, :, 0]) > 150
             return np.nonzero(blue)[1].max()
 
-        places = [middle(frame) for frame in animate.frames(short(), "A disc moves.")]
+        places = [middle(frame) for frame in shapes.frames(short(), "A disc moves.")]
         assert places == sorted(places)
         assert places[-1] - places[0] > 300
 
     def test_all_items_and_several_bodies(self):
         scene = picture(20)
         fine = Scene(scene.t, scene.items)
-        frames = list(animate.frames(fine, "Everything."))
-        assert len(frames) == len(scene.t[:: animate.FINE])
+        frames = list(shapes.frames(fine, "Everything."))
+        assert len(frames) == len(scene.t[:: shapes.FINE])
         assert frames[0].dtype == np.uint8
 
     def test_motion_without_numbers(self, tmp_path):
-        t = np.linspace(0.0, 1.0, animate.FINE + 1)
+        t = np.linspace(0.0, 1.0, shapes.FINE + 1)
         x = np.full((1, t.size), np.nan)
-        animate.save(Scene(t, (Trail((x, x)), Mass((x, x), x))), "Lost.", tmp_path / "a.gif")
+        shapes.save(Scene(t, (Trail((x, x)), Mass((x, x), x))), "Lost.", tmp_path / "a.gif")
         assert len(gif(tmp_path / "a.gif")[0]) == 2
 
     def test_progress_sees_every_frame(self, tmp_path):
@@ -103,14 +103,14 @@ class TestGif:
                 seen.append(count)
                 yield frame
 
-        animate.save(short(3), "A disc moves.", tmp_path / "a.gif", progress)
+        shapes.save(short(3), "A disc moves.", tmp_path / "a.gif", progress)
         assert seen == [3, 3, 3]
 
     @pytest.mark.parametrize("size", [(1.0, 0.001), (0.001, 1.0), (1.0, 1.0)])
     def test_shapes_of_scenes(self, size):
-        t = np.linspace(0.0, 1.0, animate.FINE + 1)
+        t = np.linspace(0.0, 1.0, shapes.FINE + 1)
         x, y = size[0] * t[None, :], size[1] * t[None, :]
-        frame = next(animate.frames(Scene(t, (Trail((x, y)),)), "Very " * 40))
+        frame = next(shapes.frames(Scene(t, (Trail((x, y)),)), "Very " * 40))
         assert max(frame.shape) <= 900
         assert min(frame.shape[:2]) >= 250
 
@@ -133,7 +133,7 @@ def encoder(tmp_path, monkeypatch):
 class TestMp4:
     def test_what_the_encoder_is_told(self, tmp_path, encoder):
         encoder("open(sys.argv[-1], 'w').write(' '.join(sys.argv[1:-1]) + f' {len(sys.stdin.buffer.read())}')")
-        animate.save(short(), "A disc moves.", tmp_path / "a.mp4")
+        shapes.save(short(), "A disc moves.", tmp_path / "a.mp4")
         words = (tmp_path / "a.mp4").read_text().split()
         width, height = map(int, words[words.index("-s") + 1].split("x"))
         assert width % 2 == height % 2 == 0
@@ -145,17 +145,17 @@ class TestMp4:
     def test_an_encoder_that_fails(self, tmp_path, encoder, reads):
         encoder(f"{reads}print('no codec', file=sys.stderr); sys.exit(3)")
         with pytest.raises(ArgumentError, match=r"ffmpeg could not write the film \(no codec\)"):
-            animate.save(short(), "A disc moves.", tmp_path / "a.mp4")
+            shapes.save(short(), "A disc moves.", tmp_path / "a.mp4")
 
     def test_an_encoder_without_a_word(self, tmp_path, encoder):
         encoder("sys.exit(4)")
         with pytest.raises(ArgumentError, match="exit status 4"):
-            animate.save(short(), "A disc moves.", tmp_path / "a.mp4")
+            shapes.save(short(), "A disc moves.", tmp_path / "a.mp4")
 
     def test_no_encoder(self, tmp_path, monkeypatch):
         monkeypatch.setenv("PATH", str(tmp_path))
         with pytest.raises(ArgumentError, match=r"needs the program ffmpeg.*\.gif"):
-            animate.save(short(), "A disc moves.", tmp_path / "a.mp4")
+            shapes.save(short(), "A disc moves.", tmp_path / "a.mp4")
         with pytest.raises(ArgumentError, match=r"--animate .*a.mp4 needs the program ffmpeg.*\.gif"):
             pictures.requested(Request(tmp_path / "none.py"), None, tmp_path / "a.mp4")
 

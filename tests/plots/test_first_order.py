@@ -7,7 +7,7 @@ import pytest
 import xarray
 
 from codegen.plots import sweep_figure
-from codegen.plots.first_order import NORMAL_90, prediction
+from codegen.plots.fans import NORMAL_90, prediction
 
 NUMBER = 4000
 SLOPES = {"m": 2.0, "k": -3.0}

@@ -8,7 +8,7 @@ import xarray
 
 from codegen.errors import ArgumentError
 from codegen.plots import pareto_figure, save_sweep
-from codegen.plots.objectives import Objective, is_dominated, objectives_of, require_objectives, values_of
+from codegen.plots.pareto import Objective, is_dominated, objectives_of, require_objectives, values_of
 from codegen.plots.style import CRIMSON
 
 ATTRIBUTES = {"title": "A test.", "formulation": "variational", "scheme": "midpoint", "steps": 4}

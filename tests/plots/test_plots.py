@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from codegen import plots, solving
 from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.plots import panels, purposes, style, words
-from codegen.plots.picture import Picture
+from codegen.plots import panels, style
+from codegen.plots.picture import STYLE, Picture, using, words_of
 from codegen.plots.quantities import Inequality, Quantity
 
 
@@ -144,7 +144,7 @@ class TestControlFigure:
 def test_nothing_overlaps(states, controls, bodies, form, conditions, height):
     module, result = invented(states, controls, bodies, form, conditions)
     drawn = picture(bodies, height) if height is not None else None
-    with matplotlib.rc_context(purposes.STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = plots.control_figure(module, result, plots.Drawings(drawn, drawn) if drawn else None, "nondimensional")
         assert overlaps(figure) == []
     assert figure.get_figheight() < 30.0
@@ -188,7 +188,7 @@ class TestSimulation:
         result = solving.solve(interpreted("pendulum"), steps=50)
         bob = np.sin(result.q.T), -np.cos(result.q.T)
         scene = Scene(result.t, (Trail(bob), Mass(bob, 0.1 + 0 * bob[0])))
-        with matplotlib.rc_context(purposes.STYLE):
+        with matplotlib.rc_context(STYLE):
             figure = plots.simulation_figure(result, scene, "nondimensional")
             assert overlaps(figure) == []
         assert len(figure.axes) == 4
@@ -199,7 +199,7 @@ class TestSimulation:
         names = {"q": [f"x{i}" for i in range(coordinates)], "p": [f"p_x{i}" for i in range(coordinates)]}
         result = replace(invented(coordinates, 1, 1, "lagrangian")[1], energy=np.linspace(1.0, 1.1, 7), names=names)
         result = replace(result, summary={"energy_drift": 0.1})
-        with matplotlib.rc_context(purposes.STYLE):
+        with matplotlib.rc_context(STYLE):
             figure = plots.simulation_figure(result)
             assert overlaps(figure) == []
         assert figure.get_figheight() <= height
@@ -246,7 +246,7 @@ class TestStyles:
         assert figure.get_figwidth() == pytest.approx(width)
         assert result.title.rstrip(".") in " ".join(figure.get_suptitle().split("\n"))
         assert figure._suptitle.get_fontsize() == pytest.approx(letters, abs=0.1)
-        with purposes.using(name):
+        with using(name):
             assert overlaps(figure) == []
 
     def test_others_are_refused(self):
@@ -258,7 +258,7 @@ class TestStyles:
 class TestWords:
     def test_a_figure_says_what_it_shows_with_units(self, interpreted):
         result = solving.solve(interpreted("driven", DRIVEN), steps=40)
-        text = words.words_of(plots.simulation_figure(result))
+        text = words_of(plots.simulation_figure(result))
         assert text.startswith("Drive an oscillator. variational, midpoint, 40 steps. Shown: theta_1 (m) from ")
         low, high = result.q.min(), result.q.max()
         assert f"theta_1 (m) from {low:.3g} to {high:.3g}; " in text

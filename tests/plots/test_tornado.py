@@ -7,8 +7,8 @@ import pytest
 
 import codegen
 from codegen import plots
-from codegen.plots.tornado import MOST, changes, tornado
-from codegen.solutions.derivatives import Sensitivities
+from codegen.plots.control import MOST, changes, tornado
+from codegen.solutions.result import Sensitivities
 from codegen.solutions.sensitivities import quantity_values
 
 

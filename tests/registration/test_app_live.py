@@ -11,12 +11,11 @@ import pytest
 pytest.importorskip("tornado", reason="tornado is not installed")
 
 from codegen.errors import ModuleError
-from codegen.registration.app import page, preparing, solving
+from codegen.registration.app import page, solving, worker
 from codegen.registration.app.autosave import Store
-from codegen.registration.app.live import LiveWork
-from codegen.registration.app.picture import Picture
+from codegen.registration.app.live import LiveWork, Works
 from codegen.registration.app.session import Session
-from codegen.registration.app.works import Works
+from codegen.registration.app.state import Picture
 
 SHAPE = (30, 40)
 WINDOW = [0.0, 0.0, 40.0, 30.0, 40, 30]
@@ -122,11 +121,11 @@ def test_a_notebook_can_show_the_page_and_reads_the_session(solver):
 
 def test_while_the_solver_is_compiled_points_can_be_set_and_then_they_are_solved(solver, monkeypatch):
     awaited = Future()
-    monkeypatch.setattr(preparing, "prepared", lambda scheme: awaited)
+    monkeypatch.setattr(worker, "prepared", lambda scheme: awaited)
     visitor = Visitor()
     visitor.add("moving", 10.0, 12.0)
     visitor.wait(lambda: visitor.work.shown is not None and visitor.work.shown.wanted.waiting)
-    assert visitor.said("status")[-1]["doing"] == preparing.COMPILING
+    assert visitor.said("status")[-1]["doing"] == worker.COMPILING
     assert visitor.work.shown.registration is None
     with pytest.raises(Exception, match="still being compiled"):
         visitor.work.require_solver()
@@ -138,10 +137,10 @@ def test_while_the_solver_is_compiled_points_can_be_set_and_then_they_are_solved
 
 def test_a_solver_that_cannot_be_compiled_is_reported_where_it_is_needed(monkeypatch):
     with pytest.raises(ModuleError, match="no-such-scheme") as refused:
-        preparing.compile_elsewhere("no-such-scheme")
+        worker.compile_elsewhere("no-such-scheme")
     failed = Future()
     failed.set_exception(refused.value)
-    monkeypatch.setattr(preparing, "prepared", lambda scheme: failed)
+    monkeypatch.setattr(worker, "prepared", lambda scheme: failed)
     visitor = Visitor()
     visitor.add("moving", 10.0, 12.0)
     visitor.wait(lambda: any("no-such-scheme" in message["text"] for message in visitor.said("message")))

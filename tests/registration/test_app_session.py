@@ -8,7 +8,7 @@ from small_pictures import picture, two_pictures
 
 from codegen.errors import LandmarkError
 from codegen.registration import LandmarkPairs
-from codegen.registration.app.history import History
+from codegen.registration.app.session import History
 from codegen.registration.app.state import MOST_PAIRS, Settings
 
 

@@ -9,11 +9,9 @@ from small_pictures import SHAPE, two_pictures
 
 from codegen.errors import CodegenError, RegistrationError
 from codegen.registration import LandmarkPairs, certificate, chosen_alignment, register, warp
-from codegen.registration.app import exports, reading, solving
-from codegen.registration.app.picture import Picture
+from codegen.registration.app import reading, solving
 from codegen.registration.app.session import Session
-from codegen.registration.app.state import Settings, pairs_of
-from codegen.registration.app.tiles import SIDE, tile
+from codegen.registration.app.state import SIDE, Picture, Settings, pairs_of, tile
 from codegen.registration.images import read_image
 
 RNG = np.random.default_rng(5)
@@ -86,19 +84,19 @@ def test_downloads_are_what_the_core_makes(solved):
     task = solved.task()
     pairs = task.work.landmarks()
     registration = register(pairs, SHAPE, fixed_shape=(50, 70))
-    download = exports.warped_image(task)
+    download = solving.warped_image(task)
     expected = warp(solved.moving.pixels, registration, interpolation="cubic")
     np.testing.assert_array_equal(read_image(download.data).pixels, expected)
-    (landmarks,) = exports.landmarks(task, "csv")
+    (landmarks,) = solving.landmarks(task, "csv")
     again = reading.parse_landmarks([(landmarks.name, landmarks.data)])
     np.testing.assert_array_equal(again.fixed, pairs.fixed)
-    field = np.load(io.BytesIO(exports.field(task).data))
+    field = np.load(io.BytesIO(solving.field(task).data))
     assert str(field["direction"]) == "fixed to moving"
     name = next(n for n in field.files if field[n].ndim == 3)
     place = np.array([[33.0, 21.0]])
     np.testing.assert_allclose(place + field[name][21, 33], registration.map_points_inverse(place), atol=1e-9)
-    gif = Image.open(io.BytesIO(exports.animation(task, with_grid=True).data))
-    assert (gif.format, gif.size, gif.n_frames) == ("GIF", (70, 50), 2 * exports.FRAMES - 2)
+    gif = Image.open(io.BytesIO(solving.animation(task, with_grid=True).data))
+    assert (gif.format, gif.size, gif.n_frames) == ("GIF", (70, 50), 2 * solving.FRAMES - 2)
 
 
 def test_the_picture_on_the_screen_is_close_to_the_exact_one(solved):
@@ -148,7 +146,7 @@ def test_new_partners_are_where_the_registration_maps_them(solved):
 
 def test_of_a_map_that_is_not_certified_neither_image_nor_field_is_handed_out(solved, monkeypatch):
     monkeypatch.setattr(certificate, "ROUND_TRIP", 0.0)
-    for make in (exports.warped_image, exports.field):
+    for make in (solving.warped_image, solving.field):
         with pytest.raises(RegistrationError, match="come back"):
             make(solved.task())
 
@@ -158,7 +156,7 @@ def test_without_pairs_nothing_moves_and_nothing_can_be_downloaded(session):
     looks = {"tab": solving.Look(solving.whole(session.moving))}
     shown = solving.shown(solving.Wanted(task), looks, None)
     np.testing.assert_array_equal(shown.seen["tab"].image[..., :3], session.moving.pixels)
-    for make in (exports.warped_image, exports.field, exports.animation):
+    for make in (solving.warped_image, solving.field, solving.animation):
         with pytest.raises(CodegenError):
             make(session.task())
     assert pairs_of(LandmarkPairs([[0, 0]], [[1, 1]]), 7)[0].identity == 7

@@ -12,10 +12,9 @@ from codegen.engines.journal import journal_of
 from codegen.engines.work import Abandoned
 from codegen.errors import ArgumentError, FileError, ImageError
 from codegen.files import refused, replacing
-from codegen.registration.batches.lines import COLUMNS, read_summary
 from codegen.registration.batches.outcome import BatchRequest, outcome_of
 from codegen.registration.batches.pairing import Places, jobs_in_folder, jobs_in_table
-from codegen.registration.batches.work import BatchWork, Pair, Place
+from codegen.registration.batches.work import COLUMNS, BatchWork, Pair, Place, read_summary
 from codegen.registration.images import write_image
 from codegen.registration.jobs import Options, Result
 

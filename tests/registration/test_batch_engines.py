@@ -20,12 +20,11 @@ from small_batches import batch, make
 from codegen.engines import ENGINES
 from codegen.engines.journal import journal_of
 from codegen.engines.processes import TRIES
-from codegen.engines.tally import LOST
+from codegen.engines.work import LOST
 from codegen.errors import ClusterError
-from codegen.registration.batches.lines import read_summary
 from codegen.registration.batches.pairing import Places, jobs_in_folder
-from codegen.registration.batches.work import BatchWork, Pair, Place
-from codegen.registration.job import run as run_pair
+from codegen.registration.batches.work import BatchWork, Pair, Place, read_summary
+from codegen.registration.job import run_pictures as run_pair
 from codegen.registration.jobs import Options
 
 pytestmark = pytest.mark.usefixtures("solver")

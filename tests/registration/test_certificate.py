@@ -8,10 +8,8 @@ from registered_images import SHAPE
 
 from codegen.errors import LandmarkError
 from codegen.registration import LandmarkPairs, certify, choose_sigma, leave_one_out, register
-from codegen.registration.certificate import certify_with_positions
-from codegen.registration.frame import pixel_grid
-from codegen.registration.grid import Grid
-from codegen.registration.step_bounds import bound_of_steps
+from codegen.registration.certificate import bound_of_steps, certify_with_positions
+from codegen.registration.grid import Grid, pixel_grid
 
 
 def known_map(determinant, back=lambda p: p):

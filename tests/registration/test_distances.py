@@ -11,8 +11,13 @@ from typer.testing import CliRunner
 from codegen.cli import main
 from codegen.errors import LandmarkError, PointsError
 from codegen.registration import LandmarkPairs, register
-from codegen.registration.batches.distances import geodesic_distances
-from codegen.registration.specimens import Specimens, classical_scaling, read_specimens, superimposed
+from codegen.registration.batches.distances import (
+    Specimens,
+    classical_scaling,
+    geodesic_distances,
+    read_specimens,
+    superimposed,
+)
 
 pytestmark = pytest.mark.usefixtures("solver")
 

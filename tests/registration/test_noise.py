@@ -10,20 +10,19 @@ from codegen.errors import ArgumentError, LandmarkError, RegistrationError
 from codegen.registration import (
     LandmarkPairs,
     align,
-    choice,
     chosen_alignment,
     estimate_sigma,
     find_outliers,
-    likelihood,
+    linear,
+    noise,
     register,
 )
-from codegen.registration.frame import coarse_grid
-from codegen.registration.freedom import Freedom
-from codegen.registration.grid import Grid
-from codegen.registration.likelihood import likely_sigma
+from codegen.registration.grid import Grid, coarse_grid
+from codegen.registration.linear import Freedom
 from codegen.registration.maps import in_steps
 from codegen.registration.matching import Matching
-from codegen.registration.smoothing import MOST_SOLVES
+from codegen.registration.noise import likely_sigma
+from codegen.registration.register import MOST_SOLVES
 
 pytestmark = pytest.mark.usefixtures("solver")
 SHAPE = (SIDE, SIDE)
@@ -133,7 +132,7 @@ def test_few_landmarks_say_that_sigma_is_uncertain():
 def test_halves_of_many_landmarks_give_the_sigma_of_all(monkeypatch):
     pairs = noisy_pairs(300, 2.0, 1)
     whole = likely_sigma(pairs.moving, pairs.moving - pairs.fixed)
-    monkeypatch.setattr(likelihood, "BLOCK", 100)
+    monkeypatch.setattr(noise, "BLOCK", 100)
     assert likely_sigma(pairs.moving, pairs.moving - pairs.fixed).sigma == pytest.approx(whole.sigma, rel=0.05)
     assert whole.low < whole.sigma < whole.high
 
@@ -218,7 +217,7 @@ def test_some_of_many_landmarks_choose_their_alignment(monkeypatch):
     pairs = noisy_pairs(120, 1.0, 1)
     turned = LandmarkPairs(pairs.moving, pairs.fixed @ np.array([[0.6, -0.8], [0.8, 0.6]]).T)
     whole = chosen_alignment(turned, SHAPE)
-    monkeypatch.setattr(choice, "MOST", 60)
+    monkeypatch.setattr(linear, "MOST", 60)
     some = chosen_alignment(turned, SHAPE)
     assert some.kind == whole.kind
     assert some.errors != whole.errors

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from codegen.errors import LandmarkError
 from codegen.registration import Frame, LandmarkPairs
-from codegen.registration.frame import coarse_grid, corners, pixel_grid
+from codegen.registration.grid import coarse_grid, corners, pixel_grid
 
 PLACES = st.floats(-1e4, 1e4).map(lambda x: round(x, 3))
 

@@ -6,7 +6,7 @@ from noisy_landmarks import noisy_pairs
 
 from codegen.errors import RegistrationError
 from codegen.registration import LandmarkPairs, register
-from codegen.registration.partners import partners, said_of_partners
+from codegen.registration.matching import partners, said_of_partners
 
 SHAPE = (512, 512)
 

@@ -9,9 +9,8 @@ from typer.testing import CliRunner
 
 from codegen.cli import main
 from codegen.registration import LandmarkPairs, certify, displacement_field, register, warp
-from codegen.registration.app.exports import field
 from codegen.registration.app.reading import session_of
-from codegen.registration.app.solving import Wanted, certified, estimated_sigma, found
+from codegen.registration.app.solving import Wanted, certified, estimated_sigma, field, found
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.images.spacing import Spacing
 from codegen.registration.leave_one_out import leave_one_out

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration import LandmarkPairs, register
-from codegen.registration.frame import coarse_grid
+from codegen.registration.grid import coarse_grid
 from codegen.registration.matching import Matching
 
 pytestmark = pytest.mark.usefixtures("solver")

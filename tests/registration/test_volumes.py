@@ -9,7 +9,7 @@ from volume_samples import FIXED, MOVING, OBLIQUE, asked, filled, pairs_of, refu
 from codegen.registration import LandmarkPairs, register
 from codegen.registration.grid import Grid
 from codegen.registration.volumes.files import read_volume, write_volume
-from codegen.registration.volumes.nodes import Nodes
+from codegen.registration.volumes.warp import Nodes
 
 itk = pytest.importorskip("SimpleITK")
 tifffile = pytest.importorskip("tifffile")
@@ -149,7 +149,7 @@ def test_stacks_of_tiff_have_the_spacing_of_imagej(files):
 def test_memory_is_used_in_slabs_and_the_result_does_not_depend_on_them(files, monkeypatch):
     run(*asked(files, "--field", files / "a.mha", "--json"))
     whole, field = read_volume(files / "out.nii.gz").samples, itk.GetArrayFromImage(itk.ReadImage(str(files / "a.mha")))
-    monkeypatch.setattr("codegen.registration.volumes.blocks.PORTION", 3 * 28 * 27)
+    monkeypatch.setattr("codegen.registration.volumes.warp.BLOCKS_PORTION", 3 * 28 * 27)
     run(*asked(files, "--field", files / "a.mha", "--json"))
     np.testing.assert_array_equal(read_volume(files / "out.nii.gz").samples, whole)
     # The flow works on blocks of points, which are others; rounding is all that may differ.

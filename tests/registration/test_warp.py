@@ -8,16 +8,9 @@ import pytest
 from registered_images import SHAPE
 
 from codegen.errors import ArgumentError, ExtraError, FileError, ImageError
-from codegen.registration import (
-    LandmarkPairs,
-    displacement_field,
-    register,
-    warp,
-    warp_reported,
-    write_field,
-)
-from codegen.registration.coarse import map_grid
-from codegen.registration.frame import pixel_grid
+from codegen.registration import LandmarkPairs, displacement_field, register, warp, warp_reported, write_field
+from codegen.registration.grid import pixel_grid
+from codegen.registration.warp import map_grid
 
 TYPES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 

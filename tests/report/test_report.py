@@ -12,11 +12,11 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.cli import main
-from codegen.report import section, settings, study
-from codegen.report.measure import jumps, smoothness
-from codegen.report.sections import effort as sections_effort
+from codegen.report import page, settings, study
+from codegen.report.measure import landmark_motion
+from codegen.report.sections import questions
 from codegen.report.store import Case, Store
-from codegen.solutions.intersecting_paths import intersecting_paths
+from codegen.solutions.connect import intersecting_paths
 
 
 @pytest.fixture
@@ -67,25 +67,25 @@ def test_random_landmarks_are_those_that_are_documented(count):
 
 
 def test_nodal_momenta_have_the_null_space_of_alternating_ones():
-    matrix = jumps.unknowns("nodes", 2, 4).matrix
+    matrix = landmark_motion.unknowns("nodes", 2, 4).matrix
     assert matrix.shape[1] - np.linalg.matrix_rank(matrix) == 2
     alternating = np.concatenate([np.zeros(6), np.repeat((-1.0) ** np.arange(5), 2)])
     np.testing.assert_array_equal(matrix @ alternating, 0.0)
 
 
 def test_cell_areas_of_a_shear_and_of_a_fold():
-    places = smoothness.grid()
+    places = landmark_motion.grid()
     spacing = places[1, 0, 0] - places[0, 0, 0]
     sheared = places + 0.3 * places[..., 1:] * np.array([1.0, 0.0])
-    np.testing.assert_allclose(smoothness.cell_areas(sheared), spacing**2)
-    np.testing.assert_allclose(smoothness.cell_areas(places * [-1.0, 1.0]), -(spacing**2))
+    np.testing.assert_allclose(landmark_motion.cell_areas(sheared), spacing**2)
+    np.testing.assert_allclose(landmark_motion.cell_areas(places * [-1.0, 1.0]), -(spacing**2))
 
 
 @pytest.mark.parametrize(
     ("value", "text"), [(0.0, "0"), (1234.5, "1234"), (0.01234, "0.0123"), (2.24e-14, "2.24·10⁻¹⁴"), (None, "–")]
 )
 def test_numbers_in_sentences(value, text):
-    assert section.number(value) == text
+    assert page.number(value) == text
 
 
 INVENTED = {
@@ -135,7 +135,7 @@ def test_sentences_claim_what_was_measured(tmp_path):
     for size, claim in ((1e-9, "vanishes up to"), (0.1, "does NOT vanish")):
         store = Store(tmp_path / f"{size}.jsonl")
         store.measured(Case("weak solution", "nc 3", lambda size=size: {"largest defect": size, "largest rate": 1.0}))
-        assert claim in sections_effort._ansatz(store).texts[0]
+        assert claim in questions._ansatz(store).texts[0]
 
 
 def test_a_problem_that_is_absent_has_no_report(tmp_path, capsys):

@@ -12,11 +12,17 @@ from codegen import solving
 from codegen.compiler import generate
 from codegen.naming import Choices
 from codegen.report.building import Variant
-from codegen.report.measure.control_orders import convergence_of
 from codegen.report.measure.drift import answer, drift_values, symplecticity_defect, trend_of
-from codegen.report.measure.limits import fitted_limit, limit_of
-from codegen.report.measure.meshes import all_grids, sequence, switching
-from codegen.report.measure.optima import orders_of, references_of
+from codegen.report.measure.optima import (
+    all_grids,
+    convergence_of,
+    fitted_limit,
+    limit_of,
+    orders_of,
+    references_of,
+    sequence,
+    switching,
+)
 from codegen.report.measure.orders import fitted_order, verdict
 from codegen.report.store import Case, Store
 

@@ -17,16 +17,15 @@ from made_records import control_record
 from codegen import solving
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.report import building, gallery, records, selection
+from codegen.report import building, gallery, kinds, records, thesis
 from codegen.report.building import Variant, Workshop
-from codegen.report.compare import regressions
-from codegen.report.extent import Extent
 from codegen.report.measure.orders import is_exhausted, measured_order, verdict
-from codegen.report.measure.reference_motion import conserved, reference_motion
+from codegen.report.measure.simulations import conserved, reference_motion
+from codegen.report.records import regressions
 from codegen.report.sections import control as sections_control
 from codegen.report.sections import simulation as sections_simulation
+from codegen.report.settings import Extent
 from codegen.report.store import Case, Store
-from codegen.report.thesis import orbit as thesis_orbit
 
 OSCILLATOR = '''"""Let a unit mass swing on a spring."""
 
@@ -245,13 +244,13 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
     store = Store(out / "quick.jsonl")
     orders = {
         ("oscillator", v.scheme): (v.order, sections_simulation.order_of(store, problems[1], v))
-        for v in selection.choose(problems[1], store, TINY).variants
+        for v in kinds.choose(problems[1], store, TINY).variants
     }
     assert len(orders) == 3
     for stated, order in orders.values():
         assert order is not None
         assert abs(order.value - stated) < (0.1 if stated < 6 else 0.3)
-    control = selection.choose(problems[0], store, TINY)
+    control = kinds.choose(problems[0], store, TINY)
     assert control.left
     for variant in control.variants:  # controls are constant on intervals, so that order 2 is all there is
         assert sections_control.expected_order(store, problems[0], variant) == min(variant.order, 2)
@@ -336,7 +335,7 @@ def test_a_satellite_without_thrust_comes_back():
     )
     times = np.linspace(0.0, 4.0 * np.pi * np.sqrt(radius**3 / gravity), 21)
     idle = SimpleNamespace(t=times, u=np.zeros((20, 1)))
-    found = thesis_orbit._reintegrated(module, idle, 2)
+    found = thesis._reintegrated(module, idle, 2)
     assert found["miss"] < 1e-7
     assert found["velocity miss"] < 1e-8
-    assert thesis_orbit._reintegrated(module, SimpleNamespace(t=times, u=np.full((20, 1), 0.01)), 2)["miss"] > 0.1
+    assert thesis._reintegrated(module, SimpleNamespace(t=times, u=np.full((20, 1), 0.01)), 2)["miss"] > 0.1

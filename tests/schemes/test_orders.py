@@ -16,14 +16,14 @@ import sympy
 from simulation_systems import model_of, module_of
 
 from codegen import schemes
-from codegen.checks.derivation.symplecticity import has_symplectic_table
+from codegen.checks.derivation.one_step import has_symplectic_table
 from codegen.compiler import generate
 from codegen.discretise.nodes import LENGTHS, STEP
 from codegen.drivers.fsolve import simulate as fsolve
 from codegen.errors import ArgumentError, SchemeError
 from codegen.naming import Choices
+from codegen.schemes.base import Tableau
 from codegen.schemes.particles import PARTICLE_SCHEMES
-from codegen.schemes.step import Tableau
 from codegen.solutions.result import Run
 from codegen.transcribe import transcribe
 

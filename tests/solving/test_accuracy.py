@@ -14,7 +14,7 @@ from codegen.compiler import build
 from codegen.errors import ArgumentError
 from codegen.solutions import output
 from codegen.solving.accuracy.arcs import Gap
-from codegen.solving.accuracy.grids import bisected, equal, refined
+from codegen.solving.accuracy.loop import bisected, equal, refined
 
 
 @pytest.fixture(scope="module")

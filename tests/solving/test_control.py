@@ -16,8 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import lambdify
 
-from codegen.analysis.exact_optimum import exact_optimum
-from codegen.analysis.reference_optimum import reference_optimum
+from codegen.analysis.maximum_principle import exact_optimum, reference_optimum
 from codegen.model.from_file import load_problem
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.grid import free_unknowns

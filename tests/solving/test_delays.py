@@ -12,21 +12,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from sympy import Eq, cos, sin
 
-from codegen import (
-    Control,
-    canonical_pair,
-    control,
-    controls,
-    coordinate,
-    coordinates,
-    solving,
-    state,
-    states,
-    time,
-)
+from codegen import Control, canonical_pair, control, controls, coordinate, coordinates, solving, state, states, time
 from codegen.drivers import find as find_driver
 from codegen.model import normalise
-from codegen.plots.segments import quantities
+from codegen.plots.quantities import quantities_of_segments
 from codegen.solutions.control import control_result
 from codegen.solutions.output import save
 from codegen.solutions.result import Run
@@ -201,7 +190,7 @@ def test_a_solve_is_of_the_whole_motion(interpreted: Interpreted, folder: Path):
 
 def test_figures_show_the_whole_motion(interpreted: Interpreted):
     result = result_of(interpreted("published/delayed_feedback"), 40)
-    groups = quantities(interpreted("published/delayed_feedback"), result)
+    groups = quantities_of_segments(interpreted("published/delayed_feedback"), result)
     assert {kind: [quantity.name for quantity in group] for kind, group in groups.items()} == {
         "state": ["x"], "momentum": [], "control": ["u"], "multiplier": ["mu_x"]
     }  # fmt: skip

@@ -14,7 +14,7 @@ from codegen import Control, control, free_parameter, solving, states
 from codegen.compiler import build
 from codegen.solutions import output
 from codegen.solutions.result import UNKNOWN_ERROR
-from codegen.solving.accuracy.double_steps import discretisation_error
+from codegen.solving.accuracy.arcs import discretisation_error
 
 FACTOR = 3.0
 EFFORT, PENDULUM = 12.0, 4.530760981081599
@@ -129,7 +129,7 @@ def test_the_estimate_is_shown(interpreted):
 def test_no_estimate_is_noted(interpreted, monkeypatch):
     module = interpreted("linear_pendulum")
     result = solving.solve(module, steps=10)
-    monkeypatch.setattr("codegen.solving.accuracy.double_steps._carried_on", lambda *_: None)
+    monkeypatch.setattr("codegen.solving.accuracy.arcs._carried_on", lambda *_: None)
     assert discretisation_error(module, result, lambda *_: None) is None
     monkeypatch.setattr("codegen.solving.outcome.discretisation_error", lambda *_, **__: None)
     assert solving.solve(module, steps=10).notes == (UNKNOWN_ERROR,)

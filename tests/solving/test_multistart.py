@@ -11,7 +11,7 @@ from codegen import Control, control, coordinates, solving, states
 from codegen.errors import ArgumentError
 from codegen.runtime.search import solve
 from codegen.runtime.search.grid import free_unknowns
-from codegen.solving.multistart import varied
+from codegen.solving.warm_start import varied
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from codegen import (
     solving,
 )
 from codegen.plots.quantities import quantities
-from codegen.solving.refinement import transferred
+from codegen.solving.run import transferred
 
 N = 4
 

@@ -9,7 +9,7 @@ from conftest import PROBLEMS
 from codegen import solving
 from codegen.errors import ArgumentError, NumericsError
 from codegen.solutions import output
-from codegen.solving.refinement import order_of_optima, source_steps, transferred
+from codegen.solving.run import order_of_optima, source_steps, transferred
 from codegen.solving.warm_start import fitting, read_start
 
 

@@ -8,7 +8,7 @@ from conftest import PROBLEMS
 from interpreted import of_problem
 
 from codegen import Control, control, coordinates, schemes, solve, solving, states
-from codegen.solutions.stages import stages_beyond
+from codegen.solutions.poles import stages_beyond
 
 
 def bouncing(form: str) -> Control:

@@ -10,11 +10,11 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen.checks.particles import tracers
+from codegen.checks import particles
 from codegen.compiler import build
 from codegen.errors import ExpressionError, ModuleError, NumericsError
 from codegen.model.from_file import load_problem
-from codegen.registration import flow
+from codegen.registration import solver
 from codegen.schemes.particles import PARTICLE_SCHEMES
 
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
@@ -224,7 +224,7 @@ def test_modules_that_carry_nothing_say_so(interpreted):
     assert any("passive=True" in line for line in made.metadata.left_out)
     assert not hasattr(made, "carry")
     with pytest.raises(ModuleError, match="carries no points"):
-        flow.require_tracers(made)
+        solver.require_tracers(made)
 
 
 def test_unusable_points_and_times(module):
@@ -235,7 +235,7 @@ def test_unusable_points_and_times(module):
     with pytest.raises(ValueError, match=r"last is 3\.5, expected a time between 0 and 3"):
         made.carry(case, stages, POINTS, 0, 3.5)
     with pytest.raises(NumericsError, match="first is -3"):
-        flow.Flow(made, case, path, stages).carry(POINTS, -1.0, 1.0)
+        solver.Flow(made, case, path, stages).carry(POINTS, -1.0, 1.0)
 
 
 def test_no_points(module):
@@ -250,9 +250,9 @@ def test_threads_change_nothing(module, monkeypatch):
     made = module("midpoint", "plate")
     case, path, stages = motion(made)
     np.testing.assert_array_equal(made.stages_of(case, path), stages)
-    alone = flow.Flow(made, case, path, stages, threads=1).carry_with_jacobian(np.tile(POINTS, (2, 1)), 1.0, 0.25)
-    monkeypatch.setattr(flow, "THREADED", 0)
-    both = flow.Flow(made, case, path, stages, threads=2).carry_with_jacobian(np.tile(POINTS, (2, 1)), 1.0, 0.25)
+    alone = solver.Flow(made, case, path, stages, threads=1).carry_with_jacobian(np.tile(POINTS, (2, 1)), 1.0, 0.25)
+    monkeypatch.setattr(solver, "THREADED", 0)
+    both = solver.Flow(made, case, path, stages, threads=2).carry_with_jacobian(np.tile(POINTS, (2, 1)), 1.0, 0.25)
     for one, other in zip(alone, both, strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -269,7 +269,7 @@ def findings(module):
     states = [0.4 * scale * generator.uniform(-1.0, 1.0, (2, 3, 2)) for scale in (1.0, 0.02)]
 
     def made_findings(**changes):
-        return list(tracers.findings(replace(model, **changes), made, states))
+        return list(particles.tracer_findings(replace(model, **changes), made, states))
 
     return made_findings
 

@@ -14,9 +14,8 @@ from codegen.naming import Choices
 from codegen.stress.classify import classify
 from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
 from codegen.stress.families.common import VERLET, oscillation
-from codegen.stress.limits import spectral_radius
 from codegen.stress.measure import measure
-from codegen.stress.systems import FORCES, frequency, plate_gradient
+from codegen.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,7 @@ from codegen.naming import Choices
 from codegen.schemes import METHODS
 from codegen.stress.families.common import MECHANICAL, SYMPLECTIC_EULER, VERLET, registered
 from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.stress.limits import GROWTH, spectral_radius, stable_limit
-from codegen.stress.linear import growth, limit, swing, turn
+from codegen.stress.systems import GROWTH, growth, limit, spectral_radius, stable_limit, swing, turn
 
 LIMITS = {
     "explicit-euler": 0.0,

@@ -16,12 +16,11 @@ from typer.testing import CliRunner
 from codegen.cli import main
 from codegen.stress import page, pool
 from codegen.stress.cases import DEFECTS, OUTCOMES, Setup
-from codegen.stress.classify import classify
-from codegen.stress.expectations import EXPECTATIONS
+from codegen.stress.classify import EXPECTATIONS, classify
 from codegen.stress.families import FAMILIES, QUICK, quick_cases
 from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
 from codegen.stress.families.common import SYMPLECTIC_EULER, VERLET, promised
-from codegen.stress.references import REFERENCES
+from codegen.stress.measure import REFERENCES
 from codegen.tasks import TASKS
 
 # ---- The registry ----

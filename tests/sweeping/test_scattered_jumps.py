@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from codegen.sweeping.improving import improved
-from codegen.sweeping.scattered import scattered
+from codegen.sweeping.jumps import improved, scattered
 
 SMOOTH = {
     "plane": lambda x: 1.0 + x @ np.arange(1.0, 1.0 + x.shape[1]),

@@ -7,10 +7,8 @@ import pytest
 from scipy import stats
 
 from codegen.errors import ArgumentError, NumericsError
-from codegen.sweeping.cases import axis_of, grid, table
-from codegen.sweeping.chunks import MOST, Chunks, blocks_of
-from codegen.sweeping.order import nearest_chain, serpentine
-from codegen.sweeping.samples import METHODS, samples
+from codegen.sweeping.cases import METHODS, axis_of, grid, samples, table
+from codegen.sweeping.chunks import MOST, Chunks, blocks_of, nearest_chain, serpentine
 
 
 class TestGrids:

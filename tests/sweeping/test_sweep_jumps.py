@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from codegen.sweeping.improving import improved
-from codegen.sweeping.jumps import Grid, jumps_of
+from codegen.sweeping.jumps import Grid, improved, jumps_of
 
 X = np.linspace(-1.0, 1.0, 41)
 SMOOTH = {

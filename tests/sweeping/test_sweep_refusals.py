@@ -10,7 +10,7 @@ from conftest import PROBLEMS
 
 import codegen
 from codegen.errors import ArgumentError, ExtraError, NumericsError
-from codegen.sweeping.samples import NUMBER
+from codegen.sweeping.cases import NUMBER
 
 LINES = {
     "nothing-varies": ("sweep O --out s.zarr", "nothing varies"),

@@ -9,15 +9,13 @@ import pytest
 
 import codegen
 from codegen.errors import ArgumentError
-from codegen.plots.objectives import is_dominated
+from codegen.plots.pareto import is_dominated
 from codegen.solutions.result import Outline
-from codegen.sweeping.case import Attempt, _unknowns
+from codegen.sweeping.case import Attempt, Start, _unknowns
 from codegen.sweeping.cases import grid
-from codegen.sweeping.continuation import Start
-from codegen.sweeping.dataset import Frame
 from codegen.sweeping.layout import Shapes, layout_of
-from codegen.sweeping.quantities import Quantity
-from codegen.sweeping.rates import CaseRates, Tangent
+from codegen.sweeping.quantities import CaseRates, Quantity, Tangent
+from codegen.sweeping.store import Frame
 
 ALL = ("t", "q", "u", "multipliers", "d_t", "d_q", "d_u", "d_multipliers")
 MISSING = "no sensitivities: "

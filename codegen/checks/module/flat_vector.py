@@ -2,17 +2,30 @@
 
 For each body node 0, interval 0, node 1, ..., node N; then the shared unknowns of every body, those of the whole
 problem, and the multipliers of the conditions between bodies.
+
+Points where a problem is solved: near the guess of its module, with its boundary values and default parameters. Away
+from there an exponential atmosphere, a reaction rate or a Gaussian may be flat, and a check would be blind.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sympy import Symbol
 
+from codegen.checks.base import Context
+from codegen.checks.evaluation import Point
+from codegen.discretise import STEP
+from codegen.expressions.table_functions import numbers_of
+from codegen.lower.control.layout import parameters
+from codegen.lower.control.phases import named_elements
 from codegen.runtime.record import Meaning
 from codegen.transcribe.program import ControlProgram, IntervalElement, Unknown
+from codegen.verify.control import part_of_chain
+from codegen.verify.points import Values, with_time
 
 Indices = NDArray[np.int64]
 
@@ -156,3 +169,72 @@ class FlatVector:
         own, common = program.shared[: program.own], program.shared[program.own :]
         of_bodies = [*chain * program.bodies, *[u.meaning for u in own] * program.bodies]
         return [*of_bodies, *(u.meaning for u in common), *(c.multiplier.meaning for c in program.couplings)]
+
+
+def other_symbols(program: ControlProgram) -> list[Symbol]:
+    """What the shares of the Lagrangian depend on beside unknowns: parameters, boundary values, time and step.
+
+    Where there are inner times, numbers of the left node come before the time.
+    """
+    given = (*program.model.parameters, *(v.symbol for v in program.boundary_values))
+    return [*given, *program.inner.symbols, program.model.time, STEP]
+
+
+def kernel_stems(program: ControlProgram) -> list[str]:
+    """The names of the kernels of an interval, without `_gradient` or `_hessian`, one for each of its elements."""
+    return [stem for stem, _ in named_elements(program)]
+
+
+def pattern_of(module: Any, share: str) -> list[tuple[int, int]]:
+    """Rows and columns of the emitted Hessian of the interval, the start or the end; none where there is no kernel."""
+    prefix = f"{share.upper()}_" if share in ("start", "end") else ""
+    rows, columns = (getattr(module, f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
+    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True)]
+
+
+def parameter_vector(point: Point, program: ControlProgram) -> Any:
+    """A row of `grid.parameters`: parameters, boundary values, inner times, shared unknowns, and numbers of tables.
+
+    The interval begins at the first of the inner times.
+    """
+    given = (*program.model.parameters, *(value.symbol for value in program.boundary_values))
+    later, inner = range(1, len(program.inner.times)), list[float]()
+    if program.inner.times:
+        time, step = point[program.model.time], point[STEP]
+        inner += [time, *(time + 2.0 * i * step for i in later)]
+        inner += [value for s in program.inner.symbols for value in (point[s], *(0.0 for _ in later))]
+    shared = [point[s] for s in program.shared_symbols]
+    return np.array([*(point[s] for s in given), *inner, *shared, *numbers_of(program.model)])
+
+
+def few_steps(program: ControlProgram, steps: int) -> int:
+    """As many intervals, or, where there are inner times, one between any two of them."""
+    return len(program.inner.times) + 1 if program.inner.times else steps
+
+
+_PREFERRED = (5, 2, 10, 7, 3, 6, 1, 0)
+"""The order in which points of three places, each moved by ever more, are taken."""
+
+
+def near_interval(context: Context, program: ControlProgram, stem: str) -> list[dict[Symbol, float]]:
+    """Values of all symbols on intervals of a kind."""
+    if context.guessed is None:
+        return []
+    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+    return _points(context.guessed.on_intervals(local, parameters(program), part_of_chain(program, stem)), program)
+
+
+def near_end(context: Context, program: ControlProgram, end: str) -> list[dict[Symbol, float]]:
+    """Values of all symbols at the first or last node."""
+    if context.guessed is None:
+        return []
+    node = program.left_symbols if end == "start" else program.right_symbols
+    return _points(context.guessed.at_node(end == "end", node, parameters(program)), program)
+
+
+def _points(values: Values, program: ControlProgram) -> list[dict[Symbol, float]]:
+    named, inner = with_time(values, program.model.time), program.inner
+    for column, symbol in enumerate(inner.symbols, start=1):
+        named[symbol] = named[inner.parameters[column * len(inner.times)]]
+    count = len(next(iter(named.values())))
+    return [{s: float(array[index]) for s, array in named.items()} for index in _PREFERRED if index < count]

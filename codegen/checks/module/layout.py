@@ -6,7 +6,9 @@ interpreted, which finds what lies outside an array, and arrays start out as NaN
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,21 +17,20 @@ import sympy
 from codegen import mangling
 from codegen.checks.base import Context, Finding, not_measured
 from codegen.checks.evaluation import NoPointError, random_points
-from codegen.checks.module.flat_vector import FlatVector
-from codegen.checks.module.kernel_arguments import few_steps, kernel_stems, other_symbols, parameter_vector
-from codegen.checks.module.step_kernels import step_lengths
+from codegen.checks.module.derivatives import step_lengths
+from codegen.checks.module.flat_vector import FlatVector, few_steps, kernel_stems, other_symbols, parameter_vector
 from codegen.discretise import STEP
 from codegen.expressions.table_functions import numbers_of
 from codegen.runtime.record import Record
 from codegen.runtime.search.grid import free_unknowns
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
-from codegen.verify.couplings import shared_symbols
+from codegen.verify.shares import shared_symbols
 
 _STEPS = 2
 
 
-def check(context: Context) -> Iterator[Finding]:
+def check_layout(context: Context) -> Iterator[Finding]:
     """Compare names and sizes, then run every kernel."""
     try:
         problem = _problem(context)
@@ -100,7 +101,6 @@ def _differing_structure(module: Any, program: ControlProgram) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A number, or an array as a list."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -320,3 +320,31 @@ def _run(module: Any, name: str, inputs: Any, adds: bool = False, **outputs: tup
         if np.isnan(array).any():
             return f"kernel {name} leaves {key}{np.argwhere(np.isnan(array))[0].tolist()} without a value"
     return ""
+
+
+def compare(file: Path, module: Any, inputs: str, text: str) -> Iterator[Finding]:
+    """Compare the recorded hash of the inputs, and the text line by line, with those of a fresh derivation."""
+    recorded = module.metadata.inputs
+    same = recorded == inputs
+    detail = "the recorded hash is that of the problem file, its arguments and versions"
+    if not same:
+        detail = f"made from other inputs (recorded {str(recorded)[:12]}, now {inputs[:12]}); build it again"
+    yield Finding("provenance", "inputs", same, detail)
+    difference = first_difference(file.read_text(encoding="utf-8"), text)
+    detail = difference or "identical to a fresh derivation, byte by byte"
+    yield Finding("provenance", "text", not difference, detail)
+
+
+def first_difference(found: str, wanted: str) -> str:
+    """The first line in which two texts differ, in words; empty when they are the same."""
+    if found == wanted:
+        return ""
+    lines, others = found.splitlines(keepends=True), wanted.splitlines(keepends=True)
+    matcher = difflib.SequenceMatcher(None, lines, others, autojunk=False)
+    for tag, first, last, start, stop in matcher.get_opcodes():
+        if tag == "equal":
+            continue
+        ours = lines[first].strip() if first < last else "nothing"
+        theirs = others[start].strip() if start < stop else "nothing"
+        return f"line {first + 1} reads {ours[:120]!r}, expected {theirs[:120]!r}"
+    return "the texts differ"

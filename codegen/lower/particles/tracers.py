@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 from sympy import Expr
 
-from codegen.derive.pairwise import PairDerivatives
-from codegen.derive.tracers import TracerDerivatives, tracer_derivatives
+from codegen.derive.pairwise import PairDerivatives, TracerDerivatives, tracer_derivatives
 from codegen.lower.kernels import Line
 from codegen.lower.particles.blocks import BlockLoop, entry, packed
 from codegen.lower.particles.pair_writer import STATE, Writer, signature, views

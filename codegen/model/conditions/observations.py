@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 from sympy import Expr, sstr
 
-from codegen.author.measurements import Measurements
 from codegen.author.problem import Control
 from codegen.author.symbols import ControlInput, FreeParameter, Time
+from codegen.author.tables import Measurements
 from codegen.errors import ExpressionError, TableError
 from codegen.expressions import checks as expressions
 from codegen.lettering import in_latex

@@ -41,8 +41,8 @@ def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
     """
     _require_tornado()
     from codegen.registration.app.autosave import Store, default_folder
-    from codegen.registration.app.preparing import prepared
     from codegen.registration.app.reading import session_of
+    from codegen.registration.app.worker import prepared
     from codegen.registration.solver import DEFAULT_SCHEME
 
     Store(state or default_folder()).require_writable()

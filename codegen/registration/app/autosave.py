@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import tempfile
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +19,9 @@ from typing import Any
 
 from codegen.errors import CodegenError, ImageError
 from codegen.files import refused, replacing
-from codegen.registration.app.picture import Picture
 from codegen.registration.app.reading import picture_from
-from codegen.registration.app.state import Work, as_record, from_record
+from codegen.registration.app.state import Picture, Work, as_record, from_record
+from codegen.registration.app.worker import Deliver, Worker, saving
 
 MOST_WORKS = 50
 """The oldest works beyond these are deleted."""
@@ -85,7 +86,8 @@ class Store:
         path = self._path(token)
         if path is None:
             return saved
-        self._make()
+        with suppress(OSError):  # a folder that cannot be made is named when a file is written
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if (there := self._edition(path)) and there != saved.edition:
             finding = "another codegen app has changed this work meanwhile"
             raise OtherWriterError(finding, "both states are kept, this one under a new address")
@@ -124,10 +126,6 @@ class Store:
     def _path(self, token: str) -> Path | None:
         return self.folder / f"{token}.json" if TOKEN.fullmatch(token) else None
 
-    def _make(self) -> None:
-        with suppress(OSError):  # a folder that cannot be made is named when a file is written
-            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-
     def _keep(self, picture: Picture) -> None:
         path = self.folder / picture.digest
         if picture.source and not path.exists():
@@ -156,3 +154,63 @@ class Store:
 
 def _label(picture: Picture) -> dict[str, str]:
     return {"digest": picture.digest, "name": picture.name}
+
+
+class Keeper:
+    """Keeps a work under `token`, from the state that was read, if one was; without a store nothing is kept.
+
+    `safe` are the last edits of pages that are in what is kept, and `problem` says why the last attempt failed, if it
+    did. `told` is called after every attempt; `renamed` hears why the work has got another name.
+    """
+
+    def __init__(
+        self,
+        deliver: Deliver,
+        store: Store | None,
+        token: str,
+        read: Saved | None,
+        told: Callable[[], None],
+        renamed: Callable[[str], None],
+    ) -> None:
+        self.token = token
+        self.safe: Mapping[str, int] = dict(read.heard) if read else {}
+        self.problem: str | None = None
+        self._store, self._edition = store, read.edition if read else ""
+        self._told, self._renamed = told, renamed
+        self._worker = Worker(deliver, ("save",), saving)
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything is being saved, or could not be."""
+        return self._worker.busy or self.problem is not None
+
+    def save(self, state: Saved) -> None:
+        """Save a state soon; of several that wait only the newest."""
+        store, token = self._store, self.token
+        if store is None:
+            self.safe = state.heard
+            self._told()
+            return
+
+        def job() -> tuple[str, Saved, str]:
+            # What was written last is what this state goes on from, even where it was asked for before.
+            newest = replace(state, edition=self._edition)
+            try:
+                return token, store.save(token, newest), ""
+            except OtherWriterError as error:
+                other = new_token()
+                return other, store.save(other, newest), str(error)
+
+        self._worker.ask("save", job, self._saved, self._failed)
+
+    def _saved(self, result: tuple[str, Saved, str]) -> None:
+        token, saved, said = result
+        self._edition, self.safe, self.problem = saved.edition, saved.heard, None
+        if token != self.token:
+            self.token = token
+            self._renamed(said)
+        self._told()
+
+    def _failed(self, error: Exception) -> None:
+        self.problem = str(error) if isinstance(error, CodegenError) else type(error).__name__
+        self._told()

@@ -10,19 +10,17 @@ import json
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 from codegen.errors import CodegenError, RegistrationError
-from codegen.registration.app import messages, preparing, solving
-from codegen.registration.app.autosave import Saved, Store
-from codegen.registration.app.keeping import Keeper
-from codegen.registration.app.operations import operate
+from codegen.registration.app import messages, solving, worker
+from codegen.registration.app.autosave import TOKEN, Keeper, Saved, Store, new_token
+from codegen.registration.app.messages import Line, Tab, operate
 from codegen.registration.app.session import Session
 from codegen.registration.app.solving import Certified, Look, Shown, Wanted
 from codegen.registration.app.state import Work
-from codegen.registration.app.tabs import Line, Tab
 from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 from codegen.registration.maps import Registration
 from codegen.registration.noise import SigmaEstimate
@@ -222,7 +220,7 @@ class LiveWork:
         """Whether the solver of the present scheme is at hand, if one is needed; otherwise all is drawn when it is."""
         if not self.session.work.active:
             return True
-        solver = preparing.prepared(self.session.work.settings.scheme)
+        solver = worker.prepared(self.session.work.settings.scheme)
         if not solver.done() and self._awaited is not solver:
             self._awaited = solver
             solver.add_done_callback(lambda _: delivered(self.deliver, self._arrived))
@@ -282,7 +280,7 @@ class LiveWork:
     # --- what is said -----------------------------------------------------------------------------------------------
 
     def _tell_status(self, doing: str) -> None:
-        self.tell({"type": "status", "doing": preparing.COMPILING if self._awaited is not None else doing})
+        self.tell({"type": "status", "doing": worker.COMPILING if self._awaited is not None else doing})
 
     def _say(self, text: str, wrong: bool = True) -> None:
         if text or self.message:
@@ -323,3 +321,67 @@ def parsed(text: str | bytes) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError):
         return None
+
+
+PATIENCE = 60.0
+"""Seconds for which a work without tabs is kept in memory; a page that is loaded again takes less."""
+
+
+@dataclass
+class Works:
+    """`begun` makes the session of a new work, `later` calls a function after so many seconds."""
+
+    begun: Callable[[], Session]
+    deliver: Deliver
+    later: Callable[[float, Callable[[], None]], object]
+    store: Store | None = None
+    only: LiveWork | None = None  # that of a notebook: all tabs show it, whatever they ask for
+    open: dict[str, LiveWork] = field(default_factory=dict)
+
+    def find(self, token: str) -> LiveWork | None:
+        """The work that is open under a name."""
+        if self.only is not None:
+            return self.only
+        found = self.open.get(token)
+        if found is not None and found.token != token:
+            return None  # it has got another name since
+        return found
+
+    def get(self, token: str) -> LiveWork:
+        """The work of that name, as it is or as it was saved; a new one where there is none."""
+        found = self.find(token)
+        if found is not None:
+            return found
+        saved = self.store.load(token) if self.store is not None and TOKEN.fullmatch(token) else None
+        if saved is not None:
+            session = Session(saved.moving, saved.fixed, saved.work)
+            work = LiveWork(session, self.deliver, self.store, token, saved)
+        else:
+            # A page that comes back to a work that nobody saved keeps its name, and sends its edits again.
+            fresh = token if TOKEN.fullmatch(token) and not self._is_damaged(token) else new_token()
+            work = LiveWork(self.begun(), self.deliver, self.store, fresh)
+        work.renamed = self._enter
+        self._enter(work)
+        return work
+
+    def _enter(self, work: LiveWork) -> None:
+        self.open[work.token] = work
+
+    def _is_damaged(self, token: str) -> bool:
+        """Whether there is a file that cannot be read: nothing may be written over it."""
+        return self.store is not None and (self.store.folder / f"{token}.json").exists()
+
+    def left(self, work: LiveWork) -> None:
+        """A tab has gone; after a while nothing of its work is in memory unless another has come."""
+
+        def close() -> None:
+            if work.tabs:
+                return
+            if work.busy:
+                self.later(PATIENCE, close)
+                return
+            for token in [token for token, other in self.open.items() if other is work]:
+                del self.open[token]
+
+        if not work.tabs:
+            self.later(PATIENCE, close)

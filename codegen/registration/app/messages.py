@@ -5,21 +5,109 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Mapping
-from typing import Any, TypeAlias
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codegen.errors import LandmarkError
+from codegen.registration.alignment import KINDS
 from codegen.registration.app import solving
-from codegen.registration.app.operations import ALIGNMENTS, INTERPOLATIONS, SCHEMES
-from codegen.registration.app.picture import Picture
 from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
 from codegen.registration.app.session import Session, Task
-from codegen.registration.app.solving import Certified, Seen, Shown
-from codegen.registration.app.state import MOST_PAIRS, Pair, Work
-from codegen.registration.app.tiles import SIDE
+from codegen.registration.app.solving import Certified, Look, Seen, Shown
+from codegen.registration.app.state import MOST_PAIRS, SIDE, Pair, Picture, Place, Settings, Side, Work
 from codegen.registration.formats import FORMATS
+
+Message: TypeAlias = Mapping[str, Any]
+SCHEMES = {"rk4": "fourth order", "midpoint": "second order", "explicit-euler": "first order"}
+"""Schemes that the page offers, and what is said of them."""
+ALIGNMENTS = ("auto", *KINDS)
+INTERPOLATIONS = ("linear", "cubic", "nearest")
+_REMEDY = "load the page again"
+
+
+def operate(session: Session, message: Message) -> int | None:
+    """Do what an edit says; the identity of the pair that was added or completed by it, if one was.
+
+    LandmarkError for what is no edit, and what the session itself raises; nothing has then been changed.
+    """
+    act = _ACTS.get(str(message.get("do")))
+    if act is None:
+        raise LandmarkError(f"{str(message.get('do'))[:40]!r} is no edit", _REMEDY)
+    try:
+        return act(session, message)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise LandmarkError(f"the edit {message['do']!r} cannot be read", _REMEDY) from error
+
+
+def _add(session: Session, message: Message) -> int:
+    awaiting = message.get("awaiting")
+    pair = session.add(_side(message), _place(message["place"]), None if awaiting is None else int(awaiting))
+    return pair.identity
+
+
+def _move(session: Session, message: Message) -> None:
+    session.move(int(message["id"]), _side(message), _place(message["place"]), bool(message["settled"]))
+
+
+def _rename(session: Session, message: Message) -> None:
+    session.rename(int(message["id"]), str(message["name"]))
+
+
+def _activate(session: Session, message: Message) -> None:
+    session.activate(_identities(message), bool(message["active"]))
+
+
+def _remove(session: Session, message: Message) -> None:
+    session.remove(*_identities(message))
+
+
+def _set(session: Session, message: Message) -> None:
+    given = message["settings"]
+    settings = Settings(**{f.name: type(f.default)(given[f.name]) for f in fields(Settings)})  # type: ignore[misc]
+    known = {"align": ALIGNMENTS, "scheme": SCHEMES, "interpolation": INTERPOLATIONS}
+    for name, choices in known.items():
+        if getattr(settings, name) not in choices:
+            raise ValueError(name)
+    session.set(settings)
+
+
+def _undo(session: Session, message: Message) -> None:
+    session.undo()
+
+
+def _redo(session: Session, message: Message) -> None:
+    session.redo()
+
+
+def _settle(session: Session, message: Message) -> None:
+    session.settle()
+
+
+_ACTS: dict[str, Callable[[Session, Message], int | None]] = {
+    "add": _add, "move": _move, "rename": _rename, "activate": _activate, "remove": _remove, "set": _set,
+    "undo": _undo, "redo": _redo, "settle": _settle,
+}  # fmt: skip
+
+
+def _side(message: Message) -> Side:
+    side: Any = message["side"]
+    if side not in ("moving", "fixed"):
+        raise ValueError("side")
+    return "moving" if side == "moving" else "fixed"
+
+
+def _place(values: Any) -> Place:
+    x, y = values
+    return float(x), float(y)
+
+
+def _identities(message: Message) -> list[int]:
+    return [int(identity) for identity in list(message["ids"])[:MOST_PAIRS]]
+
 
 Values: TypeAlias = dict[str, Any]
 ENDS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
@@ -150,3 +238,37 @@ def packed(header: Mapping[str, Any], image: NDArray[np.uint8]) -> bytes:
     height, width = image.shape[:2]
     text = json.dumps({**header, "width": width, "height": height}, allow_nan=False).encode()
     return struct.pack("<I", len(text)) + text + image.tobytes()
+
+
+class Line(Protocol):
+    """The way to a browser's tab."""
+
+    def send(self, message: Mapping[str, Any] | bytes) -> None:
+        """Send values or a packed picture; whoever is gone hears nothing."""
+
+
+class Tab:
+    """One picture is on its way at a time; of those that come meanwhile only the newest is sent."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+        self.look = Look()
+        self._number = 0
+        self._busy = False
+        self._next: tuple[Seen, int] | None = None
+
+    def show(self, shown: Seen, revision: int) -> None:
+        """Send a picture, now or when the one before it has been drawn."""
+        if self._busy:
+            self._next = (shown, revision)
+            return
+        self._busy = True
+        self._number += 1
+        self.line.send(seen(shown, self._number, revision))
+
+    def drawn(self) -> None:
+        """The tab has drawn what it was sent."""
+        self._busy = False
+        if self._next is not None:
+            following, self._next = self._next, None
+            self.show(*following)

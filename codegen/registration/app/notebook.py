@@ -11,10 +11,9 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
-from codegen.registration.app.live import LiveWork
+from codegen.registration.app.live import LiveWork, Works
 from codegen.registration.app.server import HOST, listen
 from codegen.registration.app.session import Session
-from codegen.registration.app.works import Works
 
 ANCESTORS = ("'self'", "http://localhost:*", "http://127.0.0.1:*")
 """Origins of notebooks on this machine, whose pages may frame this one."""

@@ -12,32 +12,153 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPFile, parse_body_arguments
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
-from tornado.web import Application, HTTPError
+from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from codegen.errors import ArgumentError, CodegenError
-from codegen.registration.app import exports
+from codegen.registration.app import solving
 from codegen.registration.app.autosave import Store, default_folder
-from codegen.registration.app.guard import Guarded, Nothing
-from codegen.registration.app.live import LiveWork, parsed
+from codegen.registration.app.live import LiveWork, Works, parsed
 from codegen.registration.app.reading import (
     LIMITS,
     MOST_LANDMARK_BYTES,
+    Files,
     example,
     in_order,
     picture_from,
     session_of,
 )
 from codegen.registration.app.session import Session
-from codegen.registration.app.tiles import tile
-from codegen.registration.app.uploads import OVERHEAD, Upload
-from codegen.registration.app.works import Works
+from codegen.registration.app.state import tile
 from codegen.registration.formats import FORMATS, Frames, parse_landmarks
+
+HOSTS = ("localhost", "127.0.0.1", "[::1]")
+"""Names of this machine. Others may be anybody's that lead here (DNS rebinding)."""
+
+
+class Guarded(RequestHandler):
+    """A handler that refuses foreign hosts and origins before anything is read, and lets no page frame this one.
+
+    `ancestors` of the application's settings are the origins whose pages may frame it: those of a notebook.
+    """
+
+    def set_default_headers(self) -> None:
+        """What browsers enforce: no scripts, styles, images or connections but those of this server."""
+        port = self.application.settings["port"]
+        ancestors = self.application.settings["ancestors"]
+        sockets = " ".join(f"ws://{host}:{port}" for host in HOSTS[:2])
+        policy = {
+            "default-src": "'none'", "script-src": "'self'", "style-src": "'self'", "img-src": "'self' blob:",
+            "connect-src": f"'self' {sockets}", "base-uri": "'none'", "form-action": "'none'",
+            "frame-ancestors": " ".join(ancestors) or "'none'",
+        }  # fmt: skip
+        self.set_header("Content-Security-Policy", "; ".join(f"{name} {value}" for name, value in policy.items()))
+        if not ancestors:
+            self.set_header("X-Frame-Options", "DENY")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Referrer-Policy", "no-referrer")  # the name of a work stands in the address
+        self.set_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.set_header("Cache-Control", "no-store")
+        self.clear_header("Server")
+
+    def prepare(self) -> None:
+        """403 for a Host header that is not this machine's, and for an Origin that is not this server's."""
+        port = self.application.settings["port"]
+        hosts = {f"{host}:{port}" for host in HOSTS}
+        if self.request.headers.get_list("Host") not in [[host] for host in hosts]:
+            raise HTTPError(403, reason="Foreign host")
+        origin = self.request.headers.get("Origin")
+        if origin is None:
+            if self.request.method not in ("GET", "HEAD") or self._is_upgrade():
+                raise HTTPError(403, reason="No origin")
+        elif not self.is_own(origin):
+            raise HTTPError(403, reason="Foreign origin")
+
+    def is_own(self, origin: str) -> bool:
+        """Whether a page is one of this server's."""
+        parts = urlsplit(origin)
+        port = self.application.settings["port"]
+        return parts.scheme == "http" and parts.netloc in {f"{host}:{port}" for host in HOSTS}
+
+    def _is_upgrade(self) -> bool:
+        return self.request.headers.get("Upgrade", "").lower() == "websocket"
+
+    def write_error(self, status_code: int, **values: object) -> None:
+        """The reason in a line, never a traceback."""
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status_code} {self._reason}\n")
+
+
+class Nothing(Guarded):
+    """Whatever else is asked for."""
+
+    def prepare(self) -> None:
+        """404, once host and origin are right."""
+        super().prepare()
+        raise HTTPError(404)
+
+
+OVERHEAD = 1 << 16
+"""Bytes of a form beside its files."""
+MOST_AT_ONCE = 4
+"""Files that are received at a time, by all pages together."""
+MOST_FILES = 2
+_receiving: set[int] = set()
+
+
+@stream_request_body
+class Upload(Guarded):
+    """A handler whose body is a form with files of at most `most` bytes together."""
+
+    most = 0
+
+    def prepare(self) -> None:
+        """413 for a body that is too long, 411 for one of unknown length, 503 while too many others are received."""
+        super().prepare()
+        try:
+            length = int(self.request.headers["Content-Length"])
+        except (KeyError, ValueError):
+            raise HTTPError(411) from None
+        if length > self.most + OVERHEAD:
+            raise HTTPError(413)
+        if len(_receiving) >= MOST_AT_ONCE:
+            raise HTTPError(503, reason="Too many files at once, try again")
+        _receiving.add(id(self))
+        self._length = length
+        self._body = bytearray()
+
+    def data_received(self, chunk: bytes) -> None:
+        """Another part of the body."""
+        if len(self._body) + len(chunk) > self._length:
+            raise HTTPError(413)
+        self._body += chunk
+
+    def on_finish(self) -> None:
+        """Answered."""
+        _receiving.discard(id(self))
+
+    def on_connection_close(self) -> None:
+        """Broken off."""
+        _receiving.discard(id(self))
+
+    def files(self) -> Files:
+        """Names and contents; 400 where there is none."""
+        found: dict[str, list[HTTPFile]] = {}
+        arguments: dict[str, list[bytes]] = {}
+        kind = self.request.headers.get("Content-Type", "")
+        parse_body_arguments(kind, bytes(self._body), arguments, found)
+        self._body.clear()
+        received: list[Any] = [file for files in found.values() for file in files]
+        if not 0 < len(received) <= MOST_FILES:
+            raise HTTPError(400, reason="One or two files are expected")
+        return [(file.filename, file.body) for file in received]
+
 
 HOST = "localhost"
 KINDS = {
@@ -197,8 +318,8 @@ class Export(OfWork):
         if form not in FORMATS or part not in ("0", "1"):
             raise HTTPError(400)
         jobs: dict[str, Callable[[], Any]] = {
-            "image": partial(exports.warped_image, task), "field": partial(exports.field, task),
-            "landmarks": lambda: exports.landmarks(task, form), "animation": partial(exports.animation, task, grid),
+            "image": partial(solving.warped_image, task), "field": partial(solving.field, task),
+            "landmarks": lambda: solving.landmarks(task, form), "animation": partial(solving.animation, task, grid),
         }  # fmt: skip
         try:
             if kind != "landmarks":

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from codegen.errors import LandmarkError
-from codegen.registration.app.history import History
-from codegen.registration.app.picture import Picture
 from codegen.registration.app.state import (
     MOST_NAME,
     MOST_PAIRS,
     Pair,
+    Picture,
     Place,
     Settings,
     Side,
@@ -23,6 +23,64 @@ from codegen.registration.app.state import (
 )
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
+
+State = TypeVar("State")
+
+MOST = 200
+"""So many steps can be undone."""
+
+
+class History(Generic[State]):
+    """A present state with those before and after it.
+
+    Changes that carry the same `gesture` replace one another until `settle` is called: a drag is one step.
+    """
+
+    def __init__(self, present: State) -> None:
+        self.present = present
+        self._past: list[State] = []
+        self._future: list[State] = []
+        self._gesture: Hashable = None
+
+    def change(self, state: State, gesture: Hashable = None) -> None:
+        """Make a state the present one."""
+        if state == self.present:
+            return
+        if gesture is None or gesture != self._gesture:
+            self._past = [*self._past[-MOST + 1 :], self.present]
+        self._gesture = gesture
+        self._future.clear()
+        self.present = state
+
+    def settle(self) -> None:
+        """End the gesture: the next change is a step of its own."""
+        self._gesture = None
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a state before this one."""
+        return bool(self._past)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is a state that was undone."""
+        return bool(self._future)
+
+    def undo(self) -> bool:
+        """Go back one step; whether there was one."""
+        return self._go(self._past, self._future)
+
+    def redo(self) -> bool:
+        """Go forward to what was undone; whether there was anything."""
+        return self._go(self._future, self._past)
+
+    def _go(self, source: list[State], target: list[State]) -> bool:
+        self._gesture = None
+        if not source:
+            return False
+        target.append(self.present)
+        self.present = source.pop()
+        return True
 
 
 @dataclass(frozen=True)
@@ -75,7 +133,9 @@ class Session:
             self.moving = picture
         else:
             self.fixed = picture
-        self._restart(self._within())
+        sides: tuple[Side, Side] = ("moving", "fixed")
+        gone = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
+        self._restart(self.work.without(gone))
 
     def open_alone(self, picture: Picture) -> None:
         """Show one image, whose points are dragged."""
@@ -92,11 +152,6 @@ class Session:
         self._last_identity = max((pair.identity for pair in work.pairs), default=self._last_identity)
         self.registration = None
         self.revision += 1
-
-    def _within(self) -> Work:
-        sides: tuple[Side, Side] = ("moving", "fixed")
-        gone = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
-        return self.work.without(gone)
 
     # --- pairs ------------------------------------------------------------------------------------------------------
 

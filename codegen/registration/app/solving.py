@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+import io
+import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from time import sleep
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 from scipy.ndimage import map_coordinates
 
-from codegen.errors import RegistrationError
-from codegen.registration.app.picture import Picture, rgba
+from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.app.session import Task
-from codegen.registration.frame import coarse_grid
+from codegen.registration.app.state import Picture, rgba
+from codegen.registration.certificate import certify_with_positions
+from codegen.registration.fields import displacements, write_field
+from codegen.registration.formats import FORMATS, Frames, landmark_texts
+from codegen.registration.grid import coarse_grid
+from codegen.registration.images import write_image
 from codegen.registration.jobs import out_of_place
 from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.maps import FIRST_STEPS, Registration
-from codegen.registration.noise import SigmaEstimate, estimate_sigma
-from codegen.registration.outliers import Outliers, outliers_of
+from codegen.registration.noise import Outliers, SigmaEstimate, estimate_sigma, outliers_of
 from codegen.registration.pixels import in_pixels, in_squares, square_grid
 from codegen.registration.register import register
+from codegen.registration.warp import Positions, warp
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of a window, and interpolated in between."""
@@ -214,7 +222,11 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
 
     It is taken from the copy whose pixels are as far apart as the places, or a little closer.
     """
-    level = _level(picture, x, y)
+    # The copy of a picture for places that far apart.
+    apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
+    typical = [float(np.median(distances)) for distances in apart if distances.size]
+    found = int(np.log2(max(min(typical, default=1.0), 1.0)))
+    level = min(found, len(picture.levels) - 1)
     source = picture.levels[level]
     height, width = source.shape[:2]
     u, v = (x + 0.5) / 2**level - 0.5, (y + 0.5) / 2**level - 0.5
@@ -235,14 +247,6 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
         result[:] = part[np.rint(v).astype(np.intp), np.rint(u).astype(np.intp)]
     result[~inside] = 0
     return result
-
-
-def _level(picture: Picture, x: Array, y: Array) -> int:
-    """The copy of a picture for places that far apart."""
-    apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
-    typical = [float(np.median(distances)) for distances in apart if distances.size]
-    found = int(np.log2(max(min(typical, default=1.0), 1.0)))
-    return min(found, len(picture.levels) - 1)
 
 
 def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> Lines:
@@ -323,3 +327,98 @@ def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
     grids = [square_grid(picture.shape, picture.spacing) for picture in (task.moving, task.fixed)]
     given = {"pairs": in_squares(task.work.landmarks(), *grids), "shape": grids[0], "fixed_shape": grids[1]}
     return given, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}
+
+
+FRAMES, FRAME_MILLISECONDS = 21, 70
+PAPER = (255, 255, 255, 255)
+
+
+@dataclass(frozen=True)
+class Download:
+    """A file for the visitor."""
+
+    name: str
+    kind: str  # MIME type
+    data: bytes
+
+
+def registered(task: Task) -> Registration:
+    """The registration from the landmarks alone, whatever was found while dragging; LandmarkError without pairs."""
+    if not task.work.active:
+        raise LandmarkError("there are no landmarks", "add a pair, or activate one")
+    given, method = arguments(task)
+    return in_pixels(register(**given, **method))
+
+
+def certified_task(task: Task) -> tuple[Registration, Positions]:
+    """The registration, and where all pixels come from.
+
+    RegistrationError where the map folds or is not inverted well: nobody should take what it makes home.
+    """
+    registration = registered(task)
+    certificate, positions = certify_with_positions(registration)
+    if not certificate.passed:
+        raise RegistrationError(certificate.message, "look for landmarks out of place, or let them miss by some pixels")
+    return registration, positions
+
+
+def warped_image(task: Task) -> Download:
+    """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples."""
+    registration, positions = certified_task(task)
+    interpolation: Any = task.work.settings.interpolation
+    pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
+    suffix, kind = (".png", "image/png") if task.moving.kind in ("PNG", "JPEG") else (".tif", "image/tiff")
+    data = _written(suffix, lambda path: write_image(path, pixels, task.moving.profile))
+    return Download(f"{task.moving.stem}_warped{suffix}", kind, data)
+
+
+def field(task: Task) -> Download:
+    """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
+    values = displacements(certified_task(task)[1])
+    data = _written(".npz", lambda path: write_field(path, values, "fixed to moving"))
+    return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)
+
+
+def landmarks(task: Task, form: str) -> tuple[Download, ...]:
+    """The pairs in a format of FORMATS: one file, or a moving and a fixed one."""
+    frames = Frames(task.moving.shape, task.fixed.shape)
+    texts = landmark_texts(task.work.landmarks(), form, frames)
+    suffix = FORMATS[form].suffixes[0]
+    parts = ("",) if len(texts) == 1 else ("_moving", "_fixed")
+    return tuple(
+        Download(f"{task.moving.stem}_landmarks{part}{suffix}", "text/plain", text.encode())
+        for part, text in zip(parts, texts, strict=True)
+    )
+
+
+def animation(task: Task, with_grid: bool = False) -> Download:
+    """The flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
+    registration, _ = certified_task(task)
+    frames = [_painted(task, registration, time, with_grid) for time in np.linspace(0.0, 1.0, FRAMES)]
+    palette = frames[-1].quantize(255)
+    drawn = [image.quantize(255, palette=palette, dither=Image.Dither.NONE) for image in frames + frames[-2:0:-1]]
+    durations = [FRAME_MILLISECONDS] * len(drawn)
+    durations[0] = durations[FRAMES - 1] = 10 * FRAME_MILLISECONDS
+    out = io.BytesIO()
+    drawn[0].save(out, "GIF", save_all=True, append_images=drawn[1:], duration=durations, loop=0)
+    return Download(f"{task.moving.stem}_flow.gif", "image/gif", out.getvalue())
+
+
+def _painted(task: Task, registration: Registration, time: float, with_grid: bool) -> Image.Image:
+    pixels = frame(task, registration, time, whole(task.fixed))
+    picture = Image.new("RGBA", (pixels.shape[1], pixels.shape[0]), PAPER)
+    picture.alpha_composite(Image.fromarray(pixels))
+    if with_grid:
+        pen = ImageDraw.Draw(picture)
+        for x, y in zip(*grid(task.moving, registration, time), strict=True):
+            places = (np.column_stack([x, y]) + 0.5) / task.fixed.reduction - 0.5
+            pen.line([(float(a), float(b)) for a, b in places], fill=(60, 60, 60, 255))
+    return picture.convert("RGB")
+
+
+def _written(suffix: str, write: Callable[[Path], None]) -> bytes:
+    """What a function writes into a file of its own, which is gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="codegen-") as folder:
+        path = Path(folder) / f"file{suffix}"
+        write(path)
+        return path.read_bytes()

@@ -17,15 +17,24 @@ from typing import Any
 from codegen.engines import connected
 from codegen.engines import journal as journals
 from codegen.engines.journal import Journal, journal_of
-from codegen.engines.tally import LOST, SOLVED, Tally
 from codegen.engines.team import Progress, Team, Working, silent
-from codegen.engines.work import Done
+from codegen.engines.work import LOST, SOLVED, Done, Tally
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers
-from codegen.registration.any_job import dimension_of, run
-from codegen.registration.batches.lines import COLUMNS, Line, options_digest, read_summary, tally_of, write_summary
 from codegen.registration.batches.pairing import Places, make_folders
-from codegen.registration.batches.work import BatchWork, Pair, Place, Tried
+from codegen.registration.batches.work import (
+    COLUMNS,
+    BatchWork,
+    Line,
+    Pair,
+    Place,
+    Tried,
+    options_digest,
+    read_summary,
+    tally_of,
+    write_summary,
+)
+from codegen.registration.job import dimension_of, run
 from codegen.registration.jobs import Job, Options
 from codegen.registration.solver import registration_module
 
@@ -124,7 +133,6 @@ def _journal(path: Path, digest: str) -> Journal:
 
 
 def _noted(journal: Journal) -> list[Line]:
-    """The lines of a journal."""
     texts = (record for record in journal.records if set(record) == set(COLUMNS))
     return [{name: str(record[name]) for name in COLUMNS} for record in texts]
 
@@ -183,10 +191,8 @@ class _Way:
         self.journal.add(own.line for own in done.rows if own.is_new)
 
     def _solved(self) -> list[float]:
-        """Seconds of the pairs that are solved."""
         lines = (own.line for own in self.tried.values())
         return [float(line["seconds"]) for line in lines if line["status"] == SOLVED]
 
     def _of_a_second(self) -> int:
-        """How many pairs are about a second of work."""
         return max(1, min(MOST, int(1.0 / max(1e-3, max(self._solved(), default=0.1)))))

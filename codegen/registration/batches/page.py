@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import urllib.parse
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import jinja2
-
-from codegen.files import replacing
-from codegen.registration.batches.lines import Line
+from codegen.files import rendered, write_text
 from codegen.registration.batches.outcome import Batch
-from codegen.registration.record_text import number
+from codegen.registration.batches.work import Line
+from codegen.registration.pair_report import number, rows
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
 
 NAME = "index.html"
 COLUMNS = (
@@ -38,15 +41,10 @@ def write_batch_report(folder: Path, done: Batch, pages: Iterable[Path | None]) 
     """Write the page beside the pages of the pairs, which come in the order of the batch; its path."""
     path = folder / NAME
     rows = [_row(line, page) for line, page in zip(done.lines, pages, strict=True)]
-    loader = jinja2.FileSystemLoader(Path(__file__).parents[1] / "templates")
-    template = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("batch.html.j2")
+    template = Path(__file__).parents[1] / "templates/batch.html.j2"
     order = sorted(range(len(rows)), key=lambda k: _urgency(done.lines[k]))
     title = f"{len(rows)} pairs, {len(done.failed)} failed"
-    text = template.render(title=title, columns=COLUMNS, rows=[rows[k] for k in order])
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, rendered(template, title=title, columns=COLUMNS, rows=[rows[k] for k in order]))
     return path
 
 
@@ -67,3 +65,48 @@ def _row(line: Line, page: Path | None) -> Row:
     solved = line["status"] == "solved"
     href = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
     return Row(Path(line["moving"]).name, href, line["status"], "" if solved else line["message"], cells)
+
+
+def table(record: Mapping[str, Any]) -> Table:
+    """The record of one pair for people."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=box.SIMPLE_HEAD, show_header=False)
+    shown.add_column(style="cyan", no_wrap=True)
+    shown.add_column(overflow="fold")
+    style = "green" if record["status"] == "solved" else "bold red"
+    shown.add_row("image", Text(f"{record['moving']} ({record['direction']})"))
+    shown.add_row("status", Text(record["status"], style=style))
+    shown.add_row("", Text(record["message"]))
+    for name, text in rows(record):
+        shown.add_row(name, Text(text))
+    seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
+    shown.add_row("time", Text(seconds))
+    if record["status"] == "solved":
+        shown.add_row("written", Text(record["out"]))
+    return shown
+
+
+def record(done: Batch, summary: Path) -> dict[str, Any]:
+    """The JSON object of a batch."""
+    return {
+        "problem": "image_registration", "task": "warp", "pairs": len(done.lines), "unchanged": done.unchanged,
+        "failed": [_brief(line) for line in done.failed], "status": "failed" if done.failed else "solved",
+        "message": _outcome(done), "summary": str(summary),
+    }  # fmt: skip
+
+
+def _brief(line: Line) -> dict[str, str]:
+    return {name: line[name] for name in ("moving", "out", "status", "message")}
+
+
+def overview(done: Batch, summary: Path) -> str:
+    """One line about a batch."""
+    return f"{_outcome(done)}; see {summary}"
+
+
+def _outcome(done: Batch) -> str:
+    solved = len(done.lines) - len(done.failed) - done.unchanged
+    return f"{solved} pairs warped, {done.unchanged} unchanged, {len(done.failed)} failed"

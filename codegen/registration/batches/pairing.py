@@ -10,7 +10,7 @@ from typing import get_args
 
 from codegen.errors import ArgumentError, one_line
 from codegen.files import refused
-from codegen.registration.images.kinds import KINDS
+from codegen.registration.images.codecs import KINDS
 from codegen.registration.jobs import Job
 from codegen.registration.volumes.files import READ, ending, is_volume
 from codegen.registration.warp import Interpolation
@@ -50,13 +50,11 @@ class Places:
 
 
 def _stem(image: Path) -> str:
-    """The name of an image without what tells its kind, such as .nii.gz."""
     kind = ending(image, READ)
     return image.stem if kind is None else image.name[: -len(kind)]
 
 
 def _written(image: Path) -> str:
-    """What tells the kind of an image that is written for another."""
     kind = image.name[len(_stem(image)) :]
     return _HEADERS.get(kind.lower(), kind)
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 from codegen.errors import PointsError
 from codegen.files import replacing
-from codegen.registration.formats import bigwarp, elastix, fcsv, plain, slicer, tps
+from codegen.registration.formats import bigwarp, elastix, plain, slicer, tps
 from codegen.registration.formats.base import MOST_BYTES, Format, Frames, Source
 from codegen.registration.pairs import LandmarkPairs
 
 FORMATS: dict[str, Format] = {
-    form.name: form for form in (plain.FORMAT, bigwarp.FORMAT, elastix.FORMAT, tps.FORMAT, slicer.FORMAT, fcsv.FORMAT)
+    form.name: form for form in (plain.FORMAT, bigwarp.FORMAT, elastix.FORMAT, tps.FORMAT, slicer.FORMAT, slicer.FCSV)
 }
 
 __all__ = [

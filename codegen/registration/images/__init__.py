@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from codegen.errors import ImageError
 from codegen.files import replacing
-from codegen.registration.images import by_pillow, by_tifffile
-from codegen.registration.images.header import header_of
-from codegen.registration.images.kinds import KINDS, Header, readable
+from codegen.registration.images import codecs
+from codegen.registration.images.codecs import KINDS, Header, header_of, readable
 from codegen.registration.images.spacing import Spacing, spacing_of
 
 Pixels: TypeAlias = NDArray[Any]
@@ -72,7 +71,11 @@ def read_image(source: Path | str | bytes, limits: Limits | None = None, name: s
         raise ImageError(f"{name} has more than {limits.bytes} bytes", "give a smaller file")
     with readable(name):
         header = header_of(name, data)
-    _require_size(name, header, limits)
+    if header.width < 1 or header.height < 1:
+        raise ImageError(f"{name} has {header.width} x {header.height} pixels", "give an image")
+    if header.width * header.height > limits.pixels:
+        finding = f"{name} has {header.width} x {header.height} pixels, more than {limits.pixels}"
+        raise ImageError(finding, "give a smaller image")
     with readable(name):
         pixels, profile, orientation = _DECODERS[header.kind](name, data, header)
     if pixels.shape[:2] != (header.height, header.width):
@@ -96,18 +99,10 @@ def _contents(source: Path | str | bytes, limits: Limits, name: str) -> tuple[by
         raise ImageError(f"{source} cannot be read ({reason})", "give an image file") from error
 
 
-def _require_size(name: str, header: Header, limits: Limits) -> None:
-    if header.width < 1 or header.height < 1:
-        raise ImageError(f"{name} has {header.width} x {header.height} pixels", "give an image")
-    if header.width * header.height > limits.pixels:
-        finding = f"{name} has {header.width} x {header.height} pixels, more than {limits.pixels}"
-        raise ImageError(finding, "give a smaller image")
-
-
 _DECODERS: dict[str, Callable[[str, bytes, Header], tuple[Pixels, bytes | None, int]]] = {
-    "PNG": by_pillow.decode,
-    "JPEG": by_pillow.decode,
-    "TIFF": by_tifffile.decode,
+    "PNG": codecs.decode,
+    "JPEG": codecs.decode,
+    "TIFF": codecs.decode_tiff,
 }
 
 # EXIF 2.32, tag 0x0112: where the first row and the first column of the stored array are to be seen.
@@ -133,7 +128,7 @@ def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> Non
     path = Path(path)
     require_fitting(path, pixels)
     kind = require_kind(path)
-    encode = by_tifffile.encode if kind == "TIFF" else by_pillow.encode
+    encode = codecs.encode_tiff if kind == "TIFF" else codecs.encode
     with replacing(path) as temporary:
         encode(path, temporary, kind, pixels, profile)
 
@@ -143,7 +138,7 @@ def require_fitting(path: Path, pixels: Pixels) -> None:
     kind = require_kind(path)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (2, 3, 4)) or not pixels.size:
         raise ImageError(f"{path}: an array of shape {pixels.shape} is no image", "give (h, w) or (h, w, 2 to 4)")
-    check = by_tifffile.require_fitting if kind == "TIFF" else by_pillow.require_fitting
+    check = codecs.require_fitting_tiff if kind == "TIFF" else codecs.require_fitting
     check(path, kind, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 1)
 
 

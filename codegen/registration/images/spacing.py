@@ -1,6 +1,6 @@
 """How large the pixels of an image are, where its file says so: TIFF files of ImageJ, of OME and with a resolution.
 
-What NIfTI, NRRD and MetaImage say is read with their samples, in `codegen.registration.app.slices`.
+What NIfTI, NRRD and MetaImage say is read with their samples, in `codegen.registration.app.reading`.
 """
 
 from __future__ import annotations

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from codegen.plots.style import AMBER, BLUE, RED
+from codegen.plots.style import BLUE, RED
 from codegen.registration.grid import Grid, mesh
-from codegen.registration.pair_pictures import Picture
+from codegen.registration.pair_report import Picture, as_png, determinant_scale, style_bar
 from codegen.registration.pairs import PointArray
-from codegen.registration.volumes.results import VolumeResult
+from codegen.registration.volumes.warp import VolumeResult
 
 LONGEST = 240
 """Voxels of the longer side of a slice that are shown."""
@@ -108,15 +104,8 @@ def of(result: VolumeResult) -> list[Picture]:
     found.append(_grey("Warped", f"The {source} volume in the frame of the {frame} one.", planes, after, marks))
     if kept is not None:
         for title, values in (("Difference before", before), ("Difference after", after)):
-            found.append(
-                _difference(
-                    title,
-                    f"{title.split()[1].capitalize()} registration, minus {frame}, as shares of the range of grey.",
-                    planes,
-                    values,
-                    kept,
-                )
-            )
+            caption = f"{title.split()[1].capitalize()} registration, minus {frame}, as shares of the range of grey."
+            found.append(_difference(title, caption, planes, values, kept))
     return [*found, _determinants(result, planes)]
 
 
@@ -179,15 +168,11 @@ def _determinants(result: VolumeResult, planes: list[Plane]) -> Picture:
     for plane in planes:
         places, shape = plane.places(COARSE)
         images.append((registration.leaving if result.inverse else registration.arriving)(places)[1].reshape(shape))
-    positive = np.concatenate([image[image > 0.0] for image in images])
-    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
-    colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER)
+    scale = determinant_scale(np.concatenate([image.ravel() for image in images]))
 
     def paint(axes: Any, plane: Plane, image: Any) -> Any:
-        return axes.imshow(
-            np.ma.masked_less_equal(image, 0.0), extent=plane.extent, origin=_origin(plane), cmap=colours,
-            norm=LogNorm(1.0 / reach, reach), interpolation="bilinear",
-        )  # fmt: skip
+        masked = np.ma.masked_less_equal(image, 0.0)
+        return axes.imshow(masked, extent=plane.extent, origin=_origin(plane), interpolation="bilinear", **scale)
 
     caption = "Where volumes have shrunk (blue) and grown (red) towards the fixed volume."
     return _three("Map of det J", caption, planes, images, paint, "det J")
@@ -213,9 +198,5 @@ def _three(title: str, caption: str, planes: list[Plane], images: list[Any], pai
         axes.set_title(plane.name, fontsize=8)
     if bar:
         made = figure.colorbar(shown, ax=list(rows), fraction=0.045, pad=0.02, format="%.3g")
-        made.ax.minorticks_off()
-        made.ax.tick_params(labelsize=8, length=2)
-        made.set_label(bar, fontsize=9)
-    file = io.BytesIO()
-    figure.savefig(file, format="png", metadata={"Software": None})
-    return Picture(title, caption, base64.b64encode(file.getvalue()).decode("ascii"))
+        style_bar(made, bar)
+    return as_png(title, caption, figure)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
-from codegen.report.section import SUPERSCRIPTS
+from codegen.report.page import SUPERSCRIPTS
 
 _PALETTE = (
     RED, AMBER, GREEN, "#7FCDBB", BLUE, PINK, "#D6616B", SKY, "#084594", "#54278F", "#6A3D9A", DARK, "#B3A100",

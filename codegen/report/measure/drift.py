@@ -20,8 +20,8 @@ from codegen import solving
 from codegen.errors import CodegenError
 from codegen.interfaces import SimulateModule, Vector, is_simulation
 from codegen.report.building import SURVEYS, Variant, Workshop
-from codegen.report.extent import Extent
-from codegen.report.section import Section, Table, number
+from codegen.report.page import Section, Table, number
+from codegen.report.settings import Extent
 from codegen.report.store import Case, Store, Values
 
 STORED, BLOCKS = 2000, 50

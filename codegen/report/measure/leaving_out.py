@@ -12,9 +12,9 @@ import numpy as np
 
 from codegen.errors import CodegenError
 from codegen.report.building import MODULES, SURVEYS, Variant, Workshop
-from codegen.report.extent import Extent
 from codegen.report.measure.optima import MOST_STEPS, well_timed
-from codegen.report.section import Section, Table, number, seconds
+from codegen.report.page import Section, Table, number, seconds
+from codegen.report.settings import Extent
 from codegen.report.store import Case, Store, Values
 
 PARTICLES = "particles"
@@ -149,5 +149,4 @@ def _ratio(one: float | None, other: float | None) -> str:
 
 
 def _operations(made: Values) -> int:
-    """Operations of one evaluation of every kernel, after common subexpressions are shared."""
     return sum(pair[1] for pair in made["operations"].values())

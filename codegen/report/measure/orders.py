@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from codegen.report.section import number, slope
+from codegen.report.page import number, slope
 
 LEAST_POINTS, LEAST_RANGE = 3, 2.0
 """So many successive points, over such a factor in N, enter the least-squares fit at least."""

@@ -10,10 +10,9 @@ from codegen.report.building import Variant
 from codegen.report.figures.landmarks import svg
 from codegen.report.figures.problems import Line, times_of_drivers, work_precision
 from codegen.report.measure import optima
-from codegen.report.measure.control_orders import Convergence, convergence_of
-from codegen.report.measure.optima import case_name, drivers_of, errors_of, references_of
+from codegen.report.measure.optima import Convergence, case_name, convergence_of, drivers_of, errors_of, references_of
 from codegen.report.measure.orders import ABOVE_REFERENCE, SETTLED, Order, order_text
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.store import Store, Values
 
 NEAR = 0.01

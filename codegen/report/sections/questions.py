@@ -2,19 +2,153 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from codegen.report.figures import landmarks as figures
-from codegen.report.figures import questions as drawn
-from codegen.report.measure import jumps, paths, smoothness
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, slope
-from codegen.report.sections.effort import sections as of_effort
+from codegen.report.figures import landmarks
+from codegen.report.measure import landmark_effort, landmark_motion
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, slope
 from codegen.report.settings import Settings
 from codegen.report.store import Store
 
-_THESIS = ("nodes", "curved", jumps.LOOSE)
+_COMPARED = ("explicit-euler", "midpoint", "dop853")
+
+
+def _midpoint(settings: Settings, store: Store) -> Section:
+    texts, rows = [], []
+    for count in (*settings.counts, 40):
+        ours = store.get(landmark_effort.MIDPOINT_SECTION, f"generated; nc {count}")
+        nested = store.get(landmark_effort.MIDPOINT_SECTION, f"nested fsolve; nc {count}")
+        if ours is None:
+            continue
+        gain = None if nested is None else nested["seconds"] / ours["midpoint seconds"]
+        rows.append(
+            (
+                str(count),
+                seconds(ours["midpoint seconds"]),
+                seconds(ours["explicit-euler seconds"]),
+                number(ours["midpoint seconds"] / ours["explicit-euler seconds"], 2),
+                number(ours["midpoint trajectory"] / ours["explicit-euler trajectory"], 2),
+                seconds(nested["seconds"]) if nested else "–",
+                number(gain, 2),
+            )
+        )
+        if count == 40:
+            thesis = 9399.0 / 19.14
+            ratio = ours["midpoint seconds"] / ours["explicit-euler seconds"]
+            word = "less" if ratio < thesis else "more"
+            texts.append(
+                f"Forty landmarks, N = 10: midpoint stepping takes {number(ratio, 2)} times as long as explicit Euler, "
+                f"{word} than the thesis's {number(thesis, 3)}."
+            )
+    head = (
+        "nc",
+        "midpoint",
+        "explicit Euler",
+        "ratio",
+        "ratio of trajectories",
+        "nested fsolve, as in the thesis",
+        "its time / ours",
+    )
+    table = Table(
+        "Processor time of midpoint stepping, N = 10: Newton's method with generated derivatives inside each step and "
+        "for the initial momenta, beside root finders with differences inside root finders.",
+        head,
+        tuple(rows),
+    )
+    return Section("Question 5: can midpoint stepping be made efficient?", tuple(texts), (table,))
+
+
+def _orders(store: Store) -> Section:
+    exact = (store.get(landmark_effort.REFERENCES, "nc 40") or {})["cost"]
+    rows = []
+    for scheme in landmark_effort.SCHEMES:
+        found = [
+            v
+            for name, v in store.rows(landmark_effort.WORK)
+            if name.startswith(f"{scheme};") and v["status"] == "solved"
+        ]
+        if not found:
+            continue
+        errors = [abs(v["cost"] - exact) for v in found]
+        kept = [(v["steps"], e) for v, e in zip(found, errors, strict=True) if e > 1e-11]
+        order = -slope([n for n, _ in kept], [e for _, e in kept])
+        rows.append(
+            (
+                scheme,
+                *(f"{number(e, 2)} in {seconds(v['seconds'])}" for v, e in zip(found, errors, strict=True)),
+                number(order, 2),
+            )
+        )
+    most = max((len(row) for row in rows), default=2)
+    padded = tuple((*row[:-1], *["–"] * (most - len(row)), row[-1]) for row in rows)
+    head = ("scheme", *(f"N = {n}" for n in (5, 10, 20, 40, 80)[: most - 2]), "order")
+    table = Table("Error in cost and seconds on forty landmarks, compiled.", head, padded)
+    picture = Picture(
+        "Error against time on forty landmarks; crosses: adaptive codes of scipy at the tolerances of the sweep.",
+        landmarks.svg(partial(landmarks.work_and_precision, store)),
+    )
+    texts, fastest_table = _fastest(store)
+    return Section("Question 6: do higher orders pay, compiled?", texts, (fastest_table, table), (picture,))
+
+
+def _fastest(store: Store) -> tuple[tuple[str, ...], Table]:
+    """Who reaches which error first, and how much longer explicit Euler and DOP853 take."""
+    texts, columns = [], []
+    for target in landmark_effort.TARGETS:
+        found = {
+            s: store.get(landmark_effort.FASTEST_SECTION, f"{s}; {target:g}")
+            for s in (*landmark_effort.STEPPED, *landmark_effort.ADAPTIVE)
+        }
+        reached = {scheme: v for scheme, v in found.items() if v is not None and v["reached"]}
+        columns.append({s: f"{v['steps']} in {seconds(v['seconds'])}" for s, v in reached.items()})
+        if reached:
+            best = min(reached, key=lambda scheme: reached[scheme]["seconds"])
+            others = listed([_compared(s, reached, best) for s in _COMPARED if s != best])
+            time, steps = reached[best]["seconds"], reached[best]["steps"]
+            texts.append(f"Error below {target:g}: {best} with {steps} steps, in {seconds(time)}; {others}.")
+    rows = tuple(
+        (s, *(column.get(s, "–") for column in columns)) for s in (*landmark_effort.STEPPED, *landmark_effort.ADAPTIVE)
+    )
+    table = Table(
+        "Fewest steps, or loosest tolerance of four a decade, that meet an error in cost on forty landmarks, and wall-"
+        "clock time; a dash where 3000 steps do not suffice.",
+        ("scheme", *(f"{target:g}" for target in landmark_effort.TARGETS)),
+        rows,
+    )
+    return tuple(texts), table
+
+
+def _compared(scheme: str, reached: Mapping[str, Any], best: str) -> str:
+    if scheme not in reached:
+        return f"{scheme} does not get there"
+    return f"{scheme} takes {number(reached[scheme]['seconds'] / reached[best]['seconds'], 2)} times as long"
+
+
+def _ansatz(store: Store) -> Section:
+    rows = [
+        (name, number(v["largest defect"], 2), number(v["largest rate"], 2))
+        for name, v in store.rows(landmark_effort.WEAK_SOLUTION_SECTION)
+    ]
+    worst = max(
+        (v["largest defect"] / v["largest rate"] for _, v in store.rows(landmark_effort.WEAK_SOLUTION_SECTION)),
+        default=1.0,
+    )
+    word = "vanishes up to the error of the differences" if worst < 1e-6 else "does NOT vanish"
+    text = (
+        f"The left side of the weak equation {word}: at most {number(worst, 2)} of its first term. That it vanishes "
+        "for every kernel and every test function is proved by computer algebra (tests/analysis/test_weak_solution.py)."
+    )
+    table = Table(
+        "Fifteen random test functions along the motion: the largest left side, and the largest first term alone.",
+        ("landmarks", "left side", "first term"),
+        tuple(rows),
+    )
+    return Section("The particle ansatz as a weak solution (B.2)", (text,), (table,))
+
+
+_THESIS = ("nodes", "curved", landmark_motion.LOOSE)
 """How the thesis minimised."""
 _JUMP = 5.0
 
@@ -26,20 +160,20 @@ def sections(settings: Settings, store: Store) -> list[Section]:
         _dimension(store),
         _smoothness(store),
         _jumps(settings, store),
-        *of_effort(settings, store),
+        *[_midpoint(settings, store), _orders(store), _ansatz(store)],
     ]
 
 
 def _paths(settings: Settings, store: Store) -> Section:
     sets = [f"nc {n}" for n in (*settings.counts, 40)] + ["nc 100, smooth"]
     rows, texts = [], []
-    for kind, meaning in paths.KINDS.items():
-        found = [store.get(paths.SECTION, f"{kind}; {name}") for name in sets]
+    for kind, meaning in landmark_motion.KINDS.items():
+        found = [store.get(landmark_motion.PATHS_SECTION, f"{kind}; {name}") for name in sets]
         cells = [_iterations(values) for values in found]
         far = [v["distance of places"] for v in found if v is not None and v["distance of places"] is not None]
         rows.append((meaning, *cells, number(max(far), 2) if far else "–"))
     for name in sets:
-        of_kind = {kind: store.get(paths.SECTION, f"{kind}; {name}") for kind in paths.KINDS}
+        of_kind = {kind: store.get(landmark_motion.PATHS_SECTION, f"{kind}; {name}") for kind in landmark_motion.KINDS}
         solved = {kind: v["iterations"] for kind, v in of_kind.items() if v is not None and v["solved"]}
         failed = [kind for kind, v in of_kind.items() if v is not None and not v["solved"]]
         if not solved:
@@ -58,8 +192,8 @@ def _paths(settings: Settings, store: Store) -> Section:
             + (f"; from {listed(failed)} there is no convergence." if failed else ".")
         )
     table = Table(
-        f"Iterations of Newton's method for all states at once, explicit Euler, N = {paths.STEPS}, and how far the "
-        "guessed places are from the solution at most.",
+        f"Iterations of Newton's method for all states at once, explicit Euler, N = {landmark_motion.PATHS_STEPS}, and "
+        "how far the guessed places are from the solution at most.",
         ("initial path", *sets, "distance"),
         tuple(rows),
     )
@@ -73,7 +207,7 @@ def _iterations(values: Any) -> str:
 
 
 def _dimension(store: Store) -> Section:
-    lines, texts, rows = drawn.by_kernel(store), [], []
+    lines, texts, rows = landmarks.by_kernel(store), [], []
     for name, found in lines.items():
         big = [(n, v) for n, v in found if n >= 20]
         exponents = [
@@ -111,7 +245,7 @@ def _dimension(store: Store) -> Section:
     )
     picture = Picture(
         "Processor time of a trajectory and of a solve, explicit Euler, N = 10.",
-        figures.svg(partial(drawn.dimension_figure, store)),
+        landmarks.svg(partial(landmarks.dimension_figure, store)),
     )
     return Section(
         "Question 2: how do the methods scale with the dimension of space?", tuple(texts), (table,), (picture,)
@@ -120,8 +254,8 @@ def _dimension(store: Store) -> Section:
 
 def _smoothness(store: Store) -> Section:
     texts, rows = [], []
-    for amplitude in smoothness.AMPLITUDES:
-        found = drawn.warps(store, amplitude)
+    for amplitude in landmark_motion.AMPLITUDES:
+        found = landmarks.warps(store, amplitude)
         if not found:
             texts.append(f"Displacements × {amplitude:g}: too few of the warps were solved.")
             continue
@@ -133,7 +267,7 @@ def _smoothness(store: Store) -> Section:
             (
                 f"× {amplitude:g}",
                 number(found[0]["exact least area"], 3),
-                *(_steps(n) for n in steps.values()),
+                *(("> 80" if n is None else str(n)) for n in steps.values()),
                 listed([str(n) for n in folded]),
                 number(found[-1]["steepest"] * found[-1]["steps"], 3),
                 number(order, 2),
@@ -170,28 +304,24 @@ def _smoothness(store: Store) -> Section:
     picture = Picture(
         "Error of the warp, and the least ratio by which areas change (dotted: with 640 steps); below zero there is "
         "a fold.",
-        figures.svg(partial(drawn.smoothness_figure, store)),
+        landmarks.svg(partial(landmarks.smoothness_figure, store)),
     )
     return Section(
         "Question 3: how many steps does a warp of given smoothness need?", tuple(texts), (table,), (picture,)
     )
 
 
-def _steps(steps: int | None) -> str:
-    return "> 80" if steps is None else str(steps)
-
-
 def _jumps(settings: Settings, store: Store) -> Section:
     texts, rows = [], []
     for count in settings.counts[:2]:
-        null = store.get(jumps.SECTION, f"null space; nc {count}")
+        null = store.get(landmark_motion.JUMPS_SECTION, f"null space; nc {count}")
         if null is not None:
             texts.append(
                 f"nc = {count}: with momenta on nodes, {null['nodes']} directions of the unknowns change neither the "
                 f"cost nor a constraint; with momenta on intervals, {null['intervals']}."
             )
-        for variant in jumps.VARIANTS:
-            found = drawn.of_variant(settings, store, *variant, count)
+        for variant in landmark_motion.VARIANTS:
+            found = landmarks.of_variant(settings, store, *variant, count)
             if not found:
                 continue
             errors = [v["error"] for _, v in found]
@@ -228,7 +358,7 @@ def _jumps(settings: Settings, store: Store) -> Section:
     picture = Picture(
         "Error and time of SLSQP: red with momenta on nodes as in the thesis, blue on intervals; full lines from "
         "curved and dotted ones from straight paths at tolerance 1e-6, dashes at 1e-14.",
-        figures.svg(partial(drawn.jump_figure, settings, store)),
+        landmarks.svg(partial(landmarks.jump_figure, settings, store)),
     )
     return Section(
         "Question 4: what happens inside the optimiser in Figures 5.8 and 5.9?", tuple(texts), (table,), (picture,)
@@ -238,12 +368,12 @@ def _jumps(settings: Settings, store: Store) -> Section:
 def _verdict(settings: Settings, store: Store, count: int) -> list[str]:
     """What the comparison of tolerances, places of momenta and paths says, for one set of landmarks."""
     worst = {}
-    for variant in jumps.VARIANTS:
-        found = drawn.of_variant(settings, store, *variant, count)
+    for variant in landmark_motion.VARIANTS:
+        found = landmarks.of_variant(settings, store, *variant, count)
         if found:
             worst[variant] = max(v["error"] for _, v in found)
-    loose = [error for (_, _, tolerance), error in worst.items() if tolerance == jumps.LOOSE]
-    tight = [error for (_, _, tolerance), error in worst.items() if tolerance == jumps.TIGHT]
+    loose = [error for (_, _, tolerance), error in worst.items() if tolerance == landmark_motion.LOOSE]
+    tight = [error for (_, _, tolerance), error in worst.items() if tolerance == landmark_motion.TIGHT]
     if not loose or not tight:
         return []
     texts = []
@@ -260,7 +390,7 @@ def _verdict(settings: Settings, store: Store, count: int) -> list[str]:
     seen = {variant: _jumps_at(settings, store, variant, count) for variant in worst}
     with_jumps = [f"{_named(v)} at N = {listed([str(n) for n in at])}" for v, at in seen.items() if at]
     without = [_named(v) for v, at in seen.items() if not at]
-    thesis = seen.get(("nodes", "curved", jumps.LOOSE), [])
+    thesis = seen.get(("nodes", "curved", landmark_motion.LOOSE), [])
     outcome = "are reproduced" if thesis else "are not reproduced as far as N went"
     texts.append(
         f"nc = {count}: the thesis's jumps to faster and less accurate solves {outcome}. The error grows by a factor "
@@ -268,7 +398,7 @@ def _verdict(settings: Settings, store: Store, count: int) -> list[str]:
         f"No such jump: {'; '.join(without) or 'nowhere'}."
     )
     if thesis:
-        early = [v["iterations"] for n, v in drawn.of_variant(settings, store, *_THESIS, count) if n in thesis]
+        early = [v["iterations"] for n, v in landmarks.of_variant(settings, store, *_THESIS, count) if n in thesis]
         texts.append(
             f"At these N the optimiser, started from the curved paths, is content after {_span(early, ' to ')} "
             "iterations, because the cost then changes by less than the tolerance though it is not stationary."
@@ -277,14 +407,13 @@ def _verdict(settings: Settings, store: Store, count: int) -> list[str]:
 
 
 def _span(numbers: Sequence[Any], between: str) -> str:
-    """The least and the largest of some numbers, or the only one."""
     least, largest = min(numbers), max(numbers)
     return f"{least}" if least == largest else f"{least}{between}{largest}"
 
 
 def _jumps_at(settings: Settings, store: Store, variant: tuple[str, str, float], count: int) -> list[int]:
     """Numbers of steps at which the error grows suddenly while iterations fall."""
-    found = drawn.of_variant(settings, store, *variant, count)
+    found = landmarks.of_variant(settings, store, *variant, count)
     return [
         n
         for (n, v), (_, before) in zip(found[1:], found[:-1], strict=True)

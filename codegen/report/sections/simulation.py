@@ -8,7 +8,6 @@ from pathlib import Path
 from codegen.report.building import Variant
 from codegen.report.figures.landmarks import svg
 from codegen.report.figures.problems import Line, work_precision
-from codegen.report.measure.convergence import order_from
 from codegen.report.measure.orders import (
     ABOVE_REFERENCE,
     LEAST_RANGE,
@@ -18,8 +17,8 @@ from codegen.report.measure.orders import (
     order_text,
     verdict,
 )
-from codegen.report.measure.simulations import case_name, errors_of, orders_of, references_of
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, without_empty_columns
+from codegen.report.measure.simulations import case_name, errors_of, order_from, orders_of, references_of
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, without_empty_columns
 from codegen.report.store import Store, Values
 
 _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from codegen.report.figures import landmarks as figures
-from codegen.report.measure import accuracy, sweeps
-from codegen.report.section import Picture, Section, Table, listed, number, seconds, slope
+from codegen.report.measure import landmark_effort
+from codegen.report.page import Picture, Section, Table, listed, number, seconds, slope
 from codegen.report.settings import Settings
 from codegen.report.store import Store, Values
 
@@ -22,10 +22,30 @@ _OURS = ("action, newton", "full, newton", "stepping, newton")
 
 def sections(settings: Settings, store: Store) -> list[Section]:
     """Everything that the thesis shows in chapter 5."""
+    texts, steps = [], max(settings.steps)
+    for count in settings.counts:
+        exact = (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
+        found = {}
+        for scheme in ("explicit-euler", "symplectic-euler", "implicit-euler"):
+            values = store.get(
+                landmark_effort.ROUTES_SECTION, landmark_effort.case_name(scheme, "stepping, newton", count, steps)
+            )
+            if values is not None and exact is not None and values["status"] == "solved":
+                found[scheme] = abs(values["cost"] - exact)
+        if len(found) > 1:
+            least, most = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
+            ratio = found[most] / max(found[least], 1e-300)
+            word = "close to each other" if ratio < 3.0 else "not close to each other"
+            errors = listed([f"{name} {number(error)}" for name, error in found.items()])
+            texts.append(f"nc = {count}, N = {steps}: errors {errors}; they are {word}, the best being {least}.")
+    picture = Picture(
+        "Errors in cost of the Euler methods, whose figures the thesis omits, and of the midpoint rule.",
+        figures.svg(partial(figures.eulers, settings, store)),
+    )
     return [
         _points(settings),
         _routes(settings, store, "explicit-euler", "5.1 Explicit Euler", "5.2–5.4", "5.5–5.7"),
-        _eulers(settings, store),
+        Section("Symplectic and implicit Euler methods", tuple(texts), (), (picture,)),
         _routes(settings, store, "midpoint", "5.2 Midpoint rule", "5.8–5.10", "5.11–5.13"),
         _best(settings, store),
         _forty(store),
@@ -54,7 +74,7 @@ def _routes(settings: Settings, store: Store, scheme: str, title: str, costs: st
             figures.svg(partial(figures.routes, settings, store, scheme)),
         ),
         Picture(
-            f"Figures {paths}: paths with {sweeps.DRAWN} steps.",
+            f"Figures {paths}: paths with {landmark_effort.DRAWN} steps.",
             figures.svg(partial(figures.route_paths, settings, store, scheme)),
         ),
     )
@@ -67,7 +87,7 @@ def _route_texts(settings: Settings, store: Store, scheme: str) -> list[str]:
     best = figures.of_route(settings, store, scheme, "stepping, newton", settings.counts[-1])
     rivals = {
         route.label: dict(figures.of_route(settings, store, scheme, route.label, settings.counts[-1]))
-        for route in sweeps.ROUTES
+        for route in landmark_effort.ROUTES
         if scheme in route.schemes
     }
     at = [
@@ -84,13 +104,13 @@ def _route_texts(settings: Settings, store: Store, scheme: str) -> list[str]:
     spread = _spread(settings, store, scheme)
     if spread is not None:
         texts.append(f"Routes that solve the scheme's own equations agree in cost to {number(spread, 2)}.")
-    exact = (store.get(accuracy.REFERENCES, f"nc {settings.counts[-1]}") or {}).get("cost")
+    exact = (store.get(landmark_effort.REFERENCES, f"nc {settings.counts[-1]}") or {}).get("cost")
     if exact is not None and len(best) > 2:
         order = -slope([n for n, _ in best], [abs(v["cost"] - exact) for _, v in best])
         texts.append(f"The error in cost falls like N to the power {number(-order, 2)} (nc = {settings.counts[-1]}).")
     failed = [
         (f"{route.label}, nc = {c}, N = {n}", values["residual"])
-        for route in sweeps.ROUTES
+        for route in landmark_effort.ROUTES
         if scheme in route.schemes
         for c in settings.counts
         for n, values in figures.of_route(settings, store, scheme, route.label, c)
@@ -113,8 +133,10 @@ def _spread(settings: Settings, store: Store, scheme: str) -> float | None:
     for count in settings.counts:
         for steps in settings.steps:
             costs = []
-            for route in sweeps.ROUTES:
-                values = store.get(sweeps.SECTION, sweeps.case_name(scheme, route.label, count, steps))
+            for route in landmark_effort.ROUTES:
+                values = store.get(
+                    landmark_effort.ROUTES_SECTION, landmark_effort.case_name(scheme, route.label, count, steps)
+                )
                 own = route.method != "action" or scheme == "midpoint"
                 if values is not None and values["status"] == "solved" and own:
                     costs.append(values["cost"])
@@ -161,7 +183,7 @@ def _time_or_reach(values: dict[int, Values], steps: int) -> str:
 
 
 def _reach(settings: Settings, store: Store, scheme: str) -> Table:
-    names = [route.label for route in sweeps.ROUTES if scheme in route.schemes]
+    names = [route.label for route in landmark_effort.ROUTES if scheme in route.schemes]
     rows = []
     for count in settings.counts:
         found = [dict(figures.of_route(settings, store, scheme, name, count)) for name in names]
@@ -169,33 +191,11 @@ def _reach(settings: Settings, store: Store, scheme: str) -> Table:
     return Table(f"Seconds with N = {max(settings.steps)}", ("nc", *names), tuple(rows))
 
 
-def _eulers(settings: Settings, store: Store) -> Section:
-    texts, steps = [], max(settings.steps)
-    for count in settings.counts:
-        exact = (store.get(accuracy.REFERENCES, f"nc {count}") or {}).get("cost")
-        found = {}
-        for scheme in ("explicit-euler", "symplectic-euler", "implicit-euler"):
-            values = store.get(sweeps.SECTION, sweeps.case_name(scheme, "stepping, newton", count, steps))
-            if values is not None and exact is not None and values["status"] == "solved":
-                found[scheme] = abs(values["cost"] - exact)
-        if len(found) > 1:
-            least, most = min(found, key=found.__getitem__), max(found, key=found.__getitem__)
-            ratio = found[most] / max(found[least], 1e-300)
-            word = "close to each other" if ratio < 3.0 else "not close to each other"
-            errors = listed([f"{name} {number(error)}" for name, error in found.items()])
-            texts.append(f"nc = {count}, N = {steps}: errors {errors}; they are {word}, the best being {least}.")
-    picture = Picture(
-        "Errors in cost of the Euler methods, whose figures the thesis omits, and of the midpoint rule.",
-        figures.svg(partial(figures.eulers, settings, store)),
-    )
-    return Section("Symplectic and implicit Euler methods", tuple(texts), (), (picture,))
-
-
 def _best(settings: Settings, store: Store) -> Section:
     texts = []
     for count in settings.counts:
         rows = [
-            store.get(sweeps.SECTION, sweeps.case_name(s, "stepping, newton", count, 100))
+            store.get(landmark_effort.ROUTES_SECTION, landmark_effort.case_name(s, "stepping, newton", count, 100))
             for s in ("midpoint", "explicit-euler")
         ]
         if all(row is not None for row in rows):
@@ -212,13 +212,13 @@ def _best(settings: Settings, store: Store) -> Section:
 
 
 def _forty(store: Store) -> Section:
-    reference = store.get(accuracy.REFERENCES, "nc 40") or {}
+    reference = store.get(landmark_effort.REFERENCES, "nc 40") or {}
     exact, rows = reference["cost"], []
-    for row in accuracy.ROWS:
-        values = store.get(accuracy.TABLE, f"{row}; nc 40")
+    for row in landmark_effort.ROWS:
+        values = store.get(landmark_effort.TABLE, f"{row}; nc 40")
         if values is None:
             continue
-        time, error = accuracy.THESIS_TABLE.get(row, (None, None))
+        time, error = landmark_effort.THESIS_TABLE.get(row, (None, None))
         ours = abs(values["cost"] - exact)
         gain = "–" if time is None else number(time / values["seconds"], 2)
         rows.append(
@@ -234,7 +234,7 @@ def _forty(store: Store) -> Section:
         )
     head = ("scheme", "thesis, s", "here", "thesis/here", "error in cost, thesis", "error in cost, here", "status")
     table = Table(
-        f"Table 5.2 redone: forty landmarks, N = 10. The reference, dop853 at {accuracy.EXACT:g}, has cost "
+        f"Table 5.2 redone: forty landmarks, N = 10. The reference, dop853 at {landmark_effort.EXACT:g}, has cost "
         f"{exact:.12f} and keeps H to {number(reference['drift'], 1)}.",
         head,
         tuple(rows),
@@ -248,10 +248,12 @@ def _forty(store: Store) -> Section:
 
 
 def _tolerances(store: Store) -> Section:
-    exact = (store.get(accuracy.REFERENCES, "nc 40") or {})["cost"]
+    exact = (store.get(landmark_effort.REFERENCES, "nc 40") or {})["cost"]
     texts = []
     for code in ("lsoda", "dop853"):
-        rows = [v for name, v in store.rows(accuracy.TOLERANCES) if name.startswith(code) and v["cost"] is not None]
+        rows = [
+            v for name, v in store.rows(landmark_effort.TOLERANCES) if name.startswith(code) and v["cost"] is not None
+        ]
         range_ = [v for v in rows if v["tolerance"] >= 0.99e-6]
         if not range_:
             continue

@@ -188,11 +188,14 @@ def storage_key(grid, bounds):
 
 
 def on_grid(search, grid):
-    """Return the search on a grid with as many intervals and finite bounds: its storage serves again."""
+    """Return the search on a grid with as many intervals and finite bounds: its storage serves again.
+
+    A grid that has no bounds yet has those of the search.
+    """
     if grid is search.grid:
         return search
     bounds = search.bounds
-    if search.is_bounded and grid.bounds is not search.grid.bounds:
+    if search.is_bounded and grid.bounds and grid.bounds is not search.grid.bounds:
         bounds = Bounds(*finite_bounds(*grid.bounds), *grid.bounds)
     system = search.system if grid.sizes is search.grid.sizes else with_entry_factors(grid, search.system)
     arguments = *arguments_of(grid, system), tuple(bounds)

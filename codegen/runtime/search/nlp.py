@@ -86,19 +86,19 @@ class NonlinearProgram:
 
     def cost(self, x):
         """Return the discrete cost f(x)."""
-        return float(callbacks.cost(self.grid, self.unknowns(x)))
+        return float(evaluate(self.grid, self.unknowns(x)).cost)
 
     def gradient(self, x):
         """Return the gradient (n,) of the cost."""
-        return callbacks.cost_gradient(self.grid, self.unknowns(x))
+        return evaluate(self.grid, self.unknowns(x)).gradient[self.primal]
 
     def constraints(self, x):
         """Return the residuals c(x), (m,)."""
-        return callbacks.constraints(self.grid, self.unknowns(x))
+        return evaluate(self.grid, self.unknowns(x)).gradient[self.dual]
 
     def stationarity(self, x, multipliers):
         """Return the gradient (n,) of the Lagrangian f + multipliers . c."""
-        return callbacks.stationarity(self.grid, self.unknowns(x, multipliers))
+        return evaluate(self.grid, self.unknowns(x, multipliers)).gradient[self.primal]
 
     def jacobian(self, x):
         """Return the Jacobian (m, n) of c as a `scipy.sparse.csr_array`."""

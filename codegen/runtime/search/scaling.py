@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from codegen.runtime.addresses import call_loop
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE
+from codegen.runtime.search.parts import fill
 
 SAMPLES = 4  # intervals on which derivatives are evaluated
 SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten; neither is round, by intention
@@ -196,13 +196,13 @@ def fill_scaling_factors(
             inside[i] = min(max(primal[i], lower[i]), upper[i])
     for j in range(ties.shape[0] if lower.size else 0):
         inside[ties[j, 0]] = inside[ties[j, 1]]
-    fill_loop(gradient, primal, steps, h, nodes, parameters, slopes)
+    fill(gradient, primal, steps, h, nodes, parameters, slopes)
     for i in range(kinds.size):
         slopes[i] = 0.0 if is_solution and is_multiplier[i] else abs(slopes[i])
         is_moved = is_moved or inside[i] != primal[i]
     size, rest = np.zeros(count), np.zeros(count)
     if is_moved:
-        fill_loop(gradient, inside, steps, h, nodes, parameters, factors)
+        fill(gradient, inside, steps, h, nodes, parameters, factors)
         for i in range(kinds.size):
             if abs(factors[i]) < slopes[i] or np.isnan(slopes[i]):
                 slopes[i] = abs(factors[i])
@@ -217,11 +217,11 @@ def fill_scaling_factors(
             size[j] = q.stated[j]
     tables = np.zeros((3, count, count))
     terms, effect, curvature = tables[0], tables[1], tables[2]
-    fill_loop(hessians, primal, steps, h, nodes, parameters, entries)
+    fill(hessians, primal, steps, h, nodes, parameters, entries)
     measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect, curvature)
     if is_moved:
         other = np.zeros((3, count, count))
-        fill_loop(hessians, inside, steps, h, nodes, parameters, entries)
+        fill(hessians, inside, steps, h, nodes, parameters, entries)
         measure_derivatives(q, counts, nodes, places, lacks, entries, other[0], other[1], other[2])
         for table in range(3):
             lessen(tables[table], other[table])
@@ -253,15 +253,6 @@ def fill_scaling_factors(
     for i in range(kinds.size):
         factors[i] = size[kinds[i]]
     return weight, is_scaled
-
-
-@njit(error_model="numpy")
-def fill_loop(loop, unknowns, steps, h, nodes, parameters, filled):
-    """Call a loop by its address."""
-    call_loop(
-        loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
-        filled.ctypes.data,
-    )  # fmt: skip
 
 
 @njit(error_model="numpy")

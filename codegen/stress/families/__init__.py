@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from codegen.stress.cases import Case
-from codegen.stress.families import chaos, control, higher_order, horizons, inputs, orbits, particles, stiff
+from codegen.stress.families import control, motions, particles
 
 FAMILIES = {
-    "stiff": stiff.cases,
-    "orbits": orbits.cases,
-    "chaos": chaos.cases,
-    "horizons": horizons.cases,
-    "higher order": higher_order.cases,
+    "stiff": motions.stiff_cases,
+    "orbits": motions.orbits_cases,
+    "chaos": motions.chaos_cases,
+    "horizons": motions.horizons_cases,
+    "higher order": motions.higher_order_cases,
     "control": control.cases,
     "particles": particles.cases,
-    "inputs": inputs.cases,
+    "inputs": motions.inputs_cases,
 }
 """Every family by name; tests run over this table."""
 

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from codegen import schemes
 from codegen.schemes import Scheme, particles
 from codegen.stress.cases import Setup
-from codegen.stress.linear import limit, swing
+from codegen.stress.systems import limit, swing
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 
@@ -52,7 +52,7 @@ def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
     Over the phase omega t the Eulers change amplitudes by exp(+-h omega omega t/2) or shift them by h omega/2, and the
     schemes of order 2 shift phases by (h omega)^2/12 omega t at most (Hairer, Lubich and Wanner 2006, IX.1): twice and
     three times these are allowed, for the nonlinear terms. Of schemes of higher order the constants are below 0.03 on
-    the oscillator (`codegen.stress.linear`), and less than one is allowed.
+    the oscillator (`codegen.stress.systems`), and less than one is allowed.
     """
     order = registered(scheme).order
     error = h_omega**order * (1.0 + phase) / (4.0 if order == 2 else 1.0)

@@ -15,9 +15,29 @@ REFUSED = ("refused",)
 def cases() -> Iterator[Case]:
     """All cases of this family."""
     yield from _long()
-    yield from _layers()
+    for eps, steps in ((1e-2, 1000), (1e-3, 10_000), (1e-4, 100_000)):
+        yield _regulator(
+            f"boundary layers of width {eps:g}, {steps} steps", "the layers are resolved", steps, 1.0 / eps, a=0.0,
+            eps=eps, T=1.0,
+        )  # fmt: skip
+    for eps in (1e-3, 1e-6, 1e-9):
+        yield _regulator(
+            f"boundary layers of width {eps:g}, 100 steps",
+            "layers inside one step: the doubled grid must show it, unless the cost is right at any step as above",
+            100, 1.0 / eps, a=0.0, eps=eps, T=1.0,
+        )  # fmt: skip
     yield from _cubic()
-    yield from _units()
+    # The same transfer in other units has the same cost, times its unit; see docs/guide/limits.md for scaling.
+    made = setup("transfer")
+    for name in ("m", "GM", "r0"):
+        for exponent in (-24, -12, -6, 6, 12, 24):
+            factor = 10.0**exponent
+            values = (("r0", factor), ("r1", 1.2 * factor)) if name == "r0" else ((name, factor),)
+            yield Case(
+                f"orbital transfer, {name} times {factor:.0e}", "control", made, "refused",
+                "the solver's tolerances are absolute: in such units it solves accurately, or it says that it fails",
+                50, values, reference="other_units", bound=1e-3, drift=NAN, allowed=("accurate",),
+            )  # fmt: skip
     yield from _turns()
     yield from _walls()
 
@@ -49,20 +69,6 @@ def _long() -> Iterator[Case]:
         )  # fmt: skip
 
 
-def _layers() -> Iterator[Case]:
-    for eps, steps in ((1e-2, 1000), (1e-3, 10_000), (1e-4, 100_000)):
-        yield _regulator(
-            f"boundary layers of width {eps:g}, {steps} steps", "the layers are resolved", steps, 1.0 / eps, a=0.0,
-            eps=eps, T=1.0,
-        )  # fmt: skip
-    for eps in (1e-3, 1e-6, 1e-9):
-        yield _regulator(
-            f"boundary layers of width {eps:g}, 100 steps",
-            "layers inside one step: the doubled grid must show it, unless the cost is right at any step as above",
-            100, 1.0 / eps, a=0.0, eps=eps, T=1.0,
-        )  # fmt: skip
-
-
 def _cubic() -> Iterator[Case]:
     made = setup("cubic_regulator")
     for T in (10.0, 100.0, 1000.0, 10_000.0):
@@ -85,20 +91,6 @@ def _cubic() -> Iterator[Case]:
             "own solution", 200, (("T", 10.0), ("begin", begin)), drift=NAN, h_omega=3.0 * begin**2 / 20.0,
             allowed=("bounded",),
         )  # fmt: skip
-
-
-def _units() -> Iterator[Case]:
-    """The same transfer in other units has the same cost, times its unit; see docs/guide/limits.md for scaling."""
-    made = setup("transfer")
-    for name in ("m", "GM", "r0"):
-        for exponent in (-24, -12, -6, 6, 12, 24):
-            factor = 10.0**exponent
-            values = (("r0", factor), ("r1", 1.2 * factor)) if name == "r0" else ((name, factor),)
-            yield Case(
-                f"orbital transfer, {name} times {factor:.0e}", "control", made, "refused",
-                "the solver's tolerances are absolute: in such units it solves accurately, or it says that it fails",
-                50, values, reference="other_units", bound=1e-3, drift=NAN, allowed=("accurate",),
-            )  # fmt: skip
 
 
 def _turns() -> Iterator[Case]:

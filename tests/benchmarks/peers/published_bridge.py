@@ -8,7 +8,7 @@ import numpy as np
 
 from codegen.compiler import build
 from codegen.drivers.ipopt import _Callbacks
-from codegen.drivers.quiet import quiet_single_thread
+from codegen.drivers.shared import quiet_single_thread
 from codegen.loading import load
 from codegen.machine_code.ahead_of_time import prepare
 from codegen.machine_code.processes import compilers

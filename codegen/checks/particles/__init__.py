@@ -1,1 +1,0 @@
-"""Evidence about modules of particles."""
