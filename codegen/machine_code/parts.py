@@ -117,6 +117,7 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
         types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
         bounds, float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
     )  # fmt: skip
+    yield descent.begin_beside, (addresses, on_grid, bounds, float64, REALS, INTEGERS, TABLE, TABLE)
     quantities = scaling.Quantities(
         **{
             name: np.zeros((1, 2) if name == "tied" else 1, kind)

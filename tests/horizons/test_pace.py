@@ -24,13 +24,12 @@ class Clock:
         self.now, self.slowness, self._generator = 0.0, 1.0, np.random.default_rng(5)
         monkeypatch.setattr(codegen.Controller, "_clock", staticmethod(lambda: self.now))
         monkeypatch.setattr(judgement, "evaluate", self.timed(evaluate))
+        monkeypatch.setattr(descent, "begin_beside", self.timed(descent.begin_beside))
         own = descent.descend
 
         def descend(*given):
             integers = next(array for array in given if getattr(array, "dtype", None) == np.int64)
             before = integers[descent.ITERATIONS]
-            if integers[descent.STAGE] != descent.GO_ON:  # a search begins with an evaluation
-                self.passes(EVALUATION)
             status = own(*given)
             for _ in range(integers[descent.ITERATIONS] - before):
                 self.passes(ITERATION)

@@ -11,7 +11,7 @@ from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integ
 from sympy import exp, log, sqrt, symbols
 
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.callbacks import jacobian
+from codegen.runtime.search.callbacks import constraints, jacobian
 from codegen.runtime.search.cascade import FROM_ANYWHERE, minimise
 from codegen.runtime.search.descent import UNBOUNDED_BELOW
 from codegen.runtime.search.grid import primal_unknowns
@@ -123,7 +123,7 @@ def test_infeasible_is_a_minimum_of_the_violation(equations: Any, inequalities: 
     assert point.residual == pytest.approx(least, rel=1e-5)  # the barrier keeps a distance to the bound
     rows, columns, slopes = jacobian(grid, point.unknowns)
     found, primal = variables(grid, point), primal_unknowns(grid)
-    pull = np.bincount(columns, slopes * evaluate(grid, point.unknowns).gradient[grid.is_multiplier][rows], found.size)
+    pull = np.bincount(columns, slopes * constraints(grid, point.unknowns)[rows], found.size)
     lower, upper = bounds_of(grid)
     assert np.abs(found - np.clip(found - pull, lower[primal], upper[primal])).max() <= 1e-3
 

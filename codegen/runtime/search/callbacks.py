@@ -1,4 +1,4 @@
-"""Jacobian and Hessian in the free unknowns, as other optimisers want them.
+"""The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
 
 Free primal unknowns and free multipliers are picked out of the vector of all unknowns by index arrays; what is pinned
 by a boundary condition appears in neither. Matrices are returned as (rows, columns, values).
@@ -8,6 +8,28 @@ import numpy as np
 
 from codegen.runtime.search.grid import multiplier_unknowns, primal_unknowns
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
+from codegen.runtime.search.point import evaluate
+
+
+def cost(grid, unknowns):
+    """Return the discrete cost."""
+    return evaluate(grid, unknowns).cost
+
+
+def cost_gradient(grid, unknowns):
+    """Return the gradient of the discrete cost by the free primal unknowns."""
+    without_multipliers = np.where(grid.is_multiplier, 0.0, unknowns)
+    return evaluate(grid, without_multipliers).gradient[primal_unknowns(grid)]
+
+
+def constraints(grid, unknowns):
+    """Return the residuals of all discrete equations."""
+    return evaluate(grid, unknowns).gradient[multiplier_unknowns(grid)]
+
+
+def stationarity(grid, unknowns):
+    """Return the gradient of the Lagrangian by the free primal unknowns, at the multipliers in `unknowns`."""
+    return evaluate(grid, unknowns).gradient[primal_unknowns(grid)]
 
 
 def jacobian(grid, unknowns):

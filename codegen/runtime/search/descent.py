@@ -56,7 +56,8 @@ REALS = 27
 ) = range(25)  # fmt: skip
 INTEGERS = 25
 
-# The stage of a search: it goes on; it begins with an iterate, with primal unknowns, or with those of a neighbour.
+# The stage of a search: it goes on; it begins with an iterate, with primal unknowns, or with those of a neighbour,
+# which `begin_beside` makes an iterate before.
 GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
 
 # The start.
@@ -814,8 +815,7 @@ def descend(
 ):
     """Follow Newton's steps; return why that ends, a number.
 
-    At the STAGE of a search that begins, this is from the iterate in the work space, or from the primal unknowns or the
-    neighbour's unknowns there.
+    At the STAGE of a search that begins, this is from the iterate in the work space, or from the primal unknowns there.
     A search without bounds that LOOKS ends at once, GROSS, where the equations are grossly violated.
 
     Parameters
@@ -853,8 +853,6 @@ def descend(
     is_costless, least_mu, done, status = integers[IS_COSTLESS], LEAST_PART * tolerance, 0, CONTINUE
     if integers[STAGE] == WITH_UNKNOWNS:
         begin(problem, grid, bounds, reals, integers, vectors, barriers)
-    elif integers[STAGE] == WITH_NEIGHBOUR:
-        begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers)
     if integers[STAGE] != GO_ON:
         if m == 0 and integers[LOOKS] and is_gross(problem, grid, system, reals, vectors):
             return GROSS

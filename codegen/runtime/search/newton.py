@@ -1,7 +1,7 @@
 """The compiled search in Python's hands: it is called again until it ends, with restorations in between."""
 
 from codegen.runtime.search import descent
-from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WORDS
+from codegen.runtime.search.descent import CONTINUE, GROSS, RESTORE, ROOM, WITH_ITERATE, WITH_NEIGHBOUR, WORDS
 from codegen.runtime.search.iterates import (
     Iterate,
     central_duals,
@@ -40,6 +40,11 @@ def descend(search, start, attempt, tolerance, max_iterations, log, known=None, 
         work.vectors[descent.X] = start
         reals[descent.MU], reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
         integers[descent.ON_PATH], integers[descent.LOOKS] = attempt.on_path, 1
+    if stage == WITH_NEIGHBOUR:
+        problem, data, _, bounds = search.arguments
+        reals[descent.LEAST_RELAXATION], integers[descent.IS_FACTORED] = search.least, is_factored
+        descent.begin_beside(problem, data, bounds, tolerance, reals, integers, work.vectors, work.barriers)
+        stage, is_factored = WITH_ITERATE, integers[descent.IS_FACTORED]
     integers[descent.STAGE] = stage
     reals[descent.SHORTEST], reals[descent.FUNNEL] = attempt.shortest, attempt.funnel
     reals[descent.LEAST_RELAXATION] = search.least

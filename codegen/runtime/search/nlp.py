@@ -86,19 +86,19 @@ class NonlinearProgram:
 
     def cost(self, x):
         """Return the discrete cost f(x)."""
-        return float(evaluate(self.grid, self.unknowns(x)).cost)
+        return float(callbacks.cost(self.grid, self.unknowns(x)))
 
     def gradient(self, x):
         """Return the gradient (n,) of the cost."""
-        return evaluate(self.grid, self.unknowns(x)).gradient[self.primal]
+        return callbacks.cost_gradient(self.grid, self.unknowns(x))
 
     def constraints(self, x):
         """Return the residuals c(x), (m,)."""
-        return evaluate(self.grid, self.unknowns(x)).gradient[self.dual]
+        return callbacks.constraints(self.grid, self.unknowns(x))
 
     def stationarity(self, x, multipliers):
         """Return the gradient (n,) of the Lagrangian f + multipliers . c."""
-        return evaluate(self.grid, self.unknowns(x, multipliers)).gradient[self.primal]
+        return callbacks.stationarity(self.grid, self.unknowns(x, multipliers))
 
     def jacobian(self, x):
         """Return the Jacobian (m, n) of c as a `scipy.sparse.csr_array`."""
