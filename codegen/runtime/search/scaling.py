@@ -311,7 +311,7 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
     intervals, count, element = steps // counts[2], q.rows.size, stride + node
     weight = max(1, intervals // SAMPLES)
     moduli, sums = np.zeros((q.local_kind.size, terms.shape[0])), np.zeros((q.local_kind.size, terms.shape[0]))
-    starts, ends = q.start_rows.size, q.end_rows.size
+    starts, ends, growth = q.start_rows.size, q.end_rows.size, np.empty(5)
     for body in range(bodies):
         place = bodies * steps * count + body * starts
         for j in range(starts):
@@ -324,6 +324,8 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
         for sample in range(places.size):
             k = places[sample]
             place, part = (body * steps + k) * count, nodes[k + 1] - nodes[k]  # of a mean length
+            for i in range(5):  # abscissae are multiples of a half
+                growth[i] = np.exp((0.5 * i - 1.0) * part / intervals)
             for i in range(moduli.shape[0]):
                 for j in range(moduli.shape[1]):
                     moduli[i, j] = sums[i, j] = 0.0
@@ -336,7 +338,7 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
                 of = q.local_kind[column]
                 if q.local_multiplies[row] and not q.local_multiplies[column]:
                     moduli[row, of] += abs(value)
-                    sums[row, of] += value * np.exp((q.abscissa[column] - q.abscissa[row]) * part / intervals)
+                    sums[row, of] += value * growth[int(2.0 * (q.abscissa[column] - q.abscissa[row])) + 2]
                 elif not q.local_multiplies[row] and not q.only_at_ends[row]:
                     curvature[q.local_kind[row], of] += weight * abs(value) / part
             for row in range(q.local_kind.size):
