@@ -52,7 +52,7 @@ def without_origin(text: str) -> str:
         for line in head.splitlines()
         if not line.startswith(("# Generated", "# Made", "# Inputs", "# Text", "# Reads"))
     ]
-    rest = re.sub(r'^    "inputs": "[0-9a-f]{64}",$', "", rest, count=1, flags=re.MULTILINE)
+    rest = re.sub("inputs='[0-9a-f]{64}'", "", rest, count=1)
     return "\n".join(lines) + mark + rest
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from interpreted import of_problem
+from made_records import control_record
 from sympy import Abs, acos, exp, log, sqrt
 
 from codegen import Control, controls, coordinate, states, time
@@ -100,12 +101,12 @@ def test_values_at_the_ends_count_whatever_the_method(method):
         end={q: 1, r: 6, dq: 1, dr: 0},
         steps=4,
     )
-    assert "singular_at_guess" not in dict(notable(transcribe(normalise(orbit), None, method)))
+    assert dict(notable(transcribe(normalise(orbit), None, method)))["singular_at_guess"] == ()
 
 
 def test_note():
     root, logarithm = notes(
-        {"singular_at_guess": (("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0"), ("log(c)", "value", "c = 0"))}
+        control_record(singular_at_guess=(("sqrt(a**2 + b**2)", "slope", "a = 0, b = 0"), ("log(c)", "value", "c = 0")))
     )
     assert root.startswith("sqrt(a**2 + b**2) has no finite slope at the guess, a = 0, b = 0,")
     assert root.endswith("for a length in the cost, a control c >= 0 in its place with path a**2 + b**2 <= c**2")

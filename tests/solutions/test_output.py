@@ -49,7 +49,7 @@ def test_log_of_either_solver(interpreted, capsys, row, last):
         console.print(table)
     heading, *_ = (line for line in captured.get().splitlines() if "cost" in line)
     assert heading.split()[-1] == last
-    print_log([row, row])
+    print_log(np.array([row, row]))
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert len(lines[-1].split()) == 1 + len(row)

@@ -10,7 +10,9 @@ from sympy import cos, sin
 from codegen import Control, control, coordinates, solving, states
 from codegen.errors import ArgumentError
 from codegen.runtime.search import solve
+from codegen.runtime.search.cascade import varied_guess
 from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.point import evaluate
 from codegen.solving.warm_start import varied
 
 
@@ -89,3 +91,32 @@ def test_a_guess_of_zeros_is_varied():
     first, second = varied(module, 8, 1), varied(module, 8, 2)
     assert 0.1 < np.abs(first).max() < 10
     assert np.abs(first - second).max() > 0.1
+
+
+@pytest.mark.parametrize("count", [1, 3, 6])
+def test_a_search_that_stalls_begins_anew_at_varied_guesses(hoop, monkeypatch, count):
+    """After `count` searches that stall; the sixth is that from the last varied guess."""
+    search, starts = solve.minimise, []
+
+    def minimise(grid, unknowns, *others):
+        starts.append(unknowns)
+        if len(starts) <= count:
+            return "stalled", evaluate(grid, unknowns), 7
+        return search(grid, unknowns, *others)
+
+    monkeypatch.setattr(solve, "minimise", minimise)
+    grid = hoop.make_grid(6)
+    own = hoop.initial_guess(grid)
+    found = hoop.solve(6, scaling="none")  # one search from every guess
+    for number, start in enumerate(starts[1:], start=1):
+        np.testing.assert_array_equal(start, varied_guess(grid, own, number))
+    if count == 6:
+        assert len(starts) == count
+        assert found.status == "stalled"
+        assert found.iterations == 7 * count
+        assert found.message.endswith("searches from 5 varied guesses failed as well")
+    else:
+        assert len(starts) == count + 1
+        assert found.status == "solved"
+        assert found.residual <= 1e-10
+        assert found.message.endswith(f"found from varied guess {count}, as the search from the first guess stalled")

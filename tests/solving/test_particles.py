@@ -37,7 +37,7 @@ def test_checks_take_a_step_that_can_be_made(monkeypatch, uncompiled):
     assert all(finding.passed for finding in found)
     (step,) = (finding for finding in found if finding.check == "symplecticity")
     assert "for a step of 0.00078125; the scheme is symplectic" in step.detail
-    monkeypatch.setattr(checks.pairwise, "PARTICLE_SCHEMES", {"midpoint": SimpleNamespace(symplectic=False)})
+    monkeypatch.setattr(checks.particles, "PARTICLE_SCHEMES", {"midpoint": SimpleNamespace(symplectic=False)})
     failed = [finding.check for finding in checks.run(PROBLEMS / "lennard_jones.py") if not finding.passed]
     assert failed == ["symplecticity"]
 

@@ -79,7 +79,7 @@ def finite_bounds(lower, upper):
     """Return indices, sides, magnitudes and values of the bounds that exist, lower ones first."""
     n, m = lower.size, 0
     for i in range(n):
-        m += (lower[i] > -np.inf) + (upper[i] < np.inf)
+        m += int(lower[i] > -np.inf) + int(upper[i] < np.inf)
     indices, side, magnitude, value = np.empty(m, np.int64), np.empty(m), np.empty(m), np.empty(m)
     j = 0
     for sign, bound in ((1.0, lower), (-1.0, upper)):
