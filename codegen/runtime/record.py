@@ -11,7 +11,7 @@ from fractions import Fraction
 
 
 class Task(StrEnum):
-    """What a problem asks for."""
+    """The task of a problem."""
 
     CONTROL = "control"
     SIMULATE = "simulate"
@@ -27,7 +27,7 @@ class Form(StrEnum):
 
 
 class Method(StrEnum):
-    """How the equations are discretised; of particles that are connected, what the unknowns are."""
+    """The discretisation of the equations, or the unknowns of particles that are connected."""
 
     VARIATIONAL = "variational"
     HAMILTONIAN = "hamiltonian"
@@ -38,7 +38,7 @@ class Method(StrEnum):
 
 
 class Sites(StrEnum):
-    """Where controls live: one value on an interval, values at its stages, or values at nodes."""
+    """The location of controls: one value on an interval, values at its stages, or values at nodes."""
 
     INTERVAL = "interval"
     STAGES = "stages"
@@ -46,7 +46,7 @@ class Sites(StrEnum):
 
 
 class StepSolver(StrEnum):
-    """How a step of a simulation is solved; the matrix of `constant` is factored once."""
+    """The solver of one step of a simulation; the matrix of `constant` is factored once."""
 
     EXPLICIT = "explicit"
     CONSTANT = "constant"
@@ -55,7 +55,7 @@ class StepSolver(StrEnum):
 
 
 class Role(StrEnum):
-    """What an unknown is to the optimisation: a value of the motion, a multiplier of an equation, or a slack."""
+    """The role of an unknown in the optimisation: a value of the motion, a multiplier of an equation, or a slack."""
 
     VALUE = ""
     MULTIPLIER = "multiplier of "
@@ -63,7 +63,7 @@ class Role(StrEnum):
 
 
 class Place(StrEnum):
-    """Where the condition of an unknown holds: OWN is the node or interval of the unknown."""
+    """The location of the condition of an unknown: OWN is the node or interval of the unknown."""
 
     OWN = auto()
     START = auto()
@@ -141,7 +141,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Meaning:
-    """What an unknown is.
+    """The meaning of an unknown.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ PLACES = {
     Place.BEFORE_SWITCH: " before a switch",
     Place.AFTER_SWITCH: " after a switch",
 }
-"""What `phrase` says of places, with an abscissa or a number."""
+"""The words of `phrase` for each place, with an abscissa or a number."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ class ObservationRecord:
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """How delays cut a motion: the number of segments, and for every quantity its name for people and its segment."""
+    """The segments into which delays cut a motion: their number; name and segment of every quantity."""
 
     number: int
     names: Mapping[str, tuple[str, int]]
@@ -247,7 +247,7 @@ class SegmentRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What the records of all modules have.
+    """The fields that all records have.
 
     Attributes
     ----------
@@ -400,7 +400,7 @@ class ControlRecord(Record):
 
     @property
     def slack_meanings(self) -> tuple[Mapping[str, Meaning], ...]:
-        """What slacks are, in each phase."""
+        """The meanings of slacks in each phase."""
         return self.slacks or (self.meanings,)
 
     def kind(self, name: str) -> Kind | None:

@@ -114,7 +114,7 @@ def test_a_search_that_stalls_begins_anew_at_varied_guesses(hoop, monkeypatch, c
         assert len(starts) == count
         assert found.status == "stalled"
         assert found.iterations == 7 * count
-        assert found.message.endswith("searches from 5 varied guesses failed as well")
+        assert found.message.endswith("searches from 5 varied guesses did not succeed")
     else:
         assert len(starts) == count + 1
         assert found.status == "solved"

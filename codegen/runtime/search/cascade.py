@@ -78,7 +78,7 @@ def minimise_on(search, unknowns, tolerance, max_iterations, warm, log, is_facto
     status, iterate, total = leave_saddles(
         search, start, first, tolerance, max_iterations, log, stage=stage, is_factored=is_factored
     )
-    if search.work.integers[IS_BESIDE]:
+    if warm and search.work.integers[IS_BESIDE]:
         cascade = FROM_NEIGHBOUR, *cascade
     if status == "gross":
         begun = iterate

@@ -62,8 +62,9 @@ GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
 
 # The start.
 AT_GUESS, BESIDE, FROM_AFAR = (0.1, 1e-2), (1e-5, 1e-4), (0.1, 0.1)
-"""First weight of the barrier and push of a search from a guess; of a warm start; of one whose equations do not hold:
-close to their bounds, unknowns would be stopped by these step after step."""
+"""First weight of the barrier, and push inside the bounds, of a search from a guess; of a warm start without
+multipliers; of one with multipliers whose residual exceeds NEAR: close to their bounds, unknowns would shorten all
+steps."""
 WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
 CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
 NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
@@ -711,9 +712,10 @@ def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
 
 @njit(cache=True, error_model="numpy")
 def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, barriers):
-    """Put the warm start at a neighbour's unknowns X into the work space; IS_BESIDE tells if it has its multipliers.
+    """Put the warm start at a neighbour's unknowns X into the work space.
 
-    It has none if the neighbour has none, nor far from the equations, unless there are bounds. Duals of bounds follow
+    IS_BESIDE is set if the start has the neighbour's multipliers. They are dropped if all are zero, if the start is not
+    finite, or, without bounds, if the residual exceeds NEAR. Duals of bounds follow
     from the multipliers: where the Lagrangian falls towards a bound, by more than the distance to it, the bound is
     active, and its dual is that slope; the others are on the central path. The barrier's weight begins where it ends,
     and unknowns stay close to their bounds. Far from the equations, as after a push, other bounds become active: then
@@ -724,6 +726,7 @@ def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, bar
     x, g, distance, duals, is_multiplier = vectors[X], vectors[G], barriers[DISTANCE], barriers[DUALS], grid[4]
     indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
     integers[IS_BESIDE] = has_multipliers(x, is_multiplier)
+    copy(x, vectors[TRIAL])
     if integers[IS_BESIDE]:
         if indices.size:
             push_inside(grid, bounds, CLOSE, x)
@@ -741,7 +744,7 @@ def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, bar
         integers[IS_BESIDE] = reals[ERROR] < np.inf and (is_near or indices.size > 0)
     if not integers[IS_BESIDE]:
         for i in range(x.size):
-            x[i] = 0.0 if is_multiplier[i] else x[i]
+            x[i] = 0.0 if is_multiplier[i] else vectors[TRIAL, i]
         begin_at(BESIDE, problem, grid, bounds, reals, integers, vectors, barriers)
 
 

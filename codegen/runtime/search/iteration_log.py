@@ -43,11 +43,11 @@ class Log:
         self._keep(np.array([(point.cost, point.residual, point.stationarity, 0.0, length)]))
 
     def _keep(self, rows):
+        first = sum(map(len, self.parts))
+        self.parts.append(rows)
         if self.watch is not None:
-            first = sum(map(len, self.parts))
             for number, row in enumerate(rows.tolist(), first):
                 self.watch(number, tuple(row))
-        self.parts.append(rows)
 
     def table(self):
         """Return all rows: (iterates, 5 or 6), or (0, 5) where there is none."""

@@ -68,7 +68,7 @@ def global_index(local, first, element, own, bodies, body, linking):
     return first + local if local < element else linking + root_index(own, bodies, body, local - element)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy")
 def fill_entry_factors(sizes, forces, rows, columns, is_multiplier, without_cost, counts, factors):
     """Fill what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
 

@@ -33,7 +33,8 @@ def descend(search, start, attempt, tolerance, max_iterations, log, known=None, 
     """
     work = search.work
     reals, integers = work.reals, work.integers
-    reals[:], integers[:] = 0.0, 0
+    is_beside = integers[descent.IS_BESIDE] if stage == WITH_ITERATE else 0  # of the start that escapes follow
+    reals[:], integers[:], integers[descent.IS_BESIDE] = 0.0, 0, is_beside
     if stage == WITH_ITERATE:
         load(search, start)
     else:

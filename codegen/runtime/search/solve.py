@@ -33,11 +33,13 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
     """Minimise with scaling factors, unless `scaling` is "none"; return (status, message, point, iterations, scaled).
 
     `scaled` is the grid with the scaling factors of the guess. Where the search stalls, as from a symmetric guess that
-    leads through the middle of an obstacle, others begin at varied guesses. The message says so.
+    leads through the middle of an obstacle, searches from up to VARIED varied guesses follow. The message names the
+    guess that succeeded, or the number of guesses tried.
     """
     ended = optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
     status, message, point, iterations, scaled = ended
-    if status != "stalled" or warm or iterations >= max_iterations:
+    is_linear = grid.problem.structure.linear_quadratic
+    if status != "stalled" or warm or is_linear or iterations >= max_iterations:
         return ended
     number = 0
     while number < VARIED and iterations < max_iterations:
@@ -49,8 +51,8 @@ def optimise(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
             text += f"; found from varied guess {number}, as the search from the first guess stalled"
             return ended, text, found, iterations, its_grid
         if ended == "time limit":
-            break
-    return status, f"{message}; searches from {number} varied guesses failed as well", point, iterations, scaled
+            return ended, text, point, iterations, scaled
+    return status, f"{message}; searches from {number} varied guesses did not succeed", point, iterations, scaled
 
 
 def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log):
