@@ -226,7 +226,7 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
 
 
 def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Model) -> bool:
-    """Whether third differences on some line, in 60 digits, show that a function of z is not quadratic.
+    """Return True if third differences on some line, in 60 digits, show that a function of z is not quadratic.
 
     To expand and cancel a long expression takes a minute, only to find the same.
     """

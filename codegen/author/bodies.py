@@ -227,7 +227,7 @@ def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iter
 
 
 def has_path_couplings(problem: Any) -> bool:
-    """Whether conditions of several identical bodies tie them at other times than the end, or by an inequality."""
+    """Return True if conditions tie identical bodies at other times than the end, or by an inequality."""
     if not isinstance(problem, Control) or type(problem.bodies) is not int or problem.bodies < 2:
         return False
     inequalities = [

@@ -55,7 +55,7 @@ def converted(path: Path, text: str, parameter: inspect.Parameter) -> Any:
 
 
 def _readers(annotation: Any) -> list[tuple[str, Callable[[str], Any]]]:
-    """What a type accepts, in words, and the function that reads it (ValueError when the text does not fit)."""
+    """The values of a type in words, and the function that reads one; it raises ValueError for any other text."""
     origin, choices = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _readers(choices[0])

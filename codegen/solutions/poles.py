@@ -44,7 +44,7 @@ NEGLIGIBLE, ROUNDING = 1e-6, 1e-9
 
 @dataclass(frozen=True)
 class Pole:
-    """Where the equation of a state grows without end inside an interval: its name, when, and the body, of several."""
+    """A pole of the equation of a state inside an interval: name of the state, time, and body if there are several."""
 
     state: str
     time: float
@@ -52,7 +52,7 @@ class Pole:
 
     @property
     def note(self) -> str:
-        """What is to be said of it, and what helps."""
+        """The message for the author, with the remedy."""
         of_body = "" if self.body is None else f" of body {self.body}"
         return (
             f"between nodes, at t = {self.time:.4g}, the equation of {self.state}{of_body} grows without end: what was "

@@ -212,7 +212,7 @@ def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
 
 
 def residuals(model: Model) -> list[tuple[str, Expr]]:
-    """What the discrete Hamiltonian map leaves of the equations of the midpoint rule, by coordinate and momentum."""
+    """Residuals of the midpoint rule under the discrete Hamiltonian map, by coordinate and momentum."""
     model = model.with_free_ends
     if phase_functions(model):
         return _with_velocities(model)

@@ -298,7 +298,7 @@ def _matching(context: Context, model: Model) -> Iterator[Finding]:
 
 
 def _constraint_impulses(program: ControlProgram | StepProgram, model: Model) -> tuple[list[Expr], list[Expr]]:
-    """What holonomic constraints add in half an interval: h/2 G^T kappa at its left and at its right node."""
+    """Impulses of holonomic constraints in half an interval: h/2 G^T kappa at its left and at its right node."""
     impulses = []
     for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
         here = at_nodes(model.coordinates, suffix)

@@ -111,7 +111,7 @@ def _enough_intervals(module: Any, intervals: int) -> int:
 
 
 def _couplings(context: Context) -> Iterator[Finding]:
-    """Which conditions between bodies follow from others, and whether the solution satisfies these as well."""
+    """Conditions between bodies that follow from others, and their residuals at the solution."""
     model, solution = context.model, context.solution
     found = independent_couplings(model)
     names = [condition.name for condition in model.couplings]

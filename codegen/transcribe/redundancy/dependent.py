@@ -107,7 +107,7 @@ def _bound(program: ControlProgram) -> set[str]:
 
 
 def _lacking(chains: Sequence[Sequence[ChainJacobian]], program: ControlProgram) -> list[int]:
-    """How much rank is missing on each number of intervals."""
+    """The rank deficiency on each number of intervals."""
     return [min(_nulls(chain.reduced(program)[0]).shape[1] for chain in points) for points in chains]
 
 
