@@ -38,7 +38,7 @@ def render(module: Module, origin: Origin) -> str:
         "description": (*module.description, *renamed_arguments(names)),
         "title": _in_docstring(module.title),
         "record_type": type(module.metadata).__name__,
-        "record_lines": _filled(_arguments(replace(module.metadata, inputs=origin.inputs))),
+        "record_lines": _record_lines(replace(module.metadata, inputs=origin.inputs)),
         "imports": (),
         "numba_imports": (),
     }
@@ -88,6 +88,16 @@ def _code(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{_code(key)}: {_code(entry)}' for key, entry in value.items())}}}"
     return repr(value)
+
+
+def _record_lines(record: Any) -> list[str]:
+    """Lines of the arguments of a record; a long tuple has lines of its own."""
+    values = {entry.name: getattr(record, entry.name) for entry in fields(record)}
+    long = {name: value for name, value in values.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
+    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
+    for name, value in long.items():
+        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
+    return lines
 
 
 def _filled(arguments: Iterable[str]) -> list[str]:
