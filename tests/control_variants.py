@@ -79,6 +79,13 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
     ("van_der_pol", None, {"scheme": "trapezoidal"}),
     ("goddard_rocket", None, {}),
     ("low_thrust", None, {}),
+    ("van_der_pol", None, {"scheme": "rk4"}),
+    ("van_der_pol", None, {"scheme": "hermite-simpson"}),
+    ("low_thrust", None, {"scheme": "gauss-4"}),
+    ("low_thrust", None, {"method": "hamiltonian", "scheme": "rk4"}),
+    ("driven", DRIVEN, {"scheme": "gauss-4"}),
+    ("antiphase", ANTIPHASE, {"method": "hamiltonian", "scheme": "gauss-4"}),
+    ("orbital_transfer", None, {"method": "hamiltonian", "scheme": "yoshida-4"}),
 ]
 """Name, text (or None for a file of the gallery) and choices."""
 

@@ -54,7 +54,8 @@ class ControlDerivatives:
     """Everything that the structured Newton method of a control problem needs.
 
     `condensed` is how many of an interval's last unknowns can be eliminated inside it: slacks always, because their
-    barrier terms are positive, and controls when their block of the Hessian is constant and regular;
+    barrier terms are positive, and controls when their block of the Hessian is constant and regular and there are no
+    stages; `stages` is how many of its first unknowns are determined by the equations whose multipliers come next;
     `linear_quadratic` says that no Hessian entry depends on an unknown and one Newton step suffices (not so with nodal
     controls, which can make the system singular). `elements` are the shares of all kinds of intervals, of which there
     are several where there are phases; their Hessians have one pattern. That of a `sample` of measurements is a part of
@@ -65,6 +66,7 @@ class ControlDerivatives:
     start: ElementDerivatives
     end: ElementDerivatives
     condensed: int
+    stages: int
     linear_quadratic: bool
     sample: ElementDerivatives | None = None
 
@@ -97,13 +99,15 @@ def control_derivatives(program: ControlProgram) -> ControlDerivatives:
     start = _end_element(program.start, (*program.left_symbols, *program.shared_symbols))
     end = _end_element(program.end, (*program.right_symbols, *program.shared_symbols))
     shares = (*elements, *samples, start, end)
+    stages = _stages(program, elements[0])
     variables = set[Symbol]().union(*(share.varying for share in shares))
     entries = [entry for share in shares for entry in share.hessian]
     return ControlDerivatives(
         elements=elements,
         start=start,
         end=end,
-        condensed=_condensed(program, elements, samples),
+        condensed=len(program.slacks) if stages else _condensed(program, elements, samples),
+        stages=stages,
         linear_quadratic=not program.nodal_controls
         and not program.has_inequalities
         and not program.couplings
@@ -193,6 +197,33 @@ def _condensed(
     if all(_constant_and_regular(program, element, element.varying) for element in elements):
         return slacks + len(program.control_symbols)
     return slacks
+
+
+def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
+    """How many stages can be eliminated by their equations.
+
+    None of phases, which lack those of each other, and none that slacks or other equations' multipliers share an entry
+    with, as in modules whose every entry counts.
+    """
+    multipliers = [unknown.multiplier for unknown in program.interval]
+    count = multipliers.index(True) if True in multipliers else 0
+    first = len(program.left_symbols)
+    equations = range(first + count, first + 2 * count)
+    if program.phases or not all(multipliers[count : 2 * count]) or len(multipliers) < 2 * count:
+        return 0
+    inside = [u.multiplier for u in (*program.node, *program.interval)]
+    duals = {index for index, dual in enumerate(inside) if dual}
+    after = first + len(program.interval) + len(program.control_symbols)
+    lacks = {*range(after, after + len(program.slacks))}
+    last = after + len(program.slacks)
+    duals |= {last + index for index, unknown in enumerate(program.node) if unknown.multiplier}
+    duals |= {last + len(program.node) + index for index, unknown in enumerate(program.shared) if unknown.multiplier}
+    staged = {*range(first, first + 2 * count)}
+    for row, column, _ in element.hessian:
+        for one, other in ((row, column), (column, row)):
+            if (one in equations and other in duals) or (one in staged and other in lacks):
+                return 0
+    return count
 
 
 def _curves_controls(program: ControlProgram, sample: ElementDerivatives) -> bool:

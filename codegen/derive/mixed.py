@@ -210,6 +210,7 @@ def general_derivatives(program: ControlProgram, derivatives: ControlDerivatives
         derivatives,
         elements=tuple(_dense(element) for element in derivatives.elements),
         condensed=len(program.slacks),
+        stages=0,
         linear_quadratic=False,
     )
 

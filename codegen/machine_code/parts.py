@@ -73,14 +73,19 @@ def linear_system(shape: Any) -> Iterator[Part]:
     from codegen.runtime.kkt.specialised import compiled_system, system_module
 
     system = system_module(shape)
+    of_stages: Signature = (types.none, types.none)
+    if shape.stages:
+        kept = types.Tuple((TABLE, CUBE, TABLE, CUBE, CUBE, CUBE, CUBE, INDEX_TABLE))
+        of_stages = (kept, types.Tuple((TABLE, TABLE, TABLE, TABLE, REALS)))
     elimination = (
-        INTEGERS_AT, TABLE, REALS, REALS, REALS, REALS, int64, TABLE, TABLE, INTEGERS, CUBE, CUBE, TABLE, TABLE, TABLE,
+        INTEGERS_AT, TABLE, REALS, REALS, REALS, REALS, int64, TABLE, TABLE, INTEGERS, CUBE, CUBE, *of_stages, TABLE,
+        TABLE, TABLE,
     )  # fmt: skip
     substitution = {
         system.forward: (INTEGERS_AT, TABLE, TABLE, INTEGERS, int64, REALS, REALS, REALS),
         system.backward: (INTEGERS_AT, TABLE, INTEGERS, int64, int64, REALS, REALS, REALS),
-        system.condense: (REALS, CUBE, CUBE, int64, REALS),
-        system.recover_condensed: (REALS, CUBE, CUBE, int64, REALS, REALS),
+        system.condense: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS),
+        system.recover_condensed: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS, REALS),
     }
 
     def solve() -> None:

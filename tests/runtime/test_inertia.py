@@ -176,7 +176,7 @@ def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, ch
 def test_rows_have_room_for_what_is_carried_along(interpreted, name, text, choices):
     """A column for the right-hand side, exactly where rows, in fours from 0 and from a block on, have one to spare."""
     shape = interpreted(name, text, **choices).problem.structure.shape
-    block, last = shape.stride - shape.condensed, shape.node + shape.border
+    block, last = shape.stride - shape.condensed - 2 * shape.stages, shape.node + shape.border
     spare = [size % 4 > 0 for size in (block + last + shape.shared, last + shape.shared)]
     assert int(all(spare)) == shape.carried
     assert last + shape.shared + shape.carried <= last_width(shape) <= row_width(shape)

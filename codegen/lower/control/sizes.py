@@ -77,7 +77,7 @@ def motion_indices(program: ControlProgram) -> tuple[list[int], list[int]]:
 def carries_right_hand_side(program: ControlProgram, derivatives: ControlDerivatives) -> bool:
     """Whether the rows of an element matrix, which are as long as a multiple of four, have room for one more column."""
     node, inside = len(program.node), len(program.interval) + len(program.controls) + len(program.slacks)
-    block = node + inside - derivatives.condensed
+    block = node + inside - derivatives.condensed - 2 * derivatives.stages
     first = block - len(pinned(first_end(program))) if borders_front(program) else 0
     border = node + first + len(program.shared)  # the next node, block 0, shared unknowns
     return (block + border) % 4 > 0 and border % 4 > 0

@@ -7,7 +7,8 @@ leaves K - B' inverse(C) B. C is inverted on each interval, or once where it is 
 import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.shape import block_size, interval_of, tail_of, unknown_of
+from codegen.runtime.kkt.shape import block_size, first_condensed, interval_of, tail_of, unknown_of
+from codegen.runtime.kkt.stages import HAS_STAGES, recover_stages, reduce_right
 from codegen.runtime.kkt.symmetric import subtract_row
 from codegen.runtime.kkt.tables import (
     COUPLED,
@@ -51,7 +52,7 @@ def invert_block(shape, tables, hessian, diagonal, k, block):
     `diagonal` (N stride + node,) is added; `block` (condensed, condensed).
     """
     kept, rows, columns = place_of(tables, INSIDE), place_of(tables, INSIDE_ROWS), place_of(tables, INSIDE_COLUMNS)
-    first = k * shape.stride + block_size(shape)
+    first = first_condensed(shape, k)
     for a in range(shape.condensed):
         for b in range(shape.condensed):
             block[a, b] = 0.0
@@ -98,10 +99,11 @@ def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
-def condense(shape, gradient, inverses, couplings, steps, right):
-    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u).
+def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, right):
+    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and take stages out of it.
 
-    `gradient` (N stride + node,), `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width).
+    `gradient` (N stride + node,), `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept`
+    and `room` are those of `stages`.
     """
     block, tail = block_size(shape), tail_of(shape)
     for i in range(shape.shared):
@@ -117,16 +119,23 @@ def condense(shape, gradient, inverses, couplings, steps, right):
             for a in range(shape.condensed):
                 weighted = 0.0
                 for b in range(shape.condensed):
-                    weighted += inverse[a, b] * gradient[k * shape.stride + block + b]
+                    weighted += inverse[a, b] * gradient[first_condensed(shape, k) + b]
                 for i in range(block + shape.node):
                     right[number * block + i] += couplings[k, a, i] * weighted
                 for i in range(shape.shared):
                     right[steps * block + shape.node + i] += couplings[k, a, tail + i] * weighted
+    if HAS_STAGES and shape.stages:
+        for number in range(steps):
+            k = interval_of(shape, number, steps)
+            reduce_right(shape, tables, gradient, k, number, steps, kept, room, right)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
-def recover_condensed(shape, gradient, inverses, couplings, steps, solved, step):
-    """Fill a body's `step` (N stride + node,) with what is `solved`, as `right`, and -inverse(C) (g_u + B d)."""
+def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, steps, solved, step):
+    """Fill a body's `step` (N stride + node,) with what is `solved`, as `right`, with -inverse(C) (g_u + B d), and stages.
+
+    Other arguments as in `condense`.
+    """
     block, tail = block_size(shape), tail_of(shape)
     for i in range(shape.node):
         step[unknown_of(shape, steps, i, steps)] = solved[steps * block + i]
@@ -135,7 +144,7 @@ def recover_condensed(shape, gradient, inverses, couplings, steps, solved, step)
         for i in range(block):
             step[unknown_of(shape, number, i, steps)] = solved[number * block + i]
         if shape.condensed:
-            first = k * shape.stride + block
+            first = first_condensed(shape, k)
             inverse = inverses[min(k, inverses.shape[0] - 1)]
             for a in range(shape.condensed):
                 step[first + a] = 0.0
@@ -147,3 +156,5 @@ def recover_condensed(shape, gradient, inverses, couplings, steps, solved, step)
                     forcing += couplings[k, b, tail + i] * solved[steps * block + shape.node + i]
                 for a in range(shape.condensed):
                     step[first + a] -= inverse[a, b] * forcing
+        if HAS_STAGES and shape.stages:
+            recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step)

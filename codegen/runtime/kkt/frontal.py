@@ -21,7 +21,17 @@ that are still to come it has at most as many (Cauchy's interlacing theorem).
 from numba import njit
 
 from codegen.runtime.kkt.condensation import invert_block, scatter, subtract_schur_complement
-from codegen.runtime.kkt.shape import block_size, interval_of, last_size, padded, row_count, tail_of, unknown_of
+from codegen.runtime.kkt.shape import (
+    block_size,
+    first_condensed,
+    interval_of,
+    last_size,
+    padded,
+    row_count,
+    tail_of,
+    unknown_of,
+)
+from codegen.runtime.kkt.stages import HAS_STAGES, eliminate_stages
 from codegen.runtime.kkt.symmetric import clear, eliminate_once, eliminate_rows, subtract_products
 from codegen.runtime.kkt.tables import (
     COMMON,
@@ -48,15 +58,16 @@ from codegen.runtime.kkt.tables import (
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def eliminate_body(
     shape, tables, entries, at_start, at_end, gradient, diagonal, steps, upper, inverse, order, inverses, couplings,
-    element, rest, last,
+    kept, room, element, rest, last,
 ):  # fmt: skip
     """Run the front over all intervals of a body, then eliminate what remains: the last node and its border.
 
     `entries` (N, entries of an interval), `at_start` and `at_end` those of the ends, `gradient` and `diagonal`
     (N stride + node,); the factors `upper` (R, width), `inverse` (R, 2), `order` (R,) have R = N block + last rows;
-    `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `element` (rows, width), `rest`
-    (rows - block, ..) and `last` (last + shared, ..) are work space. Return whether the matrix is regular, the number
-    of negative pivots, and by how many these are too many: then the elimination has stopped.
+    `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept` and `room` are those of
+    `stages`; `element` (rows, width), `rest` (rows - block, ..) and `last` (last + shared, ..) are work space. Return
+    whether the matrix is regular, the number of negative pivots, and by how many these are too many: then the
+    elimination has stopped.
     """
     block_rows, rows, counts = block_size(shape), row_count(shape), place_of(tables, COUNTS)
     remaining, negative = rows - block_rows, 0
@@ -73,8 +84,13 @@ def eliminate_body(
                     return False, 0, 0
             if shape.carried:
                 for a in range(shape.condensed):
-                    couplings[k, a, rows] = -gradient[k * shape.stride + block_rows + a]
+                    couplings[k, a, rows] = -gradient[first_condensed(shape, k) + a]
             subtract_schur_complement(shape, tables, couplings[k], inverses[number], padded(rows), element)
+        if HAS_STAGES and shape.stages:
+            found = eliminate_stages(shape, tables, entries[k], gradient, diagonal, k, kept, room, element)
+            if found < 0:
+                return False, 0, 0
+            negative += found
         for i in range(block_rows):
             element[i, i] += diagonal[unknown_of(shape, block, i, steps)]
         if shape.carried:

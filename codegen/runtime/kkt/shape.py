@@ -21,6 +21,9 @@ class Shape(NamedTuple):
     backward, bordered, carried, constant : int
         1 if elimination goes from the last interval to the first; if block 0 stays to the end; if the right-hand side
         takes part in the elimination; if the block of what is condensed is the same on all intervals of one length.
+    stages, reach, triangular : int
+        Stages of an interval, with which the multipliers of their equations are eliminated; unknowns that these
+        equations contain, to the next multiple of four; 1 if their Jacobian by the stages is a lower triangle.
     """
 
     node: int
@@ -34,6 +37,9 @@ class Shape(NamedTuple):
     bordered: int
     carried: int
     constant: int
+    stages: int = 0
+    reach: int = 0
+    triangular: int = 0
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -44,8 +50,8 @@ def padded(size):
 
 @njit(error_model="numpy", forceinline=True)
 def block_size(shape):
-    """Return the number of unknowns of a block: a node and its interval without what is condensed."""
-    return shape.stride - shape.condensed
+    """Return the number of unknowns of a block: a node and its interval without stages and what is condensed."""
+    return shape.stride - shape.condensed - 2 * shape.stages
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -82,9 +88,16 @@ def last_width(shape):
 @njit(error_model="numpy", forceinline=True)
 def unknown_of(shape, block, i, steps):
     """Return the index, among a body's unknowns, of unknown i of a block; block N is the node that comes last."""
+    of_interval = i >= shape.node  # where stages come first
     if shape.backward:
-        return (steps - block - (i >= shape.node)) * shape.stride + i
-    return block * shape.stride + i
+        return (steps - block - of_interval) * shape.stride + i + of_interval * 2 * shape.stages
+    return block * shape.stride + i + of_interval * 2 * shape.stages
+
+
+@njit(error_model="numpy", forceinline=True)
+def first_condensed(shape, k):
+    """Return the index, among a body's unknowns, of the first one of interval k that is condensed."""
+    return (k + 1) * shape.stride - shape.condensed
 
 
 @njit(error_model="numpy", forceinline=True)

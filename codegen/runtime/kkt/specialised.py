@@ -19,7 +19,7 @@ from codegen.runtime.kept_code import fingerprint, fresh_folder
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.packing import packed_operations
 
-FILES = "shape", "tables", "symmetric", "condensation", "frontal", "substitution", "system"
+FILES = "shape", "tables", "symmetric", "stages", "condensation", "frontal", "substitution", "system"
 PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
 """Functions whose intermediate code is kept, so that several processes can compile a system."""
 HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
@@ -35,6 +35,15 @@ from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.linking import link_inner_functions
 
 shape = Shape({values})
+'''
+WITHOUT_STAGES = '''
+HAS_STAGES = False
+
+
+@njit(error_model="numpy")
+def stage_views(tables, reals, integers, bodies, body, steps):
+    """Return nothing: there are no stages."""
+    return None, None
 '''
 TAIL = '''
 link_inner_functions(value for value in list(globals().values()) if hasattr(value, "py_func"))
@@ -67,7 +76,8 @@ def text_of(shape):
     fields = ", ".join(f"{name} {value}" for name, value in zip(Shape._fields, shape, strict=True))
     head = HEAD.format(fields=fields, values=", ".join(map(str, shape)))
     tail = TAIL.replace("{parts}", ", ".join(PARTS))
-    return "\n\n".join([head, *(body_of(name) for name in FILES), tail])
+    texts = (body_of(name) if name != "stages" or shape.stages else WITHOUT_STAGES for name in FILES)
+    return "\n\n".join([head, *texts, tail])
 
 
 @lru_cache
@@ -80,7 +90,7 @@ def body_of(name):
         is_class = isinstance(node, ast.ClassDef)
         if isinstance(node, (ast.Import, ast.ImportFrom)) or is_docstring or is_class:
             continue
-        if isinstance(node, ast.FunctionDef) and node.name in ("packed", "factor_sizes"):
+        if isinstance(node, ast.FunctionDef) and node.name in ("packed", "factor_sizes", "stage_sizes"):
             continue
         first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", []))])
         between = "\n\n" if isinstance(node, ast.FunctionDef) else ""

@@ -9,6 +9,7 @@ from codegen.runtime.addresses import ahead
 from codegen.runtime.kkt.condensation import condense, recover_condensed
 from codegen.runtime.kkt.frontal import eliminate_body
 from codegen.runtime.kkt.shape import block_size, last_size, last_width, padded, row_count, row_width
+from codegen.runtime.kkt.stages import stage_sizes, stage_views
 from codegen.runtime.kkt.substitution import backward, forward
 from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
 from codegen.runtime.kkt.tables import (
@@ -96,6 +97,7 @@ def solve_system(
     at_left = at_front + width + root * shared_width
     left_width = padded(shape.shared + shape.carried)
     left = carray(ahead(factors, at_left), (shape.shared, left_width))
+    stage_reals, stage_integers = ahead(factors, at_left + shape.shared * left_width), ahead(orders, bodies * size + root)
     carried, excess = is_new and shape.carried, 0
     if is_new:
         if root:
@@ -105,6 +107,7 @@ def solve_system(
                     root_matrix[i, j] = 0.0
         after = bodies * steps * entry_count
         for body in range(bodies):
+            kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
             regular, negative, beyond = eliminate_body(
                 shape, tables, carray(ahead(entries, body * steps * entry_count), (steps, entry_count)),
                 carray(ahead(entries, after + body * starts), (starts,)),
@@ -121,7 +124,7 @@ def solve_system(
                     ahead(factors, at_couplings + body * steps * shape.condensed * width),
                     (steps, shape.condensed, width),
                 ),
-                element, rest, last_matrix,
+                kept, room, element, rest, last_matrix,
             )  # fmt: skip
             if not regular:
                 return SINGULAR
@@ -167,8 +170,9 @@ def solve_system(
             for i in range(end_width):
                 last[i] = 0.0
         else:
+            kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
             condense(
-                shape, carray(ahead(gradient, body * chain), (chain,)),
+                shape, tables, carray(ahead(gradient, body * chain), (chain,)),
                 carray(
                     ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
                     (inverses, shape.condensed, shape.condensed),
@@ -177,7 +181,7 @@ def solve_system(
                     ahead(factors, at_couplings + body * steps * shape.condensed * width),
                     (steps, shape.condensed, width),
                 ),
-                steps, right,
+                kept, room, steps, right,
             )  # fmt: skip
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             if root:
@@ -212,8 +216,9 @@ def solve_system(
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             copy_to_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
             copy_to_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
+        kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
         recover_condensed(
-            shape, carray(ahead(gradient, body * chain), (chain,)),
+            shape, tables, carray(ahead(gradient, body * chain), (chain,)),
             carray(
                 ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
                 (inverses, shape.condensed, shape.condensed),
@@ -221,7 +226,7 @@ def solve_system(
             carray(
                 ahead(factors, at_couplings + body * steps * shape.condensed * width), (steps, shape.condensed, width)
             ),
-            steps, right, carray(ahead(step, body * chain), (chain,)),
+            kept, room, steps, right, carray(ahead(step, body * chain), (chain,)),
         )  # fmt: skip
     return excess
 
@@ -248,13 +253,16 @@ def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, sh
         right[first + tables[tied + i]] = shared[root_index(own, bodies, body, tables[to + i])]
 
 
-def factor_sizes(shape, bodies, steps, inverses):
-    """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers."""
+def factor_sizes(shape, copied, bodies, steps, inverses):
+    """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers.
+
+    Of the second derivatives of an interval, those by stages are `copied`.
+    """
 
     def fours(size):
         return -(-size // 4) * 4
 
-    block, end = shape.stride - shape.condensed, shape.node + shape.border
+    block, end = shape.stride - shape.condensed - 2 * shape.stages, shape.node + shape.border
     remaining = end + shape.shared
     rows, width = block + remaining, fours(block + fours(remaining))
     end_width = fours(end + fours(shape.carried + shape.shared))
@@ -264,4 +272,5 @@ def factor_sizes(shape, bodies, steps, inverses):
     common = shape.root * (2 * fours(shape.root) + 3) + fours(shape.root) + rows * width + width
     common += remaining * fours(remaining) + (end + shape.shared) * end_width
     common += shape.shared * fours(shape.shared + shape.carried)
-    return bodies * of_body + common + 8, bodies * size + shape.root + 1
+    reals, integers = stage_sizes(shape, copied, bodies, steps) if shape.stages else (0, 0)
+    return bodies * of_body + common + reals + 8, bodies * size + shape.root + integers + 1

@@ -10,19 +10,26 @@ from numba import njit
 NAMES = (
     "KEPT KEPT_ROWS KEPT_COLUMNS COUPLED COUPLED_ROWS COUPLED_COLUMNS INSIDE INSIDE_ROWS INSIDE_COLUMNS TOUCHED FIRST"
     " FIRST_PINNED LAST_PINNED START_PINNED END_PINNED START_TIED START_SHARED END_TIED END_SHARED START_ROWS"
-    " START_COLUMNS END_ROWS END_COLUMNS COUNTS SHAPE"
+    " START_COLUMNS END_ROWS END_COLUMNS COUNTS SHAPE STAGED SLOPE_ROWS SLOPE_COLUMNS OUTER_ROWS OUTER_COLUMNS"
+    " CURVED_ROWS CURVED_COLUMNS CROSS_ROWS CROSS_COLUMNS CROSSED REACH"
 ).split()
 (
     KEPT, KEPT_ROWS, KEPT_COLUMNS, COUPLED, COUPLED_ROWS, COUPLED_COLUMNS, INSIDE, INSIDE_ROWS, INSIDE_COLUMNS, TOUCHED,
     FIRST, FIRST_PINNED, LAST_PINNED, START_PINNED, END_PINNED, START_TIED, START_SHARED, END_TIED, END_SHARED,
-    START_ROWS, START_COLUMNS, END_ROWS, END_COLUMNS, COUNTS, SHAPE,
-) = range(25)  # fmt: skip
+    START_ROWS, START_COLUMNS, END_ROWS, END_COLUMNS, COUNTS, SHAPE, STAGED, SLOPE_ROWS, SLOPE_COLUMNS, OUTER_ROWS,
+    OUTER_COLUMNS, CURVED_ROWS, CURVED_COLUMNS, CROSS_ROWS, CROSS_COLUMNS, CROSSED, REACH,
+) = range(36)  # fmt: skip
 """Numbers of the tables.
 
 The entries of an interval's Hessian whose unknowns both stay, one of which is condensed, and both; columns that
 condensation changes; unknowns of block 0 that stay to the end; unknowns that are given in the nodes that come first and
 last, at the start and at the end; those that equal linking variables, and these; rows and columns of an element matrix
 for the entries of the ends' own Hessians; COUNTS; and the numbers of the shape.
+
+For the stages of an interval: STAGED are the entries of its Hessian with stages, one kind after the other: the Jacobian
+of their equations by stages (rows and columns SLOPE) and by other unknowns (OUTER, whose columns are numbers in REACH,
+which has rows of an element matrix), second derivatives by stages (CURVED), and by other unknowns and stages (CROSS,
+whose rows are numbers in CROSSED, which has rows of an element matrix). Diagonals come last in rows of SLOPE.
 """
 OWN, MULTIPLIERS, ENDING, COMMON, ENTRIES = range(5)
 """Entries of COUNTS: linking variables of one body alone; multipliers of a block, of the last node with another block,

@@ -37,7 +37,7 @@ def allocate_system(grid):
     """Return the storage of the linear system on a grid."""
     problem, s = grid.problem, grid.problem.structure
     inverses = 1 if s.constant and grid.is_uniform else grid.steps
-    reals, integers = factor_sizes(s.shape, s.bodies, grid.steps, inverses)
+    reals, integers = factor_sizes(s.shape, s.staged.size, s.bodies, grid.steps, inverses)
     system = System(
         problem.system, problem.hessians.address, s.tables, np.zeros(reals), np.zeros(integers, np.int64),
         np.zeros(s.entry_count(grid.steps)), NONE, NONE, inverses, s.counts, layout_of(grid).multipliers.size,

@@ -35,6 +35,9 @@ class Structure:
         Unknowns of a node, and of a node with the interval after it.
     condensed : int
         Unknowns of an interval that are eliminated before all others: its last ones.
+    stages : int
+        Stages of an interval, its first unknowns, which are eliminated with the multipliers of their equations, the
+        next ones.
     bodies, own, shared, couplings : int
         Bodies; linking variables of one body alone, and with those of the whole problem; conditions between them.
     phases : int
@@ -77,6 +80,7 @@ class Structure:
     start_pinned: np.ndarray
     end_pinned: np.ndarray
     only_at_ends: np.ndarray = field(default_factory=_no_indices)
+    stages: int = 0
     bodies: int = 1
     own: int = 0
     shared: int = 0
@@ -144,13 +148,13 @@ class Structure:
     @cached_property
     def border(self):
         """Unknowns of block 0 that stay to the end of the elimination."""
-        block = self.stride - self.condensed
+        block = self.stride - self.condensed - 2 * self.stages
         return np.setdiff1d(np.arange(block), self.first_pinned) if self.bordered else NO_INDICES
 
     @cached_property
     def shape(self):
         """What the factorisation of the KKT matrix is specialised to."""
-        block = self.stride - self.condensed
+        block = self.stride - self.condensed - 2 * self.stages
         # What only ends have is zero in inner nodes, and is left out where it comes last.
         inner = block - self.only_at_ends.size
         if self.only_at_ends.min(initial=block) < inner:
@@ -158,24 +162,95 @@ class Structure:
         flags = self.backward, self.bordered, self.carried, self.constant
         return Shape(
             self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
-            *map(int, flags),
+            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, int(self.is_triangular),
         )  # fmt: skip
+
+    @cached_property
+    def element_index(self):
+        """The row of an element matrix, or the number among what is condensed or staged, of each local unknown."""
+        node, block = self.node, self.stride - self.condensed - 2 * self.stages
+        left, right = (block, 0) if self.backward else (0, block)
+        of_stages = np.arange(self.stages)
+        return np.concatenate(
+            [
+                left + np.arange(node), of_stages, of_stages, np.arange(node, block), np.arange(self.condensed),
+                right + np.arange(node), block + node + self.border.size + np.arange(self.shared),
+            ]
+        )  # fmt: skip
+
+    @cached_property
+    def stage_entries(self):
+        """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `tables`.
+
+        Rows and columns of slopes, curved ones and stages of others are numbers of stages; what is outside is local.
+        """
+        node, stages = self.node, self.stages
+        local = np.arange(self.element + self.shared)
+        is_stage = (local >= node) & (local < node + stages)
+        is_equation = (local >= node + stages) & (local < node + 2 * stages)
+        high, low = np.maximum(self.rows, self.columns), np.minimum(self.rows, self.columns)
+        found = []
+        for is_row, is_column, first, second in (
+            (is_equation, is_stage, node + stages, node),
+            (is_equation, ~is_stage & ~is_equation, node + stages, 0),
+            (is_stage, is_stage, node, node),
+            (~is_stage & ~is_equation, is_stage, 0, node),
+        ):
+            straight = is_row[high] & is_column[low]
+            turned = is_row[low] & is_column[high] & ~straight
+            entries = np.flatnonzero(straight | turned)
+            rows = np.where(straight, high, low)[entries] - first
+            columns = np.where(straight, low, high)[entries] - second
+            order = np.lexsort((columns, rows))
+            found.append((entries[order], rows[order], columns[order]))
+        return found
+
+    @cached_property
+    def staged(self):
+        """Entries of an interval's Hessian with stages, or with multipliers of their equations."""
+        return np.concatenate([entries for entries, _, _ in self.stage_entries])
+
+    @cached_property
+    def is_triangular(self):
+        """Whether the Jacobian of the equations of stages by stages is a lower triangle with a whole diagonal."""
+        _, rows, columns = self.stage_entries[0]
+        return bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
+
+    @cached_property
+    def stage_reach(self):
+        """Local unknowns, other than stages, that the equations of stages contain."""
+        return np.unique(self.stage_entries[1][2])
+
+    @cached_property
+    def stage_tables(self):
+        """The index tables of stages."""
+        slopes, outer, curved, cross = self.stage_entries
+        crossed = np.unique(cross[1])
+        return {
+            "STAGED": self.staged,
+            "SLOPE_ROWS": slopes[1],
+            "SLOPE_COLUMNS": slopes[2],
+            "OUTER_ROWS": outer[1],
+            "OUTER_COLUMNS": np.searchsorted(self.stage_reach, outer[2]),
+            "CURVED_ROWS": curved[1],
+            "CURVED_COLUMNS": curved[2],
+            "CROSS_ROWS": np.searchsorted(crossed, cross[1]),
+            "CROSS_COLUMNS": cross[2],
+            "CROSSED": self.element_index[crossed],
+            "REACH": self.element_index[self.stage_reach],
+        }
 
     @cached_property
     def tables(self):
         """The index tables of the linear system, packed."""
-        node, block = self.node, self.stride - self.condensed
+        node, index = self.node, self.element_index
+        block = self.stride - self.condensed - 2 * self.stages
         tail = block + node + self.border.size
         left, right = (block, 0) if self.backward else (0, block)
         local = np.arange(self.element + self.shared)
-        is_condensed = (local >= block) & (local < self.stride)
-        index = np.concatenate(
-            [
-                left + np.arange(node), np.arange(node, block), np.arange(self.condensed), right + np.arange(node),
-                tail + np.arange(self.shared),
-            ]
-        )  # fmt: skip
+        is_condensed = (local >= self.stride - self.condensed) & (local < self.stride)
         kinds = is_condensed[self.rows].astype(int) + is_condensed[self.columns]
+        kinds[self.staged] = -1
         swapped = is_condensed[self.columns] & ~is_condensed[self.rows]
         rows = index[np.where(swapped, self.columns, self.rows)]
         columns = index[np.where(swapped, self.rows, self.columns)]
@@ -207,6 +282,7 @@ class Structure:
                 "END_SHARED": self.end_shared,
                 "COUNTS": [self.own, multipliers, ending, common, self.rows.size],
                 "SHAPE": self.shape,
+                **self.stage_tables,
             }
         )
 

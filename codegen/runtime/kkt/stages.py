@@ -1,0 +1,472 @@
+"""Elimination of the stages of an interval, through the Jacobian of the equations that determine them.
+
+With s the stages, m the multipliers of their equations, y all other unknowns, and A, B the Jacobians of these equations
+by s and by y, a Newton step satisfies
+
+    H_yy dy + H_ys ds + B' dm = -g_y,    H_sy dy + H_ss ds + A' dm = -g_s,    B dy + A ds = -r.
+
+A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse(A) r, and what is left is
+
+    (H_yy + H_ys S + S' H_sy + S' H_ss S) dy = -(g_y + H_ys s0 + S' (g_s + H_ss s0)).
+
+Stages and multipliers have as many negative as positive eigenvalues, and need no search for pivots. For explicit
+schemes A is a sparse lower triangle; otherwise it is factored, with row exchanges: P A = L U. Where multipliers have
+diagonals of their own, as in feasibility restoration, or where A is singular, stages and multipliers are eliminated as
+a dense symmetric matrix.
+
+What is kept of the intervals of a body is a tuple, `kept`: entries and then diagonals of stages (N, entries + s), S (N,
+s, reach), s0 (N, s), L and U (N, s, padded s; no rows for explicit schemes), factors and pivots of dense matrices (N,
+2 s, width) and (N, 2 s, 2), and integers (N, 2 s + 1): the order of pivots or rows, and last, 1 if A was solved and 0 if the matrix is dense. `room` is
+a tuple of work space: W (s, reach), products (reach, reach), crossed rows (rows, reach), the dense matrix (2 s, width),
+and a vector (width,). S is as wide as a multiple of four; the table REACH has its columns' places in the element.
+"""
+
+import numpy as np
+from numba import carray, njit
+
+from codegen.runtime.addresses import ahead
+from codegen.runtime.kkt.shape import block_size, padded, row_count, row_width, tail_of
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    clear,
+    eliminate_once,
+    forward_once,
+    subtract_products,
+    subtract_row,
+)
+from codegen.runtime.kkt.tables import (
+    CROSS_COLUMNS,
+    CROSS_ROWS,
+    CROSSED,
+    CURVED_COLUMNS,
+    CURVED_ROWS,
+    OUTER_COLUMNS,
+    OUTER_ROWS,
+    REACH,
+    SLOPE_COLUMNS,
+    SLOPE_ROWS,
+    STAGED,
+    count_of,
+    place_of,
+)
+
+HAS_STAGES = True
+"""False in a system without stages, whose text leaves all of this out."""
+NEGLIGIBLE = 1e-6
+"""Diagonals of multipliers that are left out: the equations of stages are regular by themselves."""
+SINGULAR_PIVOT = 1e-13  # relative to the largest entry of the Jacobian
+
+
+@njit(error_model="numpy")
+def dense_width(shape):
+    """Return the number of columns where stages and multipliers are eliminated as a dense matrix."""
+    return padded(2 * shape.stages + padded(row_count(shape)))
+
+
+@njit(error_model="numpy")
+def stage_views(shape, tables, reals, integers, bodies, body, steps):
+    """Return `kept` of a body and `room`, views of the storage that begins at two pointers."""
+    stages, reach, width = shape.stages, shape.reach, dense_width(shape)
+    copied, solved = count_of(tables, STAGED) + stages, 0 if shape.triangular else stages
+    of_body = steps * (copied + stages * (1 + reach) + 2 * solved * padded(stages) + 2 * stages * (width + 2))
+    at_entries = body * of_body
+    at_reduced = at_entries + steps * copied
+    at_offsets = at_reduced + steps * stages * reach
+    at_lower = at_offsets + steps * stages
+    at_upper = at_lower + steps * solved * padded(stages)
+    at_dense = at_upper + steps * solved * padded(stages)
+    at_pivots = at_dense + steps * 2 * stages * width
+    kept = (
+        carray(ahead(reals, at_entries), (steps, copied)),
+        carray(ahead(reals, at_reduced), (steps, stages, reach)),
+        carray(ahead(reals, at_offsets), (steps, stages)),
+        carray(ahead(reals, at_lower), (steps, solved, padded(stages))),
+        carray(ahead(reals, at_upper), (steps, solved, padded(stages))),
+        carray(ahead(reals, at_dense), (steps, 2 * stages, width)),
+        carray(ahead(reals, at_pivots), (steps, 2 * stages, 2)),
+        carray(ahead(integers, body * steps * (2 * stages + 1)), (steps, 2 * stages + 1)),
+    )
+    at_weighted = bodies * of_body
+    at_products = at_weighted + stages * reach
+    at_crossed = at_products + reach * reach
+    at_matrix = at_crossed + row_count(shape) * reach
+    at_values = at_matrix + 2 * stages * width
+    room = (
+        carray(ahead(reals, at_weighted), (stages, reach)),
+        carray(ahead(reals, at_products), (reach, reach)),
+        carray(ahead(reals, at_crossed), (row_count(shape), reach)),
+        carray(ahead(reals, at_matrix), (2 * stages, width)),
+        carray(ahead(reals, at_values), (width,)),
+    )
+    return kept, room
+
+
+def stage_sizes(shape, copied, bodies, steps):
+    """Return the lengths of the storage of `stage_views`, where so many entries of an interval are copied."""
+
+    def fours(size):
+        return -(-size // 4) * 4
+
+    stages, reach = shape.stages, shape.reach
+    rows = shape.stride - shape.condensed - 2 * stages + shape.node + shape.border + shape.shared
+    width, solved = fours(2 * stages + fours(rows)), 0 if shape.triangular else stages
+    of_interval = copied + stages * (2 + reach) + 2 * solved * fours(stages) + 2 * stages * (width + 2)
+    room = reach * (stages + reach + rows) + 2 * stages * width + width
+    return bodies * steps * of_interval + room, bodies * steps * (2 * stages + 1)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, element):
+    """Take the stages of interval k out of its `element` matrix (rows, width); return the number of negative pivots.
+
+    That is -1 if they have no solution. `hessian` (entries,) is that of the interval; `gradient` and `diagonal` (N
+    stride + node,); the right-hand side in the element matrix, if it is carried along, changes as well.
+    """
+    entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
+    stages, staged, count = shape.stages, place_of(tables, STAGED), count_of(tables, STAGED)
+    first, own, order = k * shape.stride + shape.node, entries[k], orders[k]
+    for j in range(count):
+        own[j] = hessian[np.uint64(tables[staged + j])]
+    largest = 0.0
+    for i in range(stages):
+        own[count + i] = diagonal[first + i]
+        largest = max(largest, abs(diagonal[first + stages + i]))
+    is_solved = largest <= NEGLIGIBLE
+    if is_solved:
+        if shape.triangular:
+            is_solved = solve_triangle(shape, tables, own, reduced[k])
+        else:
+            is_solved = solve_by_factors(shape, tables, own, lower[k], upper[k], order, reduced[k])
+    order[2 * stages] = is_solved
+    if not is_solved:
+        return eliminate_dense(shape, tables, own, gradient, diagonal, first, dense[k], pivots[k], order, room, element)
+    add_reduced(shape, tables, own, reduced[k], room, element)
+    if shape.carried:
+        solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
+        rows = row_count(shape)
+        values = forcing(shape, tables, own, gradient, first, offsets[k], room)
+        places = place_of(tables, REACH)
+        for c in range(count_of(tables, REACH)):
+            total = 0.0
+            for i in range(stages):
+                total += reduced[k, i, c] * values[i]
+            element[tables[places + c], rows] -= total
+        at, of_rows, columns = crossings(tables)
+        for j in range(count_of(tables, CROSS_ROWS)):
+            row = tables[place_of(tables, CROSSED) + tables[of_rows + j]]
+            element[row, rows] -= own[at + j] * offsets[k, tables[columns + j]]
+    return stages
+
+
+@njit(error_model="numpy", forceinline=True)
+def crossings(tables):
+    """Return where the entries of H_ys begin among those that are kept, their crossed rows, and their stages."""
+    before = count_of(tables, SLOPE_ROWS) + count_of(tables, OUTER_ROWS) + count_of(tables, CURVED_ROWS)
+    return before, place_of(tables, CROSS_ROWS), place_of(tables, CROSS_COLUMNS)
+
+
+@njit(error_model="numpy", forceinline=True)
+def put_outer(tables, own, reduced):
+    """Fill `reduced` (s, reach) with -B."""
+    rows, columns, at = place_of(tables, OUTER_ROWS), place_of(tables, OUTER_COLUMNS), count_of(tables, SLOPE_ROWS)
+    clear(reduced)
+    for j in range(count_of(tables, OUTER_ROWS)):
+        reduced[np.uint64(tables[rows + j]), np.uint64(tables[columns + j])] = -own[at + j]
+
+
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+def solve_triangle(shape, tables, own, reduced):
+    """Fill S, where A is a lower triangle whose rows end with the diagonal; return whether that is regular."""
+    rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
+    put_outer(tables, own, reduced)
+    for j in range(count_of(tables, SLOPE_ROWS)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        if row != column:
+            subtract_row(own[j], reduced, column, shape.reach, reduced, row)
+            continue
+        if not abs(own[j]) > 1e-300:
+            return False
+        if own[j] != 1.0:
+            scale = 1.0 / own[j]
+            for c in range(shape.reach):
+                reduced[row, c] *= scale
+    return True
+
+
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+def solve_by_factors(shape, tables, own, lower, upper, order, reduced):
+    """Factor A by Gaussian elimination with row exchanges, which `order` has, and fill S; return whether A is regular.
+
+    Row p of L has factors left of its diagonal, zeros elsewhere; U has zeros left of its own.
+    """
+    stages, width = shape.stages, padded(shape.stages)
+    rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
+    clear(lower)
+    clear(upper)
+    put_outer(tables, own, reduced)
+    largest = 0.0
+    for j in range(count_of(tables, SLOPE_ROWS)):
+        upper[np.uint64(tables[rows + j]), np.uint64(tables[columns + j])] = own[j]
+        largest = max(largest, abs(own[j]))
+    for c in range(stages):
+        best, pivot = c, abs(upper[c, c])
+        for i in range(c + 1, stages):
+            if abs(upper[i, c]) > pivot:
+                best, pivot = i, abs(upper[i, c])
+        if not SINGULAR_PIVOT * largest < pivot < np.inf:
+            return False
+        order[c] = best
+        if best != c:
+            for j in range(width):
+                upper[c, j], upper[best, j] = upper[best, j], upper[c, j]
+                lower[c, j], lower[best, j] = lower[best, j], lower[c, j]
+            for j in range(shape.reach):
+                reduced[c, j], reduced[best, j] = reduced[best, j], reduced[c, j]
+        reciprocal = 1.0 / upper[c, c]
+        for i in range(c + 1, stages):
+            factor = upper[i, c] * reciprocal
+            if factor != 0.0:
+                lower[i, c] = factor
+                subtract_row(factor, upper, c, width, upper, i)
+                upper[i, c] = 0.0
+                subtract_row(factor, reduced, c, shape.reach, reduced, i)
+    for c in range(stages - 1, -1, -1):
+        for j in range(c + 1, stages):
+            if upper[c, j] != 0.0:
+                subtract_row(upper[c, j], reduced, j, shape.reach, reduced, c)
+        reciprocal = 1.0 / upper[c, c]
+        for j in range(shape.reach):
+            reduced[c, j] *= reciprocal
+    return True
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def add_reduced(shape, tables, own, reduced, room, element):
+    """Add H_ys S + S' H_sy + S' H_ss S to `element` (rows, width)."""
+    weighted, products, crossed, _, _ = room
+    stages, reach, count = shape.stages, shape.reach, count_of(tables, STAGED)
+    for i in range(stages):
+        for c in range(reach):
+            weighted[i, c] = -own[count + i] * reduced[i, c]
+    rows, columns = place_of(tables, CURVED_ROWS), place_of(tables, CURVED_COLUMNS)
+    at = count_of(tables, SLOPE_ROWS) + count_of(tables, OUTER_ROWS)
+    for j in range(count_of(tables, CURVED_ROWS)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        subtract_row(own[at + j], reduced, column, reach, weighted, row)
+        if row != column:
+            subtract_row(own[at + j], reduced, row, reach, weighted, column)
+    # `weighted` is minus H_ss S, so that products are subtracted twice.
+    clear(products)
+    subtract_products(reduced, weighted, stages, 0, reach, reach, products)
+    places, size = place_of(tables, REACH), count_of(tables, REACH)
+    for a in range(size):
+        row = np.uint64(tables[places + a])
+        element[row, row] += products[a, a]
+        for b in range(a + 1, size):
+            column = np.uint64(tables[places + b])
+            element[row, column] += products[a, b]
+            element[column, row] += products[a, b]
+    at, rows, columns = crossings(tables)
+    of_crossed, number = place_of(tables, CROSSED), count_of(tables, CROSSED)
+    for i in range(number):
+        for c in range(reach):
+            crossed[i, c] = 0.0
+    for j in range(count_of(tables, CROSS_ROWS)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        subtract_row(-own[at + j], reduced, column, reach, crossed, row)
+    for i in range(number):
+        row = np.uint64(tables[of_crossed + i])
+        for c in range(size):
+            column = np.uint64(tables[places + c])
+            element[row, column] += crossed[i, c]
+            element[column, row] += crossed[i, c]
+
+
+@njit(error_model="numpy", forceinline=True)
+def solve_offsets(shape, tables, own, gradient, first, lower, upper, order, offsets):
+    """Fill `offsets` (s,) with s0 = -inverse(A) r."""
+    stages = shape.stages
+    for i in range(stages):
+        offsets[i] = -gradient[first + stages + i]
+    if shape.triangular:
+        rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
+        for j in range(count_of(tables, SLOPE_ROWS)):
+            row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+            if row != column:
+                offsets[row] -= own[j] * offsets[column]
+            else:
+                offsets[row] /= own[j]
+        return
+    for c in range(stages):
+        best = order[c]
+        offsets[c], offsets[best] = offsets[best], offsets[c]
+    for i in range(stages):
+        value = offsets[i]
+        for j in range(i):
+            value -= lower[i, j] * offsets[j]
+        offsets[i] = value
+    for i in range(stages - 1, -1, -1):
+        value = offsets[i]
+        for j in range(i + 1, stages):
+            value -= upper[i, j] * offsets[j]
+        offsets[i] = value / upper[i, i]
+
+
+@njit(error_model="numpy", forceinline=True)
+def solve_transposed(shape, tables, own, lower, upper, order, values):
+    """Overwrite `values` (s,) by inverse(A') times them."""
+    stages = shape.stages
+    if shape.triangular:
+        rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
+        for j in range(count_of(tables, SLOPE_ROWS) - 1, -1, -1):
+            row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+            if row != column:
+                values[column] -= own[j] * values[row]
+            else:
+                values[row] /= own[j]
+        return
+    for i in range(stages):
+        values[i] /= upper[i, i]
+        for j in range(i + 1, stages):
+            values[j] -= upper[i, j] * values[i]
+    for i in range(stages - 1, -1, -1):
+        for j in range(i):
+            values[j] -= lower[i, j] * values[i]
+    for c in range(stages - 1, -1, -1):
+        best = order[c]
+        values[c], values[best] = values[best], values[c]
+
+
+@njit(error_model="numpy", forceinline=True)
+def forcing(shape, tables, own, gradient, first, moved, room):
+    """Return, in work space, g_s + H_ss times what stages are `moved` (s,) by."""
+    values, stages, count = room[4], shape.stages, count_of(tables, STAGED)
+    for i in range(stages):
+        values[i] = gradient[first + i] + own[count + i] * moved[i]
+    rows, columns = place_of(tables, CURVED_ROWS), place_of(tables, CURVED_COLUMNS)
+    at = count_of(tables, SLOPE_ROWS) + count_of(tables, OUTER_ROWS)
+    for j in range(count_of(tables, CURVED_ROWS)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        values[row] += own[at + j] * moved[column]
+        if row != column:
+            values[column] += own[at + j] * moved[row]
+    return values
+
+
+@njit(error_model="numpy", forceinline=True)
+def right_index(shape, row, number, steps):
+    """Return where row `row` of the element matrix of block `number` is in a body's right-hand side."""
+    block = block_size(shape)
+    return number * block + row if row < block + shape.node else steps * block + shape.node + row - tail_of(shape)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
+    """Take what follows from the stages of interval k, block `number`, to the `right`-hand side of a body."""
+    entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
+    stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
+    if not order[2 * stages]:
+        values = solve_dense(shape, gradient, first, dense[k], pivots[k], order, room)
+        for row in range(row_count(shape)):
+            if row < block_size(shape) + shape.node or row >= tail_of(shape):
+                right[right_index(shape, row, number, steps)] += values[2 * stages + row]
+        return
+    solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
+    values = forcing(shape, tables, own, gradient, first, offsets[k], room)
+    places = place_of(tables, REACH)
+    for c in range(count_of(tables, REACH)):
+        total = 0.0
+        for i in range(stages):
+            total += reduced[k, i, c] * values[i]
+        right[right_index(shape, tables[places + c], number, steps)] -= total
+    at, rows, columns = crossings(tables)
+    for j in range(count_of(tables, CROSS_ROWS)):
+        row = tables[place_of(tables, CROSSED) + tables[rows + j]]
+        right[right_index(shape, row, number, steps)] -= own[at + j] * offsets[k, tables[columns + j]]
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"})
+def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step):
+    """Fill a body's `step` (N stride + node,) with stages and multipliers of interval k, given what is `solved`."""
+    entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
+    stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
+    if not order[2 * stages]:
+        values = solve_dense(shape, gradient, first, dense[k], pivots[k], order, room)
+        for row in range(row_count(shape)):
+            values[2 * stages + row] = 0.0
+            if row < block_size(shape) + shape.node or row >= tail_of(shape):
+                values[2 * stages + row] = solved[right_index(shape, row, number, steps)]
+        backward_once(dense[k], order, 2 * stages, dense_width(shape), values)
+        for i in range(2 * stages):
+            step[first + i] = values[i]
+        return
+    places, moved = place_of(tables, REACH), step[first : first + stages]
+    for i in range(stages):
+        moved[i] = offsets[k, i]
+    for c in range(count_of(tables, REACH)):
+        value = solved[right_index(shape, tables[places + c], number, steps)]
+        for i in range(stages):
+            moved[i] += reduced[k, i, c] * value
+    values = forcing(shape, tables, own, gradient, first, moved, room)
+    at, rows, columns = crossings(tables)
+    for j in range(count_of(tables, CROSS_ROWS)):
+        row = tables[place_of(tables, CROSSED) + tables[rows + j]]
+        values[tables[columns + j]] += own[at + j] * solved[right_index(shape, row, number, steps)]
+    solve_transposed(shape, tables, own, lower[k], upper[k], order, values)
+    for i in range(stages):
+        step[first + stages + i] = -values[i]
+
+
+@njit(error_model="numpy")
+def eliminate_dense(shape, tables, own, gradient, diagonal, first, dense, pivots, order, room, element):
+    """Eliminate stages and multipliers as a dense symmetric matrix; return the negative pivots, or -1."""
+    _, _, _, matrix, _ = room
+    stages, size, width, rows = shape.stages, 2 * shape.stages, dense_width(shape), row_count(shape)
+    clear(matrix)
+    at = 0
+    to_rows, to_columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
+    for j in range(count_of(tables, SLOPE_ROWS)):
+        row, column = stages + tables[to_rows + j], tables[to_columns + j]
+        matrix[row, column] = matrix[column, row] = own[at + j]
+    at += count_of(tables, SLOPE_ROWS)
+    to_rows, to_columns = place_of(tables, OUTER_ROWS), place_of(tables, OUTER_COLUMNS)
+    for j in range(count_of(tables, OUTER_ROWS)):
+        column = size + tables[place_of(tables, REACH) + tables[to_columns + j]]
+        matrix[stages + tables[to_rows + j], column] = own[at + j]
+    at += count_of(tables, OUTER_ROWS)
+    to_rows, to_columns = place_of(tables, CURVED_ROWS), place_of(tables, CURVED_COLUMNS)
+    for j in range(count_of(tables, CURVED_ROWS)):
+        row, column = tables[to_rows + j], tables[to_columns + j]
+        matrix[row, column] = matrix[column, row] = own[at + j]
+    at, to_rows, to_columns = crossings(tables)
+    for j in range(count_of(tables, CROSS_ROWS)):
+        column = size + tables[place_of(tables, CROSSED) + tables[to_rows + j]]
+        matrix[tables[to_columns + j], column] = own[at + j]
+    for i in range(size):
+        matrix[i, i] += diagonal[first + i]
+    negative = eliminate_once(matrix, size, width, dense, pivots, order)
+    if negative < 0:
+        return -1
+    for i in range(rows):
+        for j in range(i, rows):
+            total = 0.0
+            for c in range(size):
+                total += dense[c, size + i] * matrix[c, size + j]
+            element[i, j] -= total
+            if i != j:
+                element[j, i] -= total
+    if shape.carried:
+        values = solve_dense(shape, gradient, first, dense, pivots, order, room)
+        for i in range(rows):
+            element[i, rows] += values[size + i]
+    return negative
+
+
+@njit(error_model="numpy")
+def solve_dense(shape, gradient, first, dense, pivots, order, room):
+    """Return, in work space, minus the gradient of stages and multipliers after the way forward, and what it leaves."""
+    values, size = room[4], 2 * shape.stages
+    for i in range(values.size):
+        values[i] = -gradient[first + i] if i < size else 0.0
+    forward_once(dense, pivots, order, size, dense_width(shape), values)
+    return values
