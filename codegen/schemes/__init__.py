@@ -38,11 +38,14 @@ def find(name: str, method: str) -> Scheme:
 
     `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family, and
     `<composition>-of-<base>`, as in yoshida-4-of-midpoint, a composition of a symmetric scheme of order 2.
+    `<n>-steps-of-<base>`, as in 4-steps-of-rk4, is a base scheme with so many equal steps in one.
     """
     table = _ALL[method]
     name = ALIASES.get((method, name), name)
     if name in table:
         return table[name]
+    if "-steps-of-" in name:
+        return _repeated(name, method)
     if "-of-" in name:
         return _composition(name, method)
     if method == "hamiltonian" and name.startswith("alpha-"):
@@ -78,6 +81,18 @@ def is_known(name: str, method: str) -> bool:
 def of_method(method: str) -> tuple[Scheme, ...]:
     """Every scheme of a method by itself, without families and aliases."""
     return tuple(_ALL[method].values())
+
+
+def _repeated(name: str, method: str) -> Scheme:
+    """The scheme `<n>-steps-of-<base>`."""
+    count, inner = name.split("-steps-of-", 1)
+    base = _ALL[method].get(ALIASES.get((method, inner), inner))
+    if base is None or base.parts or base.adaptive:
+        single = [n for n, scheme in _ALL[method].items() if not scheme.parts and not scheme.adaptive]
+        raise SchemeError(f"there is no scheme {name!r} for the {method} method", f"repeat one of {', '.join(single)}")
+    if not count.isdecimal() or int(count) < 2:
+        raise SchemeError(f"scheme {name!r}", f"give a number of steps from 2 on, as in 4-steps-of-{inner}")
+    return compositions.repeated(int(count), base)
 
 
 def _composition(name: str, method: str) -> Scheme:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from sympy import Expr, Integer, Rational, S, Symbol, sqrt
 
 from codegen.errors import SchemeError
-from codegen.schemes.base import FIRST_ORDER, DiscreteLagrangian, Scheme, Step
+from codegen.schemes.base import FIRST_ORDER, DiscreteLagrangian, FieldPoint, Scheme, Step, Update
 from codegen.schemes.one_step import ONE_STEPS, OneStep, Substep
 
 
@@ -44,7 +44,9 @@ class Composition(Scheme):
         return replace(self._base(), substeps=tuple(replace(s, fraction=length / step) for s, length in pairs))
 
     def step(self) -> Step:
-        """One chain of the substeps of all steps; SchemeError where the base is none, as with discrete Lagrangians."""
+        """The steps of the base, one after the other; SchemeError where these are discrete Lagrangians."""
+        if not isinstance(self.base, OneStep) and not self.variational:
+            return _joined(self.base.step(), [fraction for (fraction,) in self.parts])
         base, substeps = self._base(), list[Substep]()
         for row in self.parts:
             fractions = row if len(row) == len(base.substeps) else [row[0] * s.fraction for s in base.substeps]
@@ -66,6 +68,45 @@ class Composition(Scheme):
             f"scheme {self.name!r} composes {kind}, which is possible in simulations only",
             "use gauss-4 or gauss-6, or a composition with --method hamiltonian",
         )
+
+
+def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
+    """One step that consists of the same step at these fractions of its length, one after the other."""
+    size, count = len(step.abscissae), len(step.points)
+    points, abscissae, updates = list[FieldPoint](), list[Expr](), (list[Update | None](), list[Update | None]())
+    begin = S.Zero
+    for number, fraction in enumerate(fractions):
+        first, before, after = number * size, number * count, (len(fractions) - 1 - number) * count
+        for point in step.points:
+            position, momentum = (tuple((first + n, a) for n, a in own) for own in (point.position, point.momentum))
+            points.append(FieldPoint(begin + fraction * point.abscissa, fraction * point.weight, position, momentum))
+        for joined, own in zip(updates, (step.positions, step.momenta), strict=True):
+            for update in own:
+                weights = (S.Zero,) * before + update.weights + (S.Zero,) * after if update else ()
+                joined.append(
+                    Update(first + update.begin, fraction * update.fraction, weights) if update else None
+                )  # fmt: skip
+        abscissae += [begin + fraction * abscissa for abscissa in step.abscissae]
+        begin += fraction
+    return Step(tuple(points), tuple(updates[0]), tuple(updates[1]), tuple(abscissae))
+
+
+def repeated(count: int, base: Scheme) -> Composition:
+    """The scheme `<count>-steps-of-<base>`: so many equal steps of the base in one step, under one control."""
+    length = Rational(1, count)
+    rows = [(length,)] * count
+    if isinstance(base, OneStep):
+        rows = [tuple(length * s.fraction for s in base.substeps)] * count
+    return Composition(
+        name=f"{count}-steps-of-{base.name}",
+        order=base.order,
+        symmetric=base.symmetric,
+        symplectic=base.symplectic,
+        source=base.source,
+        summary=f"{count} equal steps of {base.name}",
+        base=base,
+        parts=tuple(rows),
+    )
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from codegen.transcribe.step_program import StepProgram
 
 DEFAULT_SCHEME = "midpoint"
 _SYSTEMS = {"lagrangian": "a Lagrangian", "hamiltonian": "a Hamiltonian", "first-order": "a first-order system"}
-MOST_PARTS = 6
+MOST_PARTS = 16
 """Steps of a composition that a control problem has on an interval at most."""
 
 

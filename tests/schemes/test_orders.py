@@ -17,10 +17,11 @@ from simulation_systems import model_of, module_of
 
 from codegen import schemes
 from codegen.checks.derivation.one_step import has_symplectic_table
-from codegen.compiler import generate
+from codegen.compiler import build, generate
 from codegen.discretise.nodes import LENGTHS, STEP
 from codegen.drivers.fsolve import simulate as fsolve
 from codegen.errors import ArgumentError, SchemeError
+from codegen.loading import load
 from codegen.naming import Choices
 from codegen.schemes.base import Tableau
 from codegen.schemes.particles import PARTICLE_SCHEMES
@@ -182,6 +183,46 @@ def test_other_names() -> None:
 def test_only_symmetric_schemes_of_order_two_are_composed(name: str) -> None:
     with pytest.raises(SchemeError, match=r"give one of yoshida-4, .* then -of-, then one of midpoint"):
         schemes.find(name, "hamiltonian")
+
+
+@pytest.mark.parametrize("base", ["implicit-euler", "midpoint", "rk4", "radau-3", "gauss-4", "hermite-simpson"])
+def test_repeated_steps_keep_the_order_of_their_base(base: str) -> None:
+    """The table of the whole fulfils the order conditions, and holds that of the base at half its length."""
+    whole, part = schemes.find(f"2-steps-of-{base}", schemes.FIRST_ORDER), schemes.find(base, schemes.FIRST_ORDER)
+    tableau, own = whole.step().tableau, part.step().tableau
+    count = len(own.weights)
+    assert whole.order == part.order
+    assert all(satisfied(tableau, order) for order in range(1, part.order + 1))
+    for i in range(count):
+        for j in range(count):
+            for row, column in ((i, j), (count + i, count + j)):
+                assert sympy.simplify(tableau.positions[row][column] - own.positions[i][j] / 2) == 0
+            assert sympy.simplify(tableau.positions[count + i][j] - own.weights[j] / 2) == 0
+
+
+@pytest.mark.parametrize("name", ["1-steps-of-rk4", "x-steps-of-rk4", "4-steps-of-yoshida-4", "4-steps-of-nothing"])
+def test_only_single_schemes_are_repeated_and_more_than_once(name: str) -> None:
+    with pytest.raises(SchemeError, match=r"from 2 on|repeat one of"):
+        schemes.find(name, schemes.FIRST_ORDER)
+
+
+def test_a_control_is_held_over_repeated_steps() -> None:
+    """Nodes of an optimum are what the textbook's recursion makes of its controls, with two steps for each."""
+    module = load(build(PROBLEMS / "van_der_pol.py", {}, scheme="2-steps-of-rk4").path)
+    solution = module.solve(20)
+    h, x = 5.0 / 40, np.array(solution.q[0])
+    assert solution.status == "solved"
+
+    def rates(y: Any, u: float) -> Any:
+        return np.array([(1 - y[1] ** 2) * y[0] - y[1] + u, y[0]])
+
+    for k, (u,) in enumerate(solution.u):
+        for _ in range(2):
+            one = rates(x, u)
+            two = rates(x + h / 2 * one, u)
+            three = rates(x + h / 2 * two, u)
+            x = x + h / 6 * (one + 2 * two + 2 * three + rates(x + h * three, u))
+        np.testing.assert_allclose(solution.q[k + 1], x, atol=1e-9)
 
 
 def test_first_order_systems_have_no_partitioned_schemes() -> None:

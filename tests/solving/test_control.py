@@ -84,7 +84,10 @@ def exact_motion():
     return lambdify(model.time, exact_optimum(model).states, "numpy")
 
 
-LONG = {"blanes-moan-4", "suzuki-4", "mclachlan-4", "gauss-6"}
+LONG = {
+    *("blanes-moan-4", "suzuki-4", "mclachlan-4", "gauss-6", "gauss-8"),
+    *("blanes-moan-6", "yoshida-6", "kahan-li-6", "yoshida-8"),
+}
 """Schemes whose control problems take long to derive; yoshida-4 and gauss-4 stand for them."""
 SCHEMES = [
     (method, name)

@@ -27,11 +27,12 @@ def constants(program: ControlProgram, derivatives: ControlDerivatives) -> list[
     inside = (*program.interval, *program.controls, *program.slacks)
     stride, condensed = len(program.node) + len(inside), derivatives.condensed
     eliminated, stages = inside[len(inside) - condensed :], derivatives.stages
+    of_stages = Line("STAGES", str(stages), f"eliminated first, with {_names(inside[stages : 2 * stages])}")
     shared = [unknown.multiplier for unknown in program.shared]
     lines = [
         Line("NODE", str(len(program.node)), f"unknowns of a node: {_names(program.node)}"),
         Line("CONDENSED", str(condensed), f"eliminated inside their interval: {_names(eliminated)}"),
-        *([Line("STAGES", str(stages), f"eliminated first, with {_names(inside[stages : 2 * stages])}")] if stages else []),
+        *([of_stages] if stages else []),
         Line("STRIDE", str(stride), f"unknowns of a node and of the interval after it, which has {_names(inside)}"),
         Line("ELEMENT", str(stride + len(program.node)), "unknowns of an interval with both its nodes"),
         *_size_lines(program, derivatives),

@@ -132,9 +132,9 @@ def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, ri
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, steps, solved, step):
-    """Fill a body's `step` (N stride + node,) with what is `solved`, as `right`, with -inverse(C) (g_u + B d), and stages.
+    """Fill a body's `step` (N stride + node,) with what is `solved`, -inverse(C) (g_u + B d), and stages.
 
-    Other arguments as in `condense`.
+    Other arguments are those of `condense`.
     """
     block, tail = block_size(shape), tail_of(shape)
     for i in range(shape.node):

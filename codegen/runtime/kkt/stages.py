@@ -14,18 +14,19 @@ schemes A is a sparse lower triangle; otherwise it is factored, with row exchang
 diagonals of their own, as in feasibility restoration, or where A is singular, stages and multipliers are eliminated as
 a dense symmetric matrix.
 
-What is kept of the intervals of a body is a tuple, `kept`: entries and then diagonals of stages (N, entries + s), S (N,
-s, reach), s0 (N, s), L and U (N, s, padded s; no rows for explicit schemes), factors and pivots of dense matrices (N,
-2 s, width) and (N, 2 s, 2), and integers (N, 2 s + 1): the order of pivots or rows, and last, 1 if A was solved and 0 if the matrix is dense. `room` is
-a tuple of work space: W (s, reach), products (reach, reach), crossed rows (rows, reach), the dense matrix (2 s, width),
-and a vector (width,). S is as wide as a multiple of four; the table REACH has its columns' places in the element.
+What is kept of the intervals of a body is a tuple, `kept`: entries and then diagonals of stages (N, entries + s), S
+(N, s, reach), s0 (N, s), L and U (N, s, padded s; no rows for explicit schemes), factors and pivots of dense matrices
+(N, 2 s, width) and (N, 2 s, 2), and integers (N, 2 s + 1): the order of pivots or rows, and last, 1 if A was solved
+and 0 if the matrix is dense. `room` is a tuple of work space: W (s, reach), products (reach, reach), crossed rows
+(rows, reach), the dense matrix (2 s, width), and a vector (width,). S is as wide as a multiple of four; the table
+REACH has its columns' places in the element.
 """
 
 import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead
-from codegen.runtime.kkt.shape import block_size, padded, row_count, row_width, tail_of
+from codegen.runtime.kkt.shape import block_size, padded, row_count, tail_of
 from codegen.runtime.kkt.symmetric import (
     backward_once,
     clear,
@@ -144,13 +145,10 @@ def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, 
     if shape.carried:
         solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
         rows = row_count(shape)
-        values = forcing(shape, tables, own, gradient, first, offsets[k], room)
+        totals = reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room)
         places = place_of(tables, REACH)
         for c in range(count_of(tables, REACH)):
-            total = 0.0
-            for i in range(stages):
-                total += reduced[k, i, c] * values[i]
-            element[tables[places + c], rows] -= total
+            element[tables[places + c], rows] -= totals[c]
         at, of_rows, columns = crossings(tables)
         for j in range(count_of(tables, CROSS_ROWS)):
             row = tables[place_of(tables, CROSSED) + tables[of_rows + j]]
@@ -353,6 +351,23 @@ def forcing(shape, tables, own, gradient, first, moved, room):
     return values
 
 
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room):
+    """Return, in work space, S' (g_s + H_ss s0)."""
+    values, totals = forcing(shape, tables, own, gradient, first, offsets, room), room[1][0]
+    for c in range(shape.reach):
+        totals[c] = 0.0
+    for i in range(shape.stages):
+        for c in range(0, shape.reach, 4):
+            one, two = totals[c] + reduced[i, c] * values[i], totals[c + 1] + reduced[i, c + 1] * values[i]
+            three, four = totals[c + 2] + reduced[i, c + 2] * values[i], totals[c + 3] + reduced[i, c + 3] * values[i]
+            totals[c] = one
+            totals[c + 1] = two
+            totals[c + 2] = three
+            totals[c + 3] = four
+    return totals
+
+
 @njit(error_model="numpy", forceinline=True)
 def right_index(shape, row, number, steps):
     """Return where row `row` of the element matrix of block `number` is in a body's right-hand side."""
@@ -372,13 +387,12 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
                 right[right_index(shape, row, number, steps)] += values[2 * stages + row]
         return
     solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
-    values = forcing(shape, tables, own, gradient, first, offsets[k], room)
-    places = place_of(tables, REACH)
+    totals, places = (
+        reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room),
+        place_of(tables, REACH),
+    )
     for c in range(count_of(tables, REACH)):
-        total = 0.0
-        for i in range(stages):
-            total += reduced[k, i, c] * values[i]
-        right[right_index(shape, tables[places + c], number, steps)] -= total
+        right[right_index(shape, tables[places + c], number, steps)] -= totals[c]
     at, rows, columns = crossings(tables)
     for j in range(count_of(tables, CROSS_ROWS)):
         row = tables[place_of(tables, CROSSED) + tables[rows + j]]
@@ -400,13 +414,19 @@ def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved
         for i in range(2 * stages):
             step[first + i] = values[i]
         return
-    places, moved = place_of(tables, REACH), step[first : first + stages]
-    for i in range(stages):
-        moved[i] = offsets[k, i]
+    places, moved, around = place_of(tables, REACH), step[first : first + stages], room[1][0]
+    for c in range(shape.reach):
+        around[c] = 0.0
     for c in range(count_of(tables, REACH)):
-        value = solved[right_index(shape, tables[places + c], number, steps)]
-        for i in range(stages):
-            moved[i] += reduced[k, i, c] * value
+        around[c] = solved[right_index(shape, tables[places + c], number, steps)]
+    for i in range(stages):
+        one = two = three = four = 0.0
+        for c in range(0, shape.reach, 4):
+            one += reduced[k, i, c] * around[c]
+            two += reduced[k, i, c + 1] * around[c + 1]
+            three += reduced[k, i, c + 2] * around[c + 2]
+            four += reduced[k, i, c + 3] * around[c + 3]
+        moved[i] = offsets[k, i] + ((one + two) + (three + four))
     values = forcing(shape, tables, own, gradient, first, moved, room)
     at, rows, columns = crossings(tables)
     for j in range(count_of(tables, CROSS_ROWS)):

@@ -142,13 +142,46 @@ def subtract_row(multiple, source, p, width, target, i):
         target[i, j + 3] = four
 
 
-@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+# With sums in any order it would be vectorised over `count`, which takes longer.
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
 
     The upper triangle of `rest` (rows, width) is right afterwards; `upper` and `matrix` have `count` rows.
     """
-    for i in range(rows):
+    # Tiles of four rows and four columns: numbers that are read count for four products each.
+    for i in range(0, rows - 3, 4):
+        for j in range(i, width, 4):
+            a0 = a1 = a2 = a3 = 0.0
+            b0 = b1 = b2 = b3 = 0.0
+            c0 = c1 = c2 = c3 = 0.0
+            d0 = d1 = d2 = d3 = 0.0
+            for c in range(count):
+                p, q = upper[c, first + i], upper[c, first + i + 1]
+                r, s = upper[c, first + i + 2], upper[c, first + i + 3]
+                w, x = matrix[c, first + j], matrix[c, first + j + 1]
+                y, z = matrix[c, first + j + 2], matrix[c, first + j + 3]
+                a0 += p * w
+                a1 += p * x
+                a2 += p * y
+                a3 += p * z
+                b0 += q * w
+                b1 += q * x
+                b2 += q * y
+                b3 += q * z
+                c0 += r * w
+                c1 += r * x
+                c2 += r * y
+                c3 += r * z
+                d0 += s * w
+                d1 += s * x
+                d2 += s * y
+                d3 += s * z
+            subtract_four(rest, i, j, a0, a1, a2, a3)
+            subtract_four(rest, i + 1, j, b0, b1, b2, b3)
+            subtract_four(rest, i + 2, j, c0, c1, c2, c3)
+            subtract_four(rest, i + 3, j, d0, d1, d2, d3)
+    for i in range(rows - rows % 4, rows):
         for j in range(i // 4 * 4, width, 4):
             one = two = three = four = 0.0
             for c in range(count):
@@ -157,12 +190,18 @@ def subtract_products(upper, matrix, count, first, rows, width, rest):
                 two += multiple * matrix[c, first + j + 1]
                 three += multiple * matrix[c, first + j + 2]
                 four += multiple * matrix[c, first + j + 3]
-            one, two = rest[i, j] - one, rest[i, j + 1] - two
-            three, four = rest[i, j + 2] - three, rest[i, j + 3] - four
-            rest[i, j] = one
-            rest[i, j + 1] = two
-            rest[i, j + 2] = three
-            rest[i, j + 3] = four
+            subtract_four(rest, i, j, one, two, three, four)
+
+
+@njit(error_model="numpy", forceinline=True)
+def subtract_four(target, i, j, one, two, three, four):
+    """Subtract four numbers from those of a row of `target` from column j on."""
+    one, two = target[i, j] - one, target[i, j + 1] - two
+    three, four = target[i, j + 2] - three, target[i, j + 3] - four
+    target[i, j] = one
+    target[i, j + 1] = two
+    target[i, j + 2] = three
+    target[i, j + 3] = four
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
@@ -211,10 +250,17 @@ def solve_backward(upper, order, count, width, values):
             four += upper[p, j + 3] * values[j + 3]
         values[p] -= (one + two) + (three + four)
     for c in range(count - 2, -1, -1):
-        value = values[order[c]]
-        for k in range(count - 1, c, -1):
-            value -= upper[order[c], order[k]] * values[order[k]]
-        values[order[c]] = value
+        subtract_known(upper, order, c, count, values)
+
+
+# With sums in any order it would be vectorised, which takes longer: what is read lies apart in memory.
+@njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
+def subtract_known(upper, order, c, count, values):
+    """Subtract from the value at position c its row of U times the values that are known."""
+    value = values[order[c]]
+    for k in range(count - 1, c, -1):
+        value -= upper[order[c], order[k]] * values[order[k]]
+    values[order[c]] = value
 
 
 # The same functions for matrices that are eliminated once in a factorisation: compiled once, not part of their callers.

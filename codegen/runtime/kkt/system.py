@@ -97,7 +97,10 @@ def solve_system(
     at_left = at_front + width + root * shared_width
     left_width = padded(shape.shared + shape.carried)
     left = carray(ahead(factors, at_left), (shape.shared, left_width))
-    stage_reals, stage_integers = ahead(factors, at_left + shape.shared * left_width), ahead(orders, bodies * size + root)
+    stage_reals, stage_integers = (
+        ahead(factors, at_left + shape.shared * left_width),
+        ahead(orders, bodies * size + root),
+    )
     carried, excess = is_new and shape.carried, 0
     if is_new:
         if root:
