@@ -17,7 +17,8 @@ from functools import cache, lru_cache
 from importlib import resources
 
 from codegen.emit import signed
-from codegen.runtime.kkt.specialised import without_shape
+from codegen.runtime.kkt.shape import Shape
+from codegen.runtime.kkt.specialised import WITHOUT_STAGES, without_shape
 
 RUNTIME = "codegen.runtime"
 _LINKING = '''"""Functions that only compiled functions call are compiled as all others."""
@@ -101,6 +102,15 @@ from codegen.runtime.kkt.specialised import compiled_system
 def any_shape_address():
     """Return the address of the linear system."""
     return compiled_system().address
+'''
+_NO_STAGES = f'''"""There are no stages to be eliminated."""
+
+from numba import njit
+{WITHOUT_STAGES}
+
+def stage_sizes(shape, copied, bodies, steps):
+    """Return the lengths of no storage."""
+    return 0, 0
 '''
 _HEADER = """#
 # Standalone: the problem comes last, behind the numerics that it uses. The file imports numpy, numba and the standard
@@ -373,15 +383,18 @@ def _replaced(name: str, text: str) -> str:
     if folder == f"{RUNTIME}.kkt":
         if stem in ("specialised", "any_shape"):
             return _SYSTEM if stem == "specialised" else _ANY_SHAPE
-        return _with_constants(stem, _runtime_files()[name], _shape_of(text))
+        shape = _shape_of(text)
+        if stem == "stages" and not shape.stages:
+            return _NO_STAGES
+        return _with_constants(stem, _runtime_files()[name], shape)
     return _runtime_files()[name]
 
 
-def _with_constants(stem: str, text: str, shape: tuple[int, ...]) -> str:
+def _with_constants(stem: str, text: str, shape: Shape) -> str:
     """A file of the linear system whose functions read a constant `shape`, and have no such argument."""
     lines = text.splitlines()
     for node in reversed(ast.parse(text).body):
-        if isinstance(node, ast.FunctionDef) and node.name != "factor_sizes":
+        if isinstance(node, ast.FunctionDef) and node.name not in ("factor_sizes", "stage_sizes"):
             part = slice(node.lineno - 1, node.end_lineno)
             lines[part] = without_shape("\n".join(lines[part])).splitlines()
         elif isinstance(node, ast.ClassDef):
@@ -392,11 +405,11 @@ def _with_constants(stem: str, text: str, shape: tuple[int, ...]) -> str:
 
 
 @lru_cache(maxsize=1)
-def _shape_of(text: str) -> tuple[int, ...]:
+def _shape_of(text: str) -> Shape:
     """The shape of the linear system of a module, which is run for that; nothing is compiled."""
     values: dict[str, object] = {"__name__": "standalone"}
     exec(compile(text, "<module>", "exec"), values)
-    shape: tuple[int, ...] = values["problem"].structure.shape  # type: ignore[attr-defined]
+    shape: Shape = values["problem"].structure.shape  # type: ignore[attr-defined]
     return shape
 
 

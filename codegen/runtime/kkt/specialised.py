@@ -38,6 +38,7 @@ shape = Shape({values})
 '''
 WITHOUT_STAGES = '''
 HAS_STAGES = False
+eliminate_stages = reduce_right = recover_stages = None
 
 
 @njit(error_model="numpy")
