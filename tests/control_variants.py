@@ -86,6 +86,7 @@ VARIANTS: list[tuple[str, str | None, dict[str, str]]] = [
     ("driven", DRIVEN, {"scheme": "gauss-4"}),
     ("antiphase", ANTIPHASE, {"method": "hamiltonian", "scheme": "gauss-4"}),
     ("orbital_transfer", None, {"method": "hamiltonian", "scheme": "yoshida-4"}),
+    ("two_stage_rocket", None, {"scheme": "rk4"}),
 ]
 """Name, text (or None for a file of the gallery) and choices."""
 

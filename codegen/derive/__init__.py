@@ -200,28 +200,24 @@ def _condensed(
 
 
 def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
-    """How many stages can be eliminated by their equations.
+    """How many stages can be eliminated by their equations, whose multipliers come next among an interval's unknowns.
 
-    None of phases, which lack those of each other, and none that slacks or other equations' multipliers share an entry
-    with, as in modules whose every entry counts.
+    None where some intervals lack them, as in phases with states of their own, or where an entry of the Hessian ties
+    them to slacks or their equations to other multipliers, as in modules in which every entry counts.
     """
     multipliers = [unknown.multiplier for unknown in program.interval]
     count = multipliers.index(True) if True in multipliers else 0
-    first = len(program.left_symbols)
-    equations = range(first + count, first + 2 * count)
-    if program.phases or not all(multipliers[count : 2 * count]) or len(multipliers) < 2 * count:
+    lacking = {*program.inner.lacking, *(index for part in program.interval_elements for index in part.lacking)}
+    if lacking & {*range(2 * count)} or len(multipliers) < 2 * count or not all(multipliers[count : 2 * count]):
         return 0
-    inside = [u.multiplier for u in (*program.node, *program.interval)]
-    duals = {index for index, dual in enumerate(inside) if dual}
-    after = first + len(program.interval) + len(program.control_symbols)
-    lacks = {*range(after, after + len(program.slacks))}
-    last = after + len(program.slacks)
-    duals |= {last + index for index, unknown in enumerate(program.node) if unknown.multiplier}
-    duals |= {last + len(program.node) + index for index, unknown in enumerate(program.shared) if unknown.multiplier}
-    staged = {*range(first, first + 2 * count)}
+    kinds = [*program.node, *program.interval, *program.controls, *program.slacks, *program.node, *program.shared]
+    duals = {index for index, unknown in enumerate(kinds) if unknown.multiplier}
+    first = len(program.node)
+    equations, after = {*range(first + count, first + 2 * count)}, first + len(program.interval) + len(program.controls)
+    staged, slacks = {*range(first, first + 2 * count)}, {*range(after, after + len(program.slacks))}
     for row, column, _ in element.hessian:
         for one, other in ((row, column), (column, row)):
-            if (one in equations and other in duals) or (one in staged and other in lacks):
+            if (one in equations and other in duals) or (one in staged and other in slacks):
                 return 0
     return count
 
