@@ -7,13 +7,13 @@ integrated like a further state,
     subject to  x_{k+1} - F(x_k, u_k, t_k, h; p) = 0          (k = 0..N-1)
                 given states at both ends, bounds on the other states at nodes, bounds on controls and parameters p
 
-The unknowns are x_0, u_0, x_1, u_1, ..., x_N, as fatrop needs them. fatrop has no unknowns that all stages share. Static
+The unknowns are x_0, u_0, x_1, u_1, ..., x_N, as fatrop needs them. fatrop has no global variables. So static
 parameters are further states with the rate zero, bounded at the first node, and given states are constraints. fatrop
 detects the stages if the equations of the interval k stand before all other constraints of the node k. For IPOPT static
 parameters are the last unknowns, and given states have equal bounds, by which IPOPT eliminates them.
 
 The step is one CasADi function of SX, mapped over the intervals. Its C code is a loop, compiled with
--O3 -march=native. Calls of the function for each interval ran as fast and took three times as long to compile.
+-O3 -march=native. Separate calls of the function for every interval ran as fast and took three times as long to compile.
 """
 
 from dataclasses import dataclass

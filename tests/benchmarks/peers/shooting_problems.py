@@ -4,6 +4,7 @@ Their functions take sympy, numpy or CasADi for `F`, so that one statement is bo
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 from math import inf, pi
 from typing import Any
 
@@ -308,7 +309,7 @@ def oscillators() -> GalleryProblem:
 
     def dynamics(F: Any, q: Vector, u: Vector, t: Any, p: Vector) -> list[Any]:
         places = [0, *q[:6], 0]
-        stretch = [b - a for a, b in zip(places, places[1:])]
+        stretch = [b - a for a, b in pairwise(places)]
         tension = [s + s**3 for s in stretch]
         pushes = [u[0], 0, 0, 0, 0, u[1]]
         return [*q[6:], *(tension[i + 1] - tension[i] + pushes[i] for i in range(6))]
