@@ -150,17 +150,21 @@ class GeneratedShooting:
         self.solution = self.module.solve(self.steps, tolerance=TOLERANCE, max_iterations=ITERATIONS)
 
     def report(self) -> dict[str, Any]:
-        """Cost, iterations and status as the module tells them, the violation as CasADi's program finds it."""
+        """Iterations and status as the module tells them, cost and violation as CasADi's program finds them.
+
+        The module's own cost is corrected for residuals and distances to active bounds, and no corrected cost is
+        comparable. A large difference means that the two programs are not the same.
+        """
         solution = self.solution
-        residual = math.nan
+        cost, residual = float(solution.cost), math.nan
         if self.judge:
             t, x, _, u, _ = self.module.unpack(self.module.make_grid(self.steps), solution.unknowns)
             shared = np.array([t[-1]] if self.judge.problem.free else [])
             cost, residual = self.judge.judged(self.judge.ordered(x, u, shared))
-            if solution.status == "solved" and abs(cost - solution.cost) > 1e-7 * max(1.0, abs(cost)):
+            if solution.status == "solved" and abs(cost - solution.cost) > SAME_COST * max(1e-3, abs(cost)):
                 raise AssertionError(f"another program: the cost is {solution.cost} here and {cost} there")
         return {
-            "cost": float(solution.cost),
+            "cost": cost,
             "residual": residual,
             "iterations": int(solution.iterations),
             "status": str(solution.status),

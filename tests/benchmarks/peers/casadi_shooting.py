@@ -13,7 +13,7 @@ detects the stages if the equations of the interval k stand before all other con
 parameters are the last unknowns, and given states have equal bounds, by which IPOPT eliminates them.
 
 The step is one CasADi function of SX, mapped over the intervals. Its C code is a loop, compiled with
--O3 -march=native. Separate calls of the function for every interval ran as fast and took three times as long to compile.
+-O3 -march=native. Separate calls of the function for all intervals run as fast and take three times as long to compile.
 """
 
 from dataclasses import dataclass
