@@ -53,6 +53,7 @@ from codegen.compiler import build
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 ITERATIONS = 1000
 LONG = 1.0  # seconds after which a solver's turn ends
+LIMIT = 30.0  # seconds within which a peer's first solve must end
 STEPS = (20, 50, 200)
 OURS, MIDPOINT = "generated, rk4", "generated, midpoint"
 PEERS: dict[str, Solver] = {"CasADi, fatrop": "fatrop", "CasADi, IPOPT": "ipopt"}
@@ -177,10 +178,13 @@ def compare(case: Case, modules: dict[str, tuple[Any, float] | Exception], steps
     failures: dict[str, str] = {}
     for label, solver in PEERS.items():
         try:
-            contestants[label] = PreparedShooting(case.problem, steps, solver, TOLERANCE, ITERATIONS)
-            contestants[label].run()
+            prepared = PreparedShooting(case.problem, steps, solver, TOLERANCE, ITERATIONS)
+            if not prepared.ends(LIMIT):
+                failures[label] = f"no end within {LIMIT:.0f} s"
+                continue
+            prepared.run()
+            contestants[label] = prepared
         except Exception as error:  # a failure is a result, and the others still count
-            contestants.pop(label, None)
             failures[label] = f"{type(error).__name__}: {error}"
     for label, made in modules.items():
         if isinstance(made, Exception):
@@ -217,7 +221,7 @@ def remark(own: Row, status: str, cost: float) -> str:
     """Why a peer cannot be compared with ours, or nothing."""
     if own.status != "solved" or status != "solved":
         return "not solved"
-    return "" if abs(own.cost - cost) <= SAME_COST * max(1e-3, abs(cost)) else "another optimum"
+    return "" if abs(own.cost - cost) <= SAME_COST * max(1e-3, abs(cost)) else "another cost"
 
 
 def timed(run: Callable[[], object]) -> list[float]:

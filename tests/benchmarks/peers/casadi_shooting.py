@@ -18,6 +18,7 @@ The step is one CasADi function of SX, mapped over the intervals. Its C code is 
 
 from dataclasses import dataclass
 from math import inf
+from multiprocessing import get_context
 from time import perf_counter
 from typing import Any, Literal
 
@@ -33,6 +34,7 @@ if hasattr(ca.GlobalOptions, "setNumpyMode"):
 
 Array = NDArray[np.float64]
 Solver = Literal["fatrop", "ipopt"]
+QUIET = {"error_on_fail": False, "show_eval_warnings": False}  # a failure is told by the status
 COMPILED = {"jit": True, "compiler": "shell", "jit_options": {"flags": ["-O3", "-march=native", "-w"]}}
 
 
@@ -138,18 +140,13 @@ class PreparedShooting:
         if solver == "fatrop":
             options = {
                 "print_time": False,
-                "error_on_fail": False,
                 "structure_detection": "auto",
                 "equality": [True] * functions["g"].numel(),
                 "fatrop": {"print_level": 0, "tolerance": tolerance, "max_iter": iterations},
             }
         else:
-            options = IPOPT_OPTIONS | {
-                "error_on_fail": False,
-                "ipopt.tol": tolerance,
-                "ipopt.max_iter": iterations,
-            }
-        self.solver = ca.nlpsol("solver", solver, functions, options | COMPILED)
+            options = IPOPT_OPTIONS | {"ipopt.tol": tolerance, "ipopt.max_iter": iterations}
+        self.solver = ca.nlpsol("solver", solver, functions, options | QUIET | COMPILED)
         self.arguments = {
             "x0": ca.DM(self.program.guess),
             "lbx": ca.DM(self.program.lower),
@@ -160,6 +157,19 @@ class PreparedShooting:
         self.values = ca.Function("values", [functions["x"]], [functions["f"], functions["g"]])
         self.build_seconds = perf_counter() - started
         self.solution: dict[str, ca.DM] = {}
+
+    def ends(self, limit: float) -> bool:
+        """Return True if a solve ends within `limit` seconds; fatrop may loop for ever where a step overflows.
+
+        The solve runs in a copy of this process, since nothing interrupts compiled code but the end of a process.
+        """
+        child = get_context("fork").Process(target=self.run)
+        child.start()
+        child.join(limit)
+        ended = not child.is_alive()
+        child.kill()
+        child.join()
+        return ended
 
     def run(self) -> None:
         """Solve from the problem's guess."""
