@@ -191,5 +191,5 @@ class PreparedShooting:
         """Cost, violation, iterations and status of the last run."""
         cost, residual = self.judged(np.asarray(self.solution["x"]).ravel())
         statistics = self.solver.stats()
-        status = "solved" if statistics["success"] else str(statistics["return_status"])
+        status = "solved" if statistics["success"] else f"failed, {statistics['return_status']}"
         return {"cost": cost, "residual": residual, "iterations": int(statistics["iter_count"]), "status": status}

@@ -318,10 +318,10 @@ def oscillators() -> GalleryProblem:
         controls=2,
         dynamics=dynamics,
         cost=squares(1.0, 1.0),
-        duration=lambda p: 8.0,
+        duration=lambda p: 12.0,
         start=(0.5, -0.5, 0.5, -0.5, 0.5, -0.5, *[0.0] * 6),
         end=(0.0,) * 12,
-        control_bounds={0: (-0.5, 0.5), 1: (-0.5, 0.5)},
+        control_bounds={0: (-1.0, 1.0), 1: (-1.0, 1.0)},
         guess=line([0.5, -0.5, 0.5, -0.5, 0.5, -0.5, *[0] * 6], [0] * 12, 0, 0),
     )
 
