@@ -9,10 +9,11 @@ first eight problems are the first-order problems of the gallery, written a seco
 
 Every case runs all solvers in turn, several solves in a row each, so that a slow spell of the machine hits all. A time
 is that of one warm call, from the guess to the solution, with everything built and compiled before. `ratio` is the best
-time over the generated solver's. The means have the cases that both solved, to the same cost. `residual` is the largest
-violation of any constraint or bound, unscaled, for each solver by CasADi's functions of the program. `--midpoint` has
-the generated solver by the midpoint rule as well, another program with as many intervals. Builds are kept in the build
-cache.
+time over the generated solver's. The means have the cases that both solved, to the same cost. "Another cost" is another
+local optimum, or the same one of lower accuracy. `residual` is the largest violation of any constraint or bound,
+unscaled, for each solver by CasADi's functions of the program. `--midpoint` has the generated solver by the midpoint
+rule as well, another program with as many intervals. Builds are kept in the build cache. CasADi keeps its sources and
+libraries in the current folder while it runs.
 """
 
 import os
