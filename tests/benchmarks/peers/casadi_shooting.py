@@ -13,8 +13,8 @@ detects the stages if the equations of the interval k stand before all other con
 parameters are the last unknowns, and given states have equal bounds, by which IPOPT eliminates them.
 
 The step is one CasADi function of SX, mapped over the intervals. Its C code is a loop, compiled with
--O3 -march=native. Separate calls for all intervals were no faster for the cart-pole with N = 50 and 200, and took two to
-three times as long to compile.
+-O3 -march=native. Separate calls for all intervals were no faster for the cart-pole with N = 50 and 200, and took
+two to three times as long to compile.
 """
 
 from dataclasses import dataclass
