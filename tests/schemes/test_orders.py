@@ -15,6 +15,7 @@ import pytest
 import sympy
 from simulation_systems import model_of, module_of
 
+import codegen
 from codegen import schemes
 from codegen.checks.derivation.one_step import has_symplectic_table
 from codegen.compiler import build, generate
@@ -223,6 +224,38 @@ def test_a_control_is_held_over_repeated_steps() -> None:
             three = rates(x + h / 2 * two, u)
             x = x + h / 6 * (one + 2 * two + 2 * three + rates(x + h * three, u))
         np.testing.assert_allclose(solution.q[k + 1], x, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["3-steps-of-rk4", "2-steps-of-hermite-simpson"])
+def test_checks_prove_repeated_steps(name: str) -> None:
+    findings = codegen.compile(PROBLEMS / "van_der_pol.py", scheme=name).check()
+    assert findings.passed
+    assert {row.check for row in findings} >= {"discrete equations", "consistency", "Jacobian"}
+
+
+def stiff(name: str) -> float:
+    """The error after 20 steps of y' = -1e6 (y - cos t) - sin t from y = 1.5, whose solution soon is cos t.
+
+    Source: Prothero and Robinson (1974), Mathematics of Computation 28.
+    """
+    y, t = codegen.state("y"), codegen.time()
+    rate = -(10**6) * (y - sympy.cos(t)) - sympy.sin(t)
+    result = codegen.solve(
+        codegen.Control(dynamics={y: rate}, start={y: 1.5}, end={}, duration=2, steps=20), scheme=name
+    )
+    assert result.status == "solved"
+    return float(result.q[-1, 0] - np.cos(2.0))
+
+
+@pytest.mark.parametrize("name", ["radau-3", "radau-5", "sdirk-4"])
+def test_stiff_components_vanish_with_l_stable_schemes(name: str) -> None:
+    assert abs(stiff(name)) < 1e-7
+
+
+@pytest.mark.parametrize("name", ["gauss-4", "gauss-8"])
+def test_stiff_components_stay_with_gauss_collocation(name: str) -> None:
+    """The stability function tends to 1 with an even number of points."""
+    assert stiff(name) == pytest.approx(0.5, abs=0.01)
 
 
 def test_first_order_systems_have_no_partitioned_schemes() -> None:

@@ -30,7 +30,7 @@ from codegen.checks.solution.motion import free_values
 from codegen.discretise import STEP, at_nodes, repeated, variational_interval
 from codegen.model import Boundary, Model, legendre
 from codegen.schemes import Scheme
-from codegen.schemes.base import DiscreteLagrangian
+from codegen.schemes.base import DiscreteLagrangian, Step
 from codegen.transcribe.forms import rewritten
 from codegen.transcribe.program import ControlProgram
 from codegen.transcribe.step_program import StepProgram
@@ -176,8 +176,8 @@ def _stepwise(
 ) -> list[Expr]:
     """What leads from the left to the right node on the motion x(t + s h) = x + s h x', for each state.
 
-    That is the sum over the substeps of a chain, else the last of the equations. The substeps of a composition that is
-    stepped are made equal.
+    That is the sum over the substeps of a chain; else over the updates by which the right node follows from the left one,
+    of which a Runge-Kutta method has one. The substeps of a composition that is stepped are made equal.
     """
     states, equal = (*model.coordinates, *model.rates), dict[Symbol, Expr]()
     if isinstance(program, StepProgram):
@@ -192,8 +192,24 @@ def _stepwise(
     for suffix, c in zip(suffixes, (S.Zero, *abscissae), strict=True):
         sites = zip(at_nodes(states, suffix), states, rates, strict=True)
         substitution |= {site: x + c * STEP * rate for site, x, rate in sites}
-    leading = equations if scheme.is_chain else equations[-size:]
-    return [sum(leading[i::size], S.Zero).xreplace(substitution).xreplace(equal) for i in range(size)]
+    leading = (
+        [equations[i::size] for i in range(size)] if scheme.is_chain else _updates(scheme.step(), model, equations)
+    )
+    return [sum(parts, S.Zero).xreplace(substitution).xreplace(equal) for parts in leading]
+
+
+def _updates(step: Step, model: Model, equations: Sequence[Expr]) -> list[list[Expr]]:
+    """For each state, the equations of the updates that lead to the right node from the left one."""
+    kinds = [step.positions] * len(model.coordinates) + [step.momenta] * len(model.rates)
+    written = [(n, i) for n in range(len(step.positions)) for i, kind in enumerate(kinds) if kind[n]]
+    number, found = {place: index for index, place in enumerate(written)}, list[list[Expr]]()
+    for i, kind in enumerate(kinds):
+        state, parts = len(kind), list[Expr]()
+        while state and (update := kind[state - 1]):
+            parts.append(equations[number[state - 1, i]])
+            state = update.begin
+        found.append(parts)
+    return found
 
 
 def _flow(model: Model, rates: Sequence[Symbol]) -> list[Expr]:
