@@ -176,8 +176,8 @@ def _stepwise(
 ) -> list[Expr]:
     """What leads from the left to the right node on the motion x(t + s h) = x + s h x', for each state.
 
-    That is the sum over the substeps of a chain; else over the updates by which the right node follows from the left one,
-    of which a Runge-Kutta method has one. The substeps of a composition that is stepped are made equal.
+    That is the sum over the substeps of a chain; else over the updates by which the right node follows from the left
+    one, of which a Runge-Kutta method has one. The substeps of a composition that is stepped are made equal.
     """
     states, equal = (*model.coordinates, *model.rates), dict[Symbol, Expr]()
     if isinstance(program, StepProgram):
