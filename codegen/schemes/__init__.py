@@ -86,10 +86,10 @@ def of_method(method: str) -> tuple[Scheme, ...]:
 def _repeated(name: str, method: str) -> Scheme:
     """The scheme `<n>-steps-of-<base>`."""
     count, inner = name.split("-steps-of-", 1)
-    base = _ALL[method].get(ALIASES.get((method, inner), inner))
-    if base is None or base.parts or base.adaptive:
+    base = find(inner, method)
+    if base.parts or base.adaptive:
         single = [n for n, scheme in _ALL[method].items() if not scheme.parts and not scheme.adaptive]
-        raise SchemeError(f"there is no scheme {name!r} for the {method} method", f"repeat one of {', '.join(single)}")
+        raise SchemeError(f"scheme {name!r} repeats {base.name}", f"repeat one of {', '.join(single)}")
     if not count.isdecimal() or int(count) < 2:
         raise SchemeError(f"scheme {name!r}", f"give a number of steps from 2 on, as in 4-steps-of-{inner}")
     return compositions.repeated(int(count), base)
