@@ -34,7 +34,7 @@ from codegen import Simulate, canonical_pair
 
 def problem() -> Simulate:
     q, p = canonical_pair("q", "p")
-    return Simulate(hamiltonian=p**2 / 2 + q**2 / 2, duration=2, start={q: 1, p: 0}, steps=40)
+    return Simulate(hamiltonian=p**2 / 2 + q**2 / 2, duration=8, start={q: 1, p: 0}, steps=40)
 '''
 EFFORT = '''"""Move a unit mass by one unit of length in one unit of time, with least effort."""
 

@@ -36,6 +36,12 @@ def gauss(stages: int) -> tuple[list[Any], Table, Table]:
     return weights, table, table
 
 
+def radau() -> tuple[list[Any], Table, Table]:
+    """Collocation at the roots of d^2/dx^2 (x^2 (x - 1)^3), of which the last is 1 (Hairer and Wanner 1996, IV.5)."""
+    weights, table = collocation(sorted(mpmath.re(root) for root in mpmath.polyroots([10, -18, 9, -1])))
+    return weights, table, table
+
+
 def lobatto() -> tuple[list[Any], Table, Table]:
     """IIIA is collocation at 0, 1/2 and 1; the symplectic partner has c_ij = b_j (1 - a_ji / b_i)."""
     b, a = collocation([mpmath.mpf(0), mpmath.mpf(1) / 2, mpmath.mpf(1)])
@@ -60,6 +66,8 @@ TABLES = {
     ("variational", "gauss-4"): lambda: gauss(2),
     ("hamiltonian", "gauss-6"): lambda: gauss(3),
     ("variational", "gauss-6"): lambda: gauss(3),
+    ("hamiltonian", "gauss-8"): lambda: gauss(4),
+    ("hamiltonian", "radau-5"): radau,
     ("hamiltonian", "hermite-simpson"): simpson,
     ("hamiltonian", "lobatto-4"): lobatto,
     ("variational", "lobatto-4"): lobatto,
