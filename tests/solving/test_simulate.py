@@ -22,7 +22,14 @@ from codegen.transcribe.simulation.simulate import simulate
 COMBINATIONS = [(method, name) for method, table in schemes.METHODS.items() for name in table]
 BASIC = [(method, name) for method, name in COMBINATIONS if schemes.METHODS[method][name].order <= 2]
 HIGHER = [combination for combination in COMBINATIONS if combination not in BASIC]
-STEPS = {1: (50, 100, 200, 400), 2: (50, 100, 200, 400), 4: (40, 80, 160), 5: (10, 20, 40), 6: (6, 12, 24), 8: (5, 7, 10)}
+STEPS = {
+    1: (50, 100, 200, 400),
+    2: (50, 100, 200, 400),
+    4: (40, 80, 160),
+    5: (10, 20, 40),
+    6: (6, 12, 24),
+    8: (5, 7, 10),
+}
 """Numbers of steps at which errors show the order, from an asymptotic one to one above rounding."""
 
 
