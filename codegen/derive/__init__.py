@@ -200,10 +200,10 @@ def _condensed(
 
 
 def _stages(program: ControlProgram, element: ElementDerivatives) -> int:
-    """How many stages can be eliminated by their equations, whose multipliers come next among an interval's unknowns.
+    """The number of stages that can be eliminated by their equations.
 
-    None where some intervals lack them, as in phases with states of their own, or where an entry of the Hessian ties
-    them to slacks or their equations to other multipliers, as in modules in which every entry counts.
+    Zero if some intervals lack stages, as in phases with states of their own. Zero if the Hessian has entries between
+    stages and slacks, or between the equations of stages and other multipliers, as in modules with all entries.
     """
     multipliers = [unknown.multiplier for unknown in program.interval]
     count = multipliers.index(True) if True in multipliers else 0

@@ -5,7 +5,7 @@ by s and by y, a Newton step satisfies
 
     H_yy dy + H_ys ds + B' dm = -g_y,    H_sy dy + H_ss ds + A' dm = -g_s,    B dy + A ds = -r.
 
-A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse(A) r, and what is left is
+A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse(A) r. The equations that remain are
 
     (H_yy + H_ys S + S' H_sy + S' H_ss S) dy = -(g_y + H_ys s0 + S' (g_s + H_ss s0)).
 

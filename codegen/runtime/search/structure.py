@@ -212,7 +212,7 @@ class Structure:
 
     @cached_property
     def is_triangular(self):
-        """Whether the Jacobian of the equations of stages by stages is a lower triangle with a whole diagonal."""
+        """True for explicit schemes: stages depend on earlier ones only, and every equation contains its own stage."""
         _, rows, columns = self.stage_entries[0]
         return bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
 
