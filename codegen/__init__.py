@@ -8,24 +8,24 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0.dev0"
 
 _HOMES = {
-    **dict.fromkeys(["Control", "Phases", "Simulate", "Waypoint"], "codegen.author.problem"),
+    **dict.fromkeys(["Control", "Phases", "Simulate", "Waypoint"], "codegen.problem.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates each_body free_parameter "
         "parameter parameters state states time".split(),
-        "codegen.author.symbols",
+        "codegen.problem.symbols",
     ),
-    **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.author.particles"),
-    **dict.fromkeys(["Points"], "codegen.author.points"),
-    **dict.fromkeys(["Measurements", "Table", "Trajectory"], "codegen.author.tables"),
-    **dict.fromkeys(["together"], "codegen.author.bodies"),
-    **dict.fromkeys(["build"], "codegen.compiler"),
+    **dict.fromkeys(["Connect", "Pairwise", "particle", "particles"], "codegen.problem.particles"),
+    **dict.fromkeys(["Points"], "codegen.problem.points"),
+    **dict.fromkeys(["Measurements", "Table", "Trajectory"], "codegen.problem.tables"),
+    **dict.fromkeys(["together"], "codegen.problem.bodies"),
+    **dict.fromkeys(["build"], "codegen.solving.compiler"),
     **dict.fromkeys(["CodegenError"], "codegen.errors"),
-    **dict.fromkeys(["Controller"], "codegen.horizons.controller"),
-    **dict.fromkeys(["close_loop"], "codegen.horizons.closed_loop"),
-    **dict.fromkeys(["load"], "codegen.loading"),
+    **dict.fromkeys(["Controller"], "codegen.mpc.controller"),
+    **dict.fromkeys(["close_loop"], "codegen.mpc.closed_loop"),
+    **dict.fromkeys(["load"], "codegen.solving.loading"),
     **dict.fromkeys(["Solver", "compile"], "codegen.solver"),
-    **dict.fromkeys(["solve"], "codegen.solving"),
-    **dict.fromkeys(["sweep"], "codegen.sweeping"),
+    **dict.fromkeys(["solve"], "codegen.solving.api"),
+    **dict.fromkeys(["sweep"], "codegen.batch.sweep"),
 }
 
 __all__ = [
@@ -68,11 +68,15 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from codegen.author.bodies import together
-    from codegen.author.particles import Connect, Pairwise, particle, particles
-    from codegen.author.points import Points
-    from codegen.author.problem import Control, Phases, Simulate, Waypoint
-    from codegen.author.symbols import (
+    from codegen.batch.sweep import sweep
+    from codegen.errors import CodegenError
+    from codegen.mpc.closed_loop import close_loop
+    from codegen.mpc.controller import Controller
+    from codegen.problem.bodies import together
+    from codegen.problem.particles import Connect, Pairwise, particle, particles
+    from codegen.problem.points import Points
+    from codegen.problem.problem import Control, Phases, Simulate, Waypoint
+    from codegen.problem.symbols import (
         body_number,
         canonical_pair,
         canonical_pairs,
@@ -88,15 +92,11 @@ if TYPE_CHECKING:
         states,
         time,
     )
-    from codegen.author.tables import Measurements, Table, Trajectory
-    from codegen.compiler import build
-    from codegen.errors import CodegenError
-    from codegen.horizons.closed_loop import close_loop
-    from codegen.horizons.controller import Controller
-    from codegen.loading import load
+    from codegen.problem.tables import Measurements, Table, Trajectory
     from codegen.solver import Solver, compile
-    from codegen.solving import solve
-    from codegen.sweeping import sweep
+    from codegen.solving.api import solve
+    from codegen.solving.compiler import build
+    from codegen.solving.loading import load
 
 
 def __getattr__(name: str) -> Any:

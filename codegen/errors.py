@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from codegen.mangling import plain
+from codegen.identifiers import plain
 
 INTERRUPTED = "codegen: interrupted; no file was left half written"
 """What a command says when it is interrupted; files are written as a whole or not at all."""

@@ -9,21 +9,21 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from codegen import compiler
-from codegen.author.sources import ProblemObject, Settings, Source, settings_of, source_of
-from codegen.deadline import BUILD, CHECK
-from codegen.naming import Choices, chosen
+from codegen.emit.deadline import BUILD, CHECK
+from codegen.emit.naming import Choices, chosen
+from codegen.problem.sources import ProblemObject, Settings, Source, settings_of, source_of
+from codegen.solving import compiler
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-    from codegen.author.problem import Phases, Problem
-    from codegen.checks.base import Findings
-    from codegen.compiler import Build
-    from codegen.horizons.controller import Controller
-    from codegen.interfaces import GeneratedModule
-    from codegen.show.shown import Equations
-    from codegen.solutions.result import Result
+    from codegen.evidence.checks.base import Findings
+    from codegen.mpc.controller import Controller
+    from codegen.problem.problem import Phases, Problem
+    from codegen.show.equations import Equations
+    from codegen.solving.compiler import Build
+    from codegen.solving.interfaces import GeneratedModule
+    from codegen.solving.results.result import Result
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Solver:
     @property
     def module(self) -> GeneratedModule:
         """The generated module, loaded."""
-        from codegen.loading import load
+        from codegen.solving.loading import load
 
         return load(self.build.path)
 
@@ -88,7 +88,7 @@ class Solver:
         The module of this solver is used, but for `accuracy` without a scheme and for `sensitivities`: modules of their
         own are derived for these when they are asked for first. Raises as `codegen.solve` does.
         """
-        from codegen.solving import solve
+        from codegen.solving.api import solve
 
         return solve(self, driver, **options)
 
@@ -97,7 +97,7 @@ class Solver:
 
         A check that fails is a finding, not an exception.
         """
-        from codegen import checks
+        from codegen.evidence import checks
 
         own = self.choices
         return checks.run(
@@ -107,20 +107,20 @@ class Solver:
 
     def show(self) -> Equations:
         """The derived equations, continuous and discrete: text, LaTeX, and mathematics in a notebook."""
-        from codegen.show.shown import derived_equations
+        from codegen.show.equations import derived_equations
 
         own = self.choices
         return derived_equations(self.problem, self._settings, own.scheme, own.method, own.controls)
 
     def sweep(self, vary: Mapping[str, Any] | None = None, **options: Any) -> Dataset:
         """Solve the problem for many values; the options are those of `codegen.sweep`, and so is the data set."""
-        from codegen.sweeping import sweep
+        from codegen.batch.sweep import sweep
 
         return sweep(self, vary, **options)
 
     def controller(self, **options: Any) -> Controller:
         """A controller with a moving horizon; the options are those of `codegen.Controller` but for a build's."""
-        from codegen.horizons.controller import Controller
+        from codegen.mpc.controller import Controller
 
         return Controller(self, **options)
 
@@ -132,7 +132,7 @@ class Solver:
         return f"Solver({self.name!r}, {str(self.build.path)!r})"
 
     def _repr_html_(self) -> str:
-        from codegen.notebooks.solution import table
+        from codegen.show.notebook_solution import table
 
         metadata = self.module.metadata
         rows = [
@@ -149,7 +149,7 @@ class Solver:
             return ""
         from html import escape
 
-        from codegen.notebooks.mathematics import displayed
+        from codegen.show.notebook_mathematics import displayed
 
         return escape(displayed(self.problem.problem), quote=False)
 
@@ -180,8 +180,8 @@ def compile(
     Raises ArgumentError for a name, title or choice that is unusable, and another kind of CodegenError when the problem
     is; messages begin with the object's name, or with the file.
     """
-    from codegen.loading import load
-    from codegen.machine_code import ahead_of_time
+    from codegen.solving.loading import load
+    from codegen.solving.machine_code import ahead_of_time
 
     source, given = source_of(problem, name, title), dict(arguments or {})
     made = compiler.build(

@@ -31,10 +31,10 @@ from PIL import Image
 from references import STORED, Known, digest, known_of, problem_files
 
 import codegen
-from codegen.author.sources import ProblemFile
-from codegen.drawing import Item
 from codegen.machine import machine
-from codegen.plots import shapes
+from codegen.problem.drawing import Item
+from codegen.problem.sources import ProblemFile
+from codegen.show.figures import shapes
 
 WIDTH, COLOURS = 900, 64
 """Pixels across a figure, and how many colours it has."""

@@ -6,10 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from codegen.cache import cache_folder
-from codegen.interfaces import GeneratedModule
-from codegen.loading import load
-from codegen.machine_code.parts import has_machine_code
+from codegen.solving.cache import cache_folder
+from codegen.solving.interfaces import GeneratedModule
+from codegen.solving.loading import load
+from codegen.solving.machine_code.parts import has_machine_code
 
 
 def compiled(path: Path) -> GeneratedModule:
@@ -22,6 +22,6 @@ def compiled(path: Path) -> GeneratedModule:
     with (cache_folder() / f"{path.stem}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not has_machine_code(module):
-            command = [sys.executable, "-m", "codegen.machine_code.compilation", "0/1"]
+            command = [sys.executable, "-m", "codegen.solving.machine_code.compilation", "0/1"]
             subprocess.run(command, input=os.fsencode(path.absolute()), check=True, capture_output=True)
     return module

@@ -24,11 +24,13 @@ from hypothesis import HealthCheck, settings
 from interpreted import Interpreted, all_uncompiled
 from registered_images import SHAPE
 
-from codegen.author.points import read_points
-from codegen.compiler import build
-from codegen.interfaces import GeneratedModule
-from codegen.registration import LandmarkPairs, Registration, register
+from codegen.problem.points import read_points
+from codegen.registration import register
+from codegen.registration.maps import Registration
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import FlowModule, registration_module
+from codegen.solving.compiler import build
+from codegen.solving.interfaces import GeneratedModule
 
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])

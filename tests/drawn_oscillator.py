@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from codegen import Control, control, coordinate, parameter
-from codegen.author.symbols import recorded_declarations
-from codegen.model import Model, normalise
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.phases import normalise
+from codegen.problem.symbols import recorded_declarations
 
 
 def oscillator(drawing: Any, **changes: Any) -> Model:

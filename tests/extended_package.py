@@ -190,7 +190,7 @@ METHODS"""
 _OF_SOLUTIONS = "from codegen.checks.solution import "
 REGISTRIES = {
     "schemes/__init__.py": [
-        ("from codegen.schemes import ", "from codegen.schemes import radau, "),
+        ("from codegen.discretise.schemes import ", "from codegen.discretise.schemes import radau, "),
         ("_FAMILIES = (", "_FAMILIES = (radau, "),
     ],
     "drivers/__init__.py": [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from codegen.author.points import PointSet
-from codegen.schemes.particles import PARTICLE_SCHEMES
+from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+from codegen.problem.points import PointSet
 
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
 

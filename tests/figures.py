@@ -28,13 +28,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from golden import GALLERY, ROOT
 
 import codegen
-from codegen import solving
-from codegen.compiler import build
-from codegen.loading import load
+from codegen.emit.naming import module_name
+from codegen.evidence.report import records
+from codegen.evidence.report.settings import few_landmarks, smooth_pair
 from codegen.machine import machine
-from codegen.naming import module_name
-from codegen.report import records
-from codegen.report.settings import few_landmarks, smooth_pair
+from codegen.solving import api
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 from codegen.terminal import console
 
 FOLDER = ROOT / "tests" / "figures"
@@ -60,7 +60,7 @@ def solved(path: Path) -> Row:
     module, points = load(path), None
     if module.metadata.task == "connect":
         points = few_landmarks(5) if len(module.metadata.coordinates) == 2 else smooth_pair(5, 3)
-    result = solving.solve(module, repeat=WARM_SOLVES, points=points)
+    result = api.solve(module, repeat=WARM_SOLVES, points=points)
     return {
         "status": result.status,
         "cost": getattr(result, "cost", None),

@@ -20,11 +20,11 @@ import numpy as np
 import sympy
 
 from codegen import Control, Phases, parameters
-from codegen.author.symbols import EndValue, FreeParameter, Momentum, Time, Velocity
-from codegen.compiler import generate_from_model
-from codegen.lower.module import Origin
-from codegen.model import normalise
-from codegen.naming import Choices
+from codegen.discretise.model.phases import normalise
+from codegen.emit.lower.module import Origin
+from codegen.emit.naming import Choices
+from codegen.problem.symbols import EndValue, FreeParameter, Momentum, Time, Velocity
+from codegen.solving.compiler import generate_from_model
 
 PROBLEMS = Path(__file__).resolve().parent.parent / "problems"
 Dimension = tuple[float, float, float]

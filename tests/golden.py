@@ -17,9 +17,9 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from codegen.compiler import build, generate
-from codegen.emit import write
-from codegen.naming import Choices, module_name
+from codegen.emit.naming import Choices, module_name
+from codegen.emit.rendering import write
+from codegen.solving.compiler import build, generate
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "generated"

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from numba import carray  # noqa: F401  what modules import
 
-from codegen.author.problem import Control, Phases
-from codegen.compiler import build
+from codegen.problem.problem import Control, Phases
 from codegen.runtime import kernels
 from codegen.runtime.search import problem
+from codegen.solving.compiler import build
 
 
 def without_compilation(text: str, name: str = "interpreted") -> types.ModuleType:
@@ -88,7 +88,7 @@ def all_uncompiled() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"), warnings.catch_warnings():
         for place in ("loading", "checks", "checks.particles"):
             patch.setattr(f"codegen.{place}.load", loaded)
-        patch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+        patch.setattr("codegen.solving.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
         warnings.simplefilter("ignore")
         yield
 

@@ -11,9 +11,9 @@ from made_records import control_record
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from codegen.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
+from codegen.problem.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
 from codegen.runtime.record import Form, Kind, Meaning, Method
-from codegen.solutions.result import Result, component_names
+from codegen.solving.results.result import Result, component_names
 
 BOUNDED = '''"""Push a cart between walls."""
 from codegen import Control, control, coordinate

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from interpreted import without_compilation
 
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 DECAY = '''"""A substance decays; how fast, and how much was there?"""
 

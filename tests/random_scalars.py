@@ -11,7 +11,7 @@ import sympy
 from sympy import Expr, Max, Rational, Symbol, atan, cos, cosh, exp, log, sin, sqrt, tanh
 
 from codegen import Control, Simulate, control, coordinates, parameters, states, time
-from codegen.naming import Choices
+from codegen.emit.naming import Choices
 
 Problem = Control | Simulate
 

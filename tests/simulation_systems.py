@@ -16,9 +16,13 @@ import mpmath
 import sympy
 from interpreted import without_compilation
 
-from codegen import compiler, naming
-from codegen.author.problem import Simulate
-from codegen.author.symbols import (
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.phases import normalise
+from codegen.emit import naming
+from codegen.emit.lower.module import Origin
+from codegen.problem.problem import Simulate
+from codegen.problem.symbols import (
     canonical_pair,
     canonical_pairs,
     coordinate,
@@ -27,9 +31,7 @@ from codegen.author.symbols import (
     parameters,
     time,
 )
-from codegen.lower.module import Origin
-from codegen.model import Model, normalise
-from codegen.model.from_file import load_problem
+from codegen.solving import compiler
 
 ROOT = Path(__file__).parents[1]
 

@@ -9,12 +9,13 @@ import pytest
 import sympy
 from typer.testing import CliRunner
 
-from codegen import checks, compiler
-from codegen.checks import Finding
 from codegen.cli import main
-from codegen.deadline import Overdue, Stages, interrupted_after, parts_of
+from codegen.emit.deadline import Overdue, Stages, interrupted_after, parts_of
+from codegen.emit.naming import Choices
 from codegen.errors import SizeError
-from codegen.naming import Choices
+from codegen.evidence import checks
+from codegen.evidence.checks.base import Finding
+from codegen.solving import compiler
 
 PROBLEM = """
 "A pendulum."
@@ -44,9 +45,9 @@ def for_ever(*_, **__):
 @pytest.mark.parametrize(
     ("stage", "said"),
     [
-        ("codegen.transcribe.transcribe", "writing the equations of an interval was not done"),
-        ("codegen.derive.derivatives", "differentiating the equations of an interval was not done"),
-        ("codegen.verify.verify", "verifying the kernels was not done"),
+        ("codegen.discretise.transcribe.transcribe", "writing the equations of an interval was not done"),
+        ("codegen.emit.differentiation.derivatives", "differentiating the equations of an interval was not done"),
+        ("codegen.emit.verify.verify", "verifying the kernels was not done"),
     ],
 )
 def test_a_stage_that_does_not_end_is_named(file, tmp_path, monkeypatch, stage, said):
@@ -61,7 +62,7 @@ def test_a_stage_that_does_not_end_is_named(file, tmp_path, monkeypatch, stage, 
 
 def test_the_command_says_so_in_one_line(file, tmp_path, monkeypatch):
     monkeypatch.setenv("CODEGEN_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr("codegen.derive.derivatives", for_ever)
+    monkeypatch.setattr("codegen.emit.differentiation.derivatives", for_ever)
     arguments = ["build", str(file), "--out", str(tmp_path / "out"), "--no-compile", "--time-limit", "1.5"]
     result = CliRunner().invoke(main, arguments)
     assert isinstance(result.exception, SizeError) or result.exit_code == 2

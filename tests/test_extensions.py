@@ -188,7 +188,7 @@ class TestFieldOfTheModel:
 
 def test_sampling_method(extended):
     done = extended.python(
-        "-c", "from codegen.sweeping.cases import samples\nprint(samples({'a': 'uniform(0, 8)'}, 3, 'halton', 0))"
+        "-c", "from codegen.batch.cases import samples\nprint(samples({'a': 'uniform(0, 8)'}, 3, 'halton', 0))"
     )
     assert done.returncode == 0, done.stderr
     assert all(value in done.stdout for value in ("4.0", "2.0"))

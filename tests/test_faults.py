@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 from injected_faults import DAMAGE, Sandbox, alter, cut_off, filled, garble, limited_files, read_only, small_disk
 
-from codegen import emit
-from codegen.compiler import build
+from codegen.emit import rendering
 from codegen.errors import FileError
 from codegen.files import replacing
-from codegen.loading import load
 from codegen.runtime.identity import identity_of
 from codegen.runtime.kept_code import SEAL, remove_invalid
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 
 NAME = "oscillator"
 
@@ -119,9 +119,9 @@ def test_a_build_removes_bytecode_that_was_cut_off(tmp_path):
 
 def test_texts_know_whether_they_are_whole(box):
     text = box.cached_texts()[0].read_text()
-    assert emit.is_whole(text)
+    assert rendering.is_whole(text)
     for other in (text[:-1], text + "\n", text.replace("0", "1", 1), text[: len(text) // 2], ""):
-        assert not emit.is_whole(other)
+        assert not rendering.is_whole(other)
 
 
 @pytest.mark.parametrize(("kind", "size"), [("build", 0), ("build", 15_000), ("solve", 10_000)])

@@ -12,92 +12,75 @@ from pathlib import Path
 
 import pytest
 
-from codegen.cache import GENERATORS
+from codegen.solving.cache import GENERATORS
 
 PACKAGE = Path(__file__).parents[1] / "codegen"
 
 FLOORS = (
-    ("__init__", "lettering", "mangling", "runtime"),
-    ("errors", "interfaces", "machine", "tasks"),
-    ("tables",),
-    ("drawing", "expressions", "files", "loading", "schemes"),
-    ("author", "emit", "machine_code", "terminal"),
-    ("model", "solutions"),
-    ("discretise", "drivers", "plots"),
-    ("analysis", "pictures", "transcribe"),
-    ("deadline", "derive", "show"),
-    ("lower",),
-    ("naming", "verify"),
-    ("cache",),
-    ("compiler", "engines"),
+    ("__init__", "deferred", "identifiers", "runtime"),
+    ("errors", "machine"),
+    ("files", "symbolic"),
+    ("problem", "terminal"),
+    ("discretise",),
+    ("emit",),
     ("solving",),
-    ("horizons", "sweeping"),
-    ("checks", "registration", "report", "stress"),
-    ("notebooks",),
+    ("show",),
+    ("batch",),
+    ("mpc",),
+    ("evidence",),
+    ("registration",),
     ("solver",),
     ("cli",),
     ("__main__",),
 )
-"""Folders of the package, and files beside them: what stands on a floor imports from lower ones only."""
-
-WITHIN = {
-    "transcribe": (
-        ("program", "names", "guesses", "forms", "connect"),
-        ("boundary", "redundancy", "step_program"),
-        ("conditions", "simulation"),
-        ("assembly", "phases"),
-        ("one_step", "variational"),
-    ),
-    "lower": (("printer",), ("lookups",), ("kernels",), ("module", "tables", "table_ranges"),
-              ("control", "particles", "simulate")),
-}  # fmt: skip
-"""The same for folders inside two of them, whose `__init__` calls the rest."""
+"""Folders of the package, and files next to them. A folder imports from lower floors only."""
 
 NUMERIC = (
-    "tables",
-    "tasks",
-    "drawing",
-    "interfaces",
-    "loading",
+    "symbolic/tables",
+    "symbolic/measurements",
+    "problem/drawing",
+    "solving/tasks",
+    "solving/interfaces",
+    "solving/loading",
+    "solving/machine_code",
+    "solving/results",
+    "solving/drivers",
+    "show/figures",
     "runtime",
-    "machine_code",
-    "solutions",
-    "drivers",
-    "plots",
 )
-"""What runs without sympy."""
+"""Parts that run without sympy."""
 
-SYMBOLIC = ("model", "expressions", "schemes", "discretise", "transcribe", "derive", "lower", "emit", "verify",
-            "naming", "cache", "compiler")  # fmt: skip
-"""What may import it, or what leads there; of the author's files that of points is about numbers alone."""
+SYMBOLIC = (
+    *(f"symbolic.{name}" for name in ("checks", "derivatives", "graph", "special_functions", "table_functions")),
+    *(f"symbolic.{name}" for name in ("terms", "zeros")),
+    "discretise",
+    "emit",
+    "solving.cache",
+    "solving.compiler",
+)
+"""Modules that import sympy, or that lead to it."""
 
 BY_STRING = {
-    ("__init__", "author"): "public names, imported when they are asked for first",
-    ("__init__", "compiler"): "public names",
+    ("__init__", "batch"): "public names, imported when they are asked for first",
     ("__init__", "errors"): "public names",
-    ("__init__", "horizons"): "public names",
-    ("__init__", "loading"): "public names",
+    ("__init__", "mpc"): "public names",
+    ("__init__", "problem"): "public names",
     ("__init__", "solver"): "public names",
     ("__init__", "solving"): "public names",
-    ("__init__", "sweeping"): "public names",
-    ("tasks", "solutions"): "a row names what does what is special to a task, imported when it is called first",
-    ("tasks", "machine_code"): "the same: what of a module is compiled before it is called",
-    ("author", "notebooks"): "how a problem shows itself: a notebook asks the object, and nobody could register before",
-    ("solutions", "notebooks"): "how a solution shows itself, with figures",
-    ("horizons", "notebooks"): "how a closed loop shows itself, with its figure",
-    ("checks", "notebooks"): "how findings show themselves",
-    ("mangling", "emit"): "the text of templates is read for the names in it; nothing is imported",
+    ("identifiers", "emit"): "reads the names in the templates; nothing is imported",
+    ("problem", "show"): "the display of a problem in a notebook",
+    ("solving", "show"): "the display of a solution, with figures",
 }
-"""Arrows that run back, by strings which name modules, and why each does: the only ones."""
+"""Strings that name modules of higher floors, with the reason for each."""
 
 COMPUTED = {
     "__init__": "the table of public names, whose strings are read here",
-    "tasks": "the file of a Home, whose strings are read here",
-    "loading": "a generated module",
+    "deferred": "the module of a Deferred, whose strings are read here",
+    "solving": "a generated module; the results of each task",
     "registration": "libraries that read and write images, which are extras",
     "runtime": "the generated module of a problem that was pickled",
 }
-"""Parts that import by names which are no literals, and what these are."""
+"""Parts that import by names which are no literals, and these modules."""
 
 
 def imported(path: Path, with_types: bool = False) -> frozenset[str]:
@@ -130,19 +113,19 @@ def names_in(nodes: Iterable[ast.AST]) -> frozenset[str]:
 def literals(path: Path) -> tuple[list[str], list[str]]:
     """The strings of a file that may name modules, `*` for what is filled in; and the calls whose names are computed.
 
-    Such are a whole string `codegen.part.file`, and the first arguments of Home and import_module.
+    Such are a whole string `codegen.part.file`, and the first arguments of Deferred and import_module.
     """
     nodes = list(ast.walk(ast.parse(path.read_text())))
     texts = [node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)]
     names, computed = [text for text in texts if re.fullmatch(r"codegen(\.\w+)+", text)], []
     for node in nodes:
         called = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
-        if called in ("Home", "import_module", "__import__"):
+        if called in ("Deferred", "import_module", "__import__"):
             name = pattern(node.args[0])
             if name in ("", "codegen.*"):
                 computed.append(ast.unparse(node))
             else:
-                names.append(f"codegen.{name}" if called == "Home" else name)
+                names.append(f"codegen.{name}" if called == "Deferred" else name)
     return names, computed
 
 
@@ -195,7 +178,7 @@ def graph(with_types: bool = False) -> dict[str, set[str]]:
 def test_no_circle_of_files():
     order = tuple(graphlib.TopologicalSorter(graph()).static_order())  # or CycleError, which names the files
     assert set(order) == set(graph())
-    assert order.index("codegen.errors") < order.index("codegen.compiler") < order.index("codegen.cli.solve")
+    assert order.index("codegen.errors") < order.index("codegen.solving.compiler") < order.index("codegen.cli.solve")
 
 
 def test_no_circle_of_files_by_their_annotations():
@@ -229,17 +212,6 @@ def test_names_of_modules_are_literals_but_for_some():
     assert {part_of(name) for name, path in paths().items() if literals(path)[1]} == set(COMPUTED)
 
 
-@pytest.mark.parametrize("folder", WITHIN)
-def test_no_arrow_runs_back_inside_a_folder(folder):
-    inside = {name: [*name.split("."), ""][2] for name in graph() if part_of(name) == folder}
-    floors = {part: number for number, floor in enumerate(WITHIN[folder]) for part in floor}
-    assert set(floors) == set(inside.values()) - {""}
-    for name, part in inside.items():
-        if part:
-            above = {n for n in graph()[name] if inside.get(n, part) != part and floors[inside[n]] >= floors[part]}
-            assert not above, f"{name} imports {', '.join(sorted(above))}"
-
-
 @pytest.mark.parametrize("part", NUMERIC)
 def test_numeric_parts_never_import_sympy_or_symbolic_parts(part):
     forbidden = [f"codegen.{name}" for name in SYMBOLIC]
@@ -249,7 +221,7 @@ def test_numeric_parts_never_import_sympy_or_symbolic_parts(part):
         assert not any(name == f or name.startswith(f + ".") for name in names for f in forbidden), (path, names)
 
 
-@pytest.mark.parametrize("part", ["stress", "registration"])
+@pytest.mark.parametrize("part", ["evidence/stress", "registration"])
 def test_users_of_modules_import_no_sympy(part):
     for path in files(part):
         if path.parent.name != "problems":
@@ -257,7 +229,7 @@ def test_users_of_modules_import_no_sympy(part):
 
 
 def test_after_lowering_there_is_no_sympy():
-    names = imported(PACKAGE / "emit" / "__init__.py") | imported(PACKAGE / "lower" / "module.py")
+    names = imported(PACKAGE / "emit/rendering.py") | imported(PACKAGE / "emit/lower/module.py")
     assert not any(name.split(".")[0] == "sympy" for name in names)
 
 
@@ -266,12 +238,12 @@ def test_after_lowering_there_is_no_sympy():
     [
         ("import codegen", ("sympy", "numba", "scipy", "matplotlib")),
         ("import codegen.cli", ("sympy", "numba", "scipy", "matplotlib")),
-        ("import codegen.loading, codegen.drivers", ("sympy",)),
+        ("import codegen.solving.loading, codegen.solving.drivers", ("sympy",)),
         ("import codegen.solving.outcome", ("sympy", "scipy.interpolate")),
         ("import codegen.registration", ("sympy", "numba", "nibabel", "SimpleITK", "skimage")),
         pytest.param("import codegen.registration.app.server", ("sympy", "numba"), marks=pytest.mark.slow),
         pytest.param(
-            "import codegen.report.study, codegen.report.page, codegen.report.gallery",
+            "from codegen.evidence.report import gallery, landmark_study, page",
             ("sympy",),
             marks=pytest.mark.slow,
         ),
@@ -294,15 +266,14 @@ def test_generated_modules_import_the_runtime_alone():
     assert parts == {"runtime"}
 
 
-WITHOUT_A_SAY = {"errors", "tasks", "cache", "deadline", "files"}
-"""What the stages of a build import although no text follows from it: messages, the table of tasks, reading, limits."""
+WITHOUT_EFFECT = {"deferred", "errors", "files"}
+"""Parts that the stages of a build import although no text follows from them: messages and files."""
 
 
 def test_the_key_of_the_cache_hashes_all_that_the_stages_import():
-    """A changed generator must never serve what an older one made, as it did where tables were left out."""
+    """A changed generator must never serve the text of an older one."""
     hashed = {name.removesuffix(".py") for name in GENERATORS}
-    assert hashed <= {part_of(name) for name in graph()}
-    imported_parts = {
-        part_of(other) for name, others in graph().items() if part_of(name) in hashed for other in others
-    } - {"__init__"}
-    assert imported_parts - hashed == WITHOUT_A_SAY
+    assert all((PACKAGE / name).exists() for name in GENERATORS)
+    stages = {name for name in graph() if name.split(".")[1:2] and part_of(name) in hashed}
+    imported_parts = {part_of(other) for name in stages for other in graph()[name]} - {"__init__"}
+    assert imported_parts - hashed == WITHOUT_EFFECT

@@ -12,8 +12,8 @@ import pytest
 from conftest import PROBLEMS
 from written_objects import object_of
 
-from codegen.compiler import generate
-from codegen.naming import chosen
+from codegen.emit.naming import chosen
+from codegen.solving.compiler import generate
 
 CASES = {
     "a simulation": ("pendulum", {}, {}),

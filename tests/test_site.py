@@ -13,9 +13,9 @@ from references import LOWER, STORED, UNSOLVED, digest, known_of, misses, proble
 
 import codegen
 from codegen import errors
+from codegen.batch.case import MEANINGS
 from codegen.cli.options import PAGE
-from codegen.solutions.result import STATUSES
-from codegen.sweeping.case import MEANINGS
+from codegen.solving.results.result import STATUSES
 
 ROOT = PROBLEMS.parent
 DOCS = ROOT / "docs"

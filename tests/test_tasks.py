@@ -6,14 +6,15 @@ from importlib import import_module
 
 import pytest
 
-from codegen.author.particles import Connect
-from codegen.author.problem import Control, Simulate
-from codegen.drivers import DRIVERS
-from codegen.tasks import TASKS, Home, task_of
+from codegen.deferred import Deferred
+from codegen.problem.particles import Connect
+from codegen.problem.problem import Control, Simulate
+from codegen.solving.drivers import DRIVERS
+from codegen.solving.tasks import TASKS, task_of
 
 
 def homes(task):
-    return {f.name: getattr(task, f.name) for f in fields(task) if isinstance(getattr(task, f.name), Home)}
+    return {f.name: getattr(task, f.name) for f in fields(task) if isinstance(getattr(task, f.name), Deferred)}
 
 
 def test_tasks_are_those_that_problems_can_have():

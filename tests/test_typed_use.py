@@ -13,8 +13,8 @@ import typed_use
 from PIL import Image
 
 import codegen
-from codegen.author.sources import source_of
-from codegen.model.from_file import load_problem
+from codegen.discretise.model.from_file import load_problem
+from codegen.problem.sources import source_of
 
 ROOT = Path(__file__).parents[1]
 FILE = Path(typed_use.__file__)

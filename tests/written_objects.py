@@ -5,9 +5,9 @@ from typing import Any
 
 from conftest import PROBLEMS
 
-from codegen.author.data_files import beside
-from codegen.author.problem_file import written_problem
-from codegen.author.sources import ProblemObject, source_of
+from codegen.problem.points import beside
+from codegen.problem.problem_file import written_problem
+from codegen.problem.sources import ProblemObject, source_of
 
 FILES = [*sorted(PROBLEMS.glob("*.py")), *sorted((PROBLEMS / "published").glob("*.py"))]
 """Every problem file of the gallery."""

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
-from codegen.deadline import BUILD
+from codegen.emit.deadline import BUILD
 from codegen.terminal import working
 
 
@@ -31,12 +31,13 @@ def build(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
 ) -> None:
     """Derive and write the module that solves a problem, and compile it."""
-    from codegen import compiler
-    from codegen.author.problem_file import parse_arguments
-    from codegen.loading import load
-    from codegen.machine_code import ahead_of_time
-    from codegen.machine_code.processes import compilers
-    from codegen.solutions import notes, output
+    from codegen.problem.problem_file import parse_arguments
+    from codegen.solving import compiler
+    from codegen.solving.loading import load
+    from codegen.solving.machine_code import ahead_of_time
+    from codegen.solving.machine_code.processes import compilers
+    from codegen.solving.results import output
+    from codegen.solving.results import output as notes
 
     output.require_folder(out, "--out", may_be_made=True)
     begin, arguments = time.perf_counter(), parse_arguments(set_, problem)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from codegen.cli.options import Controls, ControlSites, Method, Problem, Scheme, Set
-from codegen.deadline import CHECK
+from codegen.emit.deadline import CHECK
 from codegen.errors import one_line
 from codegen.terminal import console, working
 
 if TYPE_CHECKING:
-    from codegen.naming import Choices
+    from codegen.emit.naming import Choices
 
 
 def check(
@@ -31,15 +31,16 @@ def check(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of all checks.")] = CHECK,
 ) -> None:
     """Check the derivation and the generated code; exit status 1 if a check fails."""
-    from codegen import naming
-    from codegen.author.problem_file import parse_arguments
-    from codegen.solutions import output
+    from codegen.emit import naming
+    from codegen.evidence.checks.base import findings_table
+    from codegen.problem.problem_file import parse_arguments
+    from codegen.solving.results import output
 
     if out is not None:
         output.require_folder(out, "--out")
     arguments = parse_arguments(set_, problem)
     with working("Checking"):
-        from codegen import checks
+        from codegen.evidence import checks
 
         made = _module(
             problem, arguments, naming.chosen(scheme, method, controls.value, sensitivities=sensitivities), out
@@ -48,7 +49,7 @@ def check(
             problem, arguments, scheme=scheme, method=method, controls=controls.value, module=made,
             time_limit=time_limit, sensitivities=sensitivities,
         )  # fmt: skip
-    console().print(output.findings_table(findings))
+    console().print(findings_table(findings))
     failed = [finding for finding in findings if not finding.passed]
     if failed:
         text = f"codegen: {len(failed)} of {len(findings)} checks failed, first {failed[0].check}"
@@ -58,9 +59,10 @@ def check(
 
 def _module(problem: Path, arguments: Mapping[str, str], choices: Choices, out: Path | None) -> Path:
     """The module that someone keeps, as it stands, since it may have been changed by hand; else one of the cache."""
-    from codegen import cache, compiler, naming
-    from codegen.loading import load
-    from codegen.machine_code import ahead_of_time
+    from codegen.emit import naming
+    from codegen.solving import cache, compiler
+    from codegen.solving.loading import load
+    from codegen.solving.machine_code import ahead_of_time
 
     kept = (out or cache.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
     if kept.is_file():

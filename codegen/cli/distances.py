@@ -31,9 +31,9 @@ def distances(
     """Tell how far specimens are from each other: the lengths of geodesics between their landmarks."""
     import numpy as np
 
-    from codegen.engines.team import team_size
+    from codegen.batch.executors.team import team_size
     from codegen.registration.batches.distances import geodesic_distances, read_specimens, write_distances, write_mean
-    from codegen.solutions import output
+    from codegen.solving.results import output
 
     if out is None:
         raise ArgumentError("--out is missing", "say where the table goes, such as --out distances.csv")
@@ -52,7 +52,7 @@ def distances(
     known = np.isfinite(found.points[:, 0])
     left_out = [name for name, is_known in zip(found.names, known, strict=True) if not is_known]
     if plot is not None and known.any():
-        from codegen.plots import save_specimens
+        from codegen.show.figures import save_specimens
 
         shown = [name for name in found.names if name not in left_out]
         save_specimens(found.points[known], shown, found.share, plot)

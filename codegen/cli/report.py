@@ -25,9 +25,9 @@ def report(
     ] = None,
 ) -> None:
     """Measure everything about problems and write one page; what DIR holds already is not measured again."""
-    from codegen import report as reports
-    from codegen.report.records import table_of
-    from codegen.solutions import output
+    from codegen.evidence import report as reports
+    from codegen.evidence.report.records import table_of
+    from codegen.solving.results import output
     from codegen.terminal import console
 
     output.require_folder(out, "--out", may_be_made=True)

@@ -1,12 +1,17 @@
-"""The command `codegen solve`: build where necessary, solve, and say how it ended."""
+"""The command `codegen solve`: build where necessary, solve, and say how it ended.
+
+What `codegen solve` draws: a page about the solution, and a film of the problem's drawing.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+import shutil
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -30,13 +35,18 @@ from codegen.cli.options import (
     positive,
 )
 from codegen.errors import ArgumentError, one_line
-from codegen.tasks import TASKS
+from codegen.files import replacing
+from codegen.solving.results.output import require_writable
+from codegen.solving.tasks import TASKS
 from codegen.terminal import console, following, working
 
 if TYPE_CHECKING:
-    from codegen.solutions.result import Result
+    from codegen.discretise.model.definitions import Model
+    from codegen.discretise.model.pairwise import PairwiseModel
+    from codegen.solving.interfaces import GeneratedModule
     from codegen.solving.outcome import Outcome
-
+    from codegen.solving.request import Request
+    from codegen.solving.results.result import Result
 
 DriverName = Annotated[str, typer.Option(help="newton (generated), slsqp, trust-constr, ipopt, fsolve, fmin.")]
 Tolerance = Annotated[
@@ -103,11 +113,12 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen.author.problem_file import parse_arguments
-    from codegen.cli import pictures
-    from codegen.solutions import output
+    from codegen.problem.problem_file import parse_arguments
+
+    pass
     from codegen.solving.outcome import outcome_of
     from codegen.solving.request import Request
+    from codegen.solving.results import output
 
     request = Request(
         problem, driver, arguments=parse_arguments(set_, problem), scheme=scheme, method=method,
@@ -120,7 +131,7 @@ def solve(
         output.require_writable(save, output.ARCHIVES, "--save")
     if out is not None:
         output.require_folder(out, "--out", may_be_made=True)
-    wanted = pictures.requested(request, plot, animate, style.value)
+    wanted = requested(request, plot, animate, style.value)
     outcome = with_options(outcome_of(request, working, following))
     if save is not None:
         output.save(outcome.result, outcome.record, save)
@@ -164,7 +175,8 @@ def _named(items: Sequence[str], option: str, what: str, example: str) -> dict[s
 
 def _tell(outcome: Outcome, json: bool, log: bool) -> None:
     """Print the outcome, and on stderr what there is to say beside it."""
-    from codegen.solutions import notes, output
+    from codegen.solving.results import output
+    from codegen.solving.results import output as notes
 
     result, record = outcome.result, outcome.record
     for line in outcome.said:
@@ -206,3 +218,73 @@ def _hint(result: Result, guesses: int) -> str:
 
 
 _LED_NOWHERE = ("infeasible", "saddle point", "stalled")
+
+
+PLOTS = (".png", ".pdf", ".svg")
+ANIMATIONS = (".gif", ".mp4")
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The files that are wanted, with what the problem file has to say about them."""
+
+    plot: Path | None = None
+    animation: Path | None = None
+    model: Model | PairwiseModel | None = None
+    unit: str = ""
+    style: str = "page"
+
+    def save(self, module: GeneratedModule, result: Result) -> None:
+        """Write the files, each as a whole or not at all."""
+        if self.plot is not None:
+            from codegen.show.figures.picture import Picture
+            from codegen.show.films import figure_of
+
+            Picture(figure_of(module, self.model, result, self.unit, self.style), self.style).save(self.plot)
+        if self.animation is not None:
+            self._save_animation(self.animation, result)
+
+    def _save_animation(self, path: Path, result: Result) -> None:
+        from codegen.show.films import save_film
+
+        with replacing(path) as temporary:
+            save_film(self.model, result, temporary, _with_progress)
+
+
+def requested(request: Request, plot: Path | None, animation: Path | None, style: str = "page") -> Pictures:
+    """Check, before anything is solved, that the wanted pictures can be drawn.
+
+    Raises ArgumentError for files that cannot be written, for a film of type .mp4 without ffmpeg and for a film of a
+    problem without a drawing, as a generated module is; what the problem file raises.
+    """
+    if plot is not None:
+        require_writable(plot, PLOTS, "--plot")
+    if animation is not None:
+        require_writable(animation, ANIMATIONS, "--animate")
+        if animation.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
+            finding = f"--animate {animation} needs the program ffmpeg, which is not installed"
+            raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
+    if plot is None and animation is None:
+        return Pictures()
+    from codegen.discretise.model.from_file import load_problem
+    from codegen.show.films import unit_of
+
+    model: Model | PairwiseModel | None = None
+    unit = ""
+    if not request.is_built:
+        model = load_problem(request.source, request.settings)
+        unit = unit_of(request.source)
+    if animation is not None and not (model and model.drawing):
+        finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"
+        raise ArgumentError(finding, "add drawing=[...] with items of codegen.problem.drawing to the problem")
+    return Pictures(plot, animation, model, unit, style)
+
+
+def _with_progress(frames: Iterable[Any], count: int) -> Iterable[Any]:
+    """A progress bar on a terminal, nothing elsewhere."""
+    if not sys.stderr.isatty():
+        return frames
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(frames, "Drawing", total=count, console=Console(stderr=True), transient=True)

@@ -20,15 +20,15 @@ def stress(
     out: Annotated[Path, typer.Option(help="Folder for stress.csv and stress.html.", show_default=False)] = ...,  # type: ignore[assignment]
 ) -> None:
     """Solve stiff and extreme cases; exit status 1 if one ends in a wrong answer, a NaN, a hang or an untyped error."""
-    from codegen import stress as stressing
-    from codegen.solutions import output
-    from codegen.stress import families, generic, page
+    from codegen.evidence import stress as stressing
+    from codegen.evidence.stress import families, generic, page
+    from codegen.solving.results import output
 
     if (problem is None) != (all_ or quick):
         raise ArgumentError("stress takes a problem file, or --all, or --quick", "give one of them")
     output.require_folder(out, "--out", may_be_made=True)
     if problem is not None:
-        from codegen.author.problem_file import parse_arguments
+        from codegen.problem.problem_file import parse_arguments
 
         with working("Deriving"):
             cases = generic.cases_of(problem, parse_arguments(set_, problem))

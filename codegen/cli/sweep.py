@@ -121,15 +121,15 @@ def sweep(
     json: Json = False,
 ) -> None:
     """Solve a problem for many values of its parameters, in parallel."""
-    from codegen.author.problem_file import parse_arguments
+    from codegen.batch.cases import assigned, axis_of
+    from codegen.batch.request import sweep_request
+    from codegen.batch.sweep import outcome_of
 
     # Refuse, before anything else, what cannot be written.
-    from codegen.cli.pictures import PLOTS
-    from codegen.plots.pareto import objectives_of
-    from codegen.solutions.output import require_writable
-    from codegen.sweeping.cases import assigned, axis_of
-    from codegen.sweeping.outcome import outcome_of
-    from codegen.sweeping.request import sweep_request
+    from codegen.cli.solve import PLOTS
+    from codegen.problem.problem_file import parse_arguments
+    from codegen.show.figures.pareto import objectives_of
+    from codegen.solving.results.output import require_writable
 
     if out is None:
         raise ArgumentError("a sweep needs a place for its results", "give --out sweep.zarr or --out sweep.nc")
@@ -163,17 +163,17 @@ def sweep(
 def _require_front(pareto: str | None, outlined: Any) -> None:
     """Refuse objectives that the sweep will not have."""
     if pareto is not None:
-        from codegen.plots.pareto import objectives_of, require_objectives
+        from codegen.show.figures.pareto import objectives_of, require_objectives
 
         require_objectives(objectives_of(pareto), outlined)
 
 
 def _draw(outcome: Any, path: Path, pareto: str | None, style: str) -> None:
-    from codegen import plots
     from codegen.files import replacing
+    from codegen.show import figures
 
     with replacing(path) as temporary:
-        plots.save_sweep(outcome.dataset(), temporary, pareto, style)
+        figures.save_sweep(outcome.dataset(), temporary, pareto, style)
 
 
 def _once(option: str, pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
@@ -192,7 +192,7 @@ def _kept(names: str) -> tuple[str, ...]:
 
 def _kept_of_each(layout: Any) -> str:
     """Which arrays there are of each case, and which are left out because all would be too much."""
-    from codegen.sweeping.layout import FITS
+    from codegen.batch.layout import FITS
 
     if not layout.dims:
         return ""
@@ -203,8 +203,8 @@ def _kept_of_each(layout: Any) -> str:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
-    from codegen.engines.work import counted, table_of
-    from codegen.solutions.output import as_json
+    from codegen.batch.executors.work import counted, table_of
+    from codegen.solving.results.output import as_json
 
     for line in outcome.said:
         typer.echo(line, err=True)

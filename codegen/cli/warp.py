@@ -176,7 +176,7 @@ def _one(
     from codegen.registration import job
     from codegen.registration.batches import page
     from codegen.registration.jobs import Job
-    from codegen.solutions import output
+    from codegen.solving.results import output
 
     if out is None or not landmarks:
         missing = "--out" if out is None else "--landmarks"
@@ -199,10 +199,10 @@ def _many(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
     report: Path | None, options: Options, json: bool, who: Who,
 ) -> None:  # fmt: skip
-    from codegen.engines.team import team_size
+    from codegen.batch.executors.team import team_size
     from codegen.registration.batches import page, pairing, work
     from codegen.registration.batches.outcome import BatchRequest, outcome_of
-    from codegen.solutions import output
+    from codegen.solving.results import output
 
     workers = team_size(who.workers, who.cluster)
     places = pairing.Places(out, field, report)

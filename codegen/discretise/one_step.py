@@ -1,139 +1,162 @@
-"""The Hamiltonian side, and first-order systems: the equations of one step, and its discrete cost."""
+"""Control task by a one-step method -> ControlProgram: Hamilton's equations, or a first-order system x' = f(x, u, t).
+
+l = Cd + mu_k . r_k with the equations r_k of one step, whose unknowns are the states at both nodes, inner stages and
+the controls.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import sympy
-from sympy import Expr, Symbol
+from sympy import Expr, S, Symbol
 
-from codegen.discretise.nodes import (
-    STEP,
-    PathValue,
-    Sites,
-    StateValue,
-    at_nodes,
-    continued,
-    distinct,
-    observed_at,
-    sites,
-    strictly_inside,
-    substitute,
-)
-from codegen.expressions.tangents import gradient
-from codegen.model import Model
-from codegen.schemes import Scheme
+from codegen.discretise.assembly import Motion, assemble
+from codegen.discretise.boundary import with_symbolic_boundaries
+from codegen.discretise.conditions import holonomic, path
+from codegen.discretise.conditions.ends import End, conditioned_end, with_bounds
+from codegen.discretise.conditions.linking import Shared, joined_unknowns, shared_unknowns
+from codegen.discretise.conditions.path import nodal_conditions
+from codegen.discretise.conditions.periodic import Periodic, periodic_unknowns, periodic_velocities_in_momenta
+from codegen.discretise.forms import in_momenta
+from codegen.discretise.guesses import coordinate_guess, momentum_guess
+from codegen.discretise.interval import at_nodes, one_step_interval
+from codegen.discretise.model.definitions import Boundary, Model
+from codegen.discretise.program import BoundaryValue, ControlProgram, Names, Unknown, symbols
+from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
+from codegen.runtime.record import Kind, Meaning
 
 
-@dataclass(frozen=True)
-class OneStepInterval:
-    """Equations of one step in (q_k, p_k), inner stages and (q_k1, p_k1), each an expression that must vanish.
+def one_step(model: Model, scheme: Scheme, method: str, controls: str) -> ControlProgram:
+    """Transcribe with unknowns (q, p), or x, on nodes, stages, mu and u on intervals (or u on nodes).
 
-    The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
-    system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
-    cost. `observed` is what the model's measurements are of, at FRACTION of the interval. `inside` are the values of
-    states where an implicit scheme evaluates the dynamics inside the interval, and of the inner stages behind them.
+    Raises what the Legendre transform raises, BoundaryError for conditions that do not fit together, and ArgumentError
+    for holonomic constraints.
     """
-
-    q: Sites
-    p: Sites
-    stages: tuple[Symbol, ...]
-    equations: tuple[Expr, ...]
-    cost: Expr
-    path: tuple[PathValue, ...] = ()
-    integrals: tuple[Expr, ...] = ()
-    observed: tuple[Expr, ...] = ()
-    inside: tuple[StateValue, ...] = ()
-
-
-def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") -> OneStepInterval:
-    """Write the equations of a scheme's `Step`, those that lead to inner states first.
-
-    The model is of Hamiltonian form, with forced Hamilton's equations, or of first-order form x' = f(x, u, t). The cost
-    is integrated like a further state, so that it has the scheme's order.
-    """
-    step, states, dimension = scheme.step(), (*model.coordinates, *model.rates), len(model.coordinates)
-    q_sites = sites(model, model.coordinates, controls, len(step.points))
-    p_sites = sites(model, model.rates, controls, len(step.points))
-    inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.abscissae)))
-    values = [(*q_sites.left, *p_sites.left), *inner, (*q_sites.right, *p_sites.right)]
-
-    integrands, motion = _integrands(model), _vector_field(model)
-    field = (*motion, *integrands)
-    rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
-    evaluated, elapsed = list[StateValue](), (sympy.S.Zero, *step.abscissae)
-    for i, point in enumerate(step.points):
-        shares = [point.position] * dimension + [point.momentum] * len(model.rates)
-        state = [_sum((share, values[n][x]) for n, share in own) for x, own in enumerate(shares)]
-        for x, own in enumerate(shares):
-            evaluated += [StateValue(states[x], elapsed[n], values[n][x]) for n, _ in own]
-            evaluated.append(StateValue(states[x], _sum((share, elapsed[n]) for n, share in own), state[x]))
-        at = (state[:dimension], state[dimension:], q_sites.controls_at(i, point.abscissa), point.abscissa)
-        there = [substitute(model, f, *at) for f in field]
-        rates.append(there[: len(states)])
-        densities = zip(integrals, there[len(states) :], strict=True)
-        integrals = [total + STEP * point.weight * density for total, density in densities]
-        path += [PathValue(g, point.abscissa, substitute(model, g.expression, *at)) for g in model.path]
-
-    unknowns, equations = list[Symbol](), list[Expr]()
-    for n, of_kind in enumerate(zip(step.positions, step.momenta, strict=True), start=1):
-        for x, value in enumerate(values[n]):
-            if update := of_kind[x >= dimension]:
-                rate = _sum(zip(update.weights, (own[x] for own in rates), strict=True))
-                unknowns.append(value)
-                equations.append(value - values[update.begin][x] - STEP * update.fraction * rate)
-    stages = unknowns[: -len(states)]
-    if step.is_chain:
-        read = {symbol for value in (*integrals, *(g.value for g in path)) for symbol in value.free_symbols}
-        stages, equations = _without_idle_stages(values[1:-1], equations, read)
-    cost, *others = integrals
-    observed = ()
-    if model.observed:
-        abscissae = [point.abscissa for point in step.points]
-        states_there = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
-        observed = observed_at(model, states_there[:dimension], states_there[dimension:])
-    inside = () if step.is_explicit else strictly_inside(evaluated)
-    return OneStepInterval(
-        q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others), observed, inside
+    holonomic.refuse(model, method)
+    model, boundary_values = with_symbolic_boundaries(model)
+    # Boundary values are those of `model`; dynamics, conditions and terminal cost those of `phase`.
+    phase = model if method == FIRST_ORDER else in_momenta(model)
+    names = Names(phase)
+    guesses = (*coordinate_guess(model), *momentum_guess(model))
+    states = (*phase.coordinates, *phase.rates)
+    periodic = periodic_unknowns(model, states, guesses, names) + joined_unknowns(phase, states, guesses, names)
+    if model.form == "lagrangian":
+        periodic += periodic_velocities_in_momenta(model, phase, names)
+    shared = shared_unknowns(model, periodic, guesses, names)
+    assert model.end is not None, "a control problem has an end"
+    free = (None,) * len(phase.rates)  # whose values there may be velocities
+    placed = replace(phase, start=Boundary(model.start.positions, free), end=Boundary(model.end.positions, free))
+    start, end = _ends(model, placed, periodic, shared, boundary_values, names)
+    return assemble(
+        phase,
+        _motion(phase, scheme, method, controls, guesses),
+        boundary_values,
+        path.nodal_equalities(placed, nodal_conditions(phase, equality=True), "y", names),
+        start,
+        end,
+        shared,
+        names,
     )
 
 
-def _sum(terms: Iterable[tuple[Expr, Expr]]) -> Expr:
-    return sum((factor * value for factor, value in terms if factor != 0), sympy.S.Zero)
+def _ends(
+    model: Model,
+    phase: Model,
+    periodic: Periodic,
+    shared: Shared,
+    boundary_values: tuple[BoundaryValue, ...],
+    names: Names,
+) -> tuple[End, End]:
+    """Given values, conditions and the terminal cost at both ends."""
+    assert model.end is not None, "a control problem has an end"
+    known = {*model.parameters, *(value.symbol for value in boundary_values)}
+    start_conditions = (
+        *phase.start_conditions, *path.start_inequalities(phase), *periodic.start_conditions
+    )  # fmt: skip
+    end_conditions = (*phase.end_conditions, *periodic.end_conditions)
+    states = (*phase.coordinates, *phase.rates)
+    ends = []
+    for boundary, suffix, conditions, cost, aliases in (
+        (model.start, "_k", start_conditions, S.Zero, periodic.start_aliases),
+        (model.end, "_k1", end_conditions, phase.terminal_cost, periodic.end_aliases),
+    ):
+        values = _given_values(model, phase, boundary, suffix, known)
+        here = symbols([x.name for x in states], suffix)
+        pinned = {name for name, _ in values.pins}
+        unknowns = {symbol for x, symbol in zip(states, here, strict=True) if x.name not in pinned}
+        unknowns |= {own.symbol for own in shared.all}
+        substitution = dict(zip(states, here, strict=True))
+        aliased = {name for name, *_ in aliases}
+        free = {s: x.name for x, s in zip(states, here, strict=True) if s in unknowns and x.name not in aliased}
+        own = dict(
+            zip(
+                free,
+                with_bounds([Unknown(name, Meaning(Kind.STATE, name)) for name in free.values()], phase),
+                strict=True,
+            )
+        )
+        imposed = conditioned_end(conditions, cost, substitution, suffix, unknowns, names, own, model.parameters)
+        ends.append(values + imposed)
+    return ends[0], ends[1] + End(element=periodic.end_share)
 
 
-def _vector_field(model: Model) -> tuple[Expr, ...]:
-    """The right-hand sides of Hamilton's equations with forces, or of a first-order system."""
-    if model.form == "first-order":
-        return model.dynamics
-    return (
-        *gradient(model.function, model.rates),
-        *(f - slope for slope, f in zip(gradient(model.function, model.coordinates), model.force, strict=True)),
+def _motion(phase: Model, scheme: Scheme, method: str, controls: str, guesses: tuple[Expr, ...]) -> Motion:
+    """The equations of one step times their multipliers."""
+    interval = one_step_interval(path.with_inner_path(phase), scheme, controls)
+    names = [s.name for s in (*phase.coordinates, *phase.rates)]
+    stage_names = [s.name for s in interval.stages]
+    equation_names = [*stage_names, *names]
+    multipliers = [f"mu_{name}" for name in equation_names]
+    mu = symbols(multipliers, "_k")
+    coordinate = Kind.STATE if phase.form == "first-order" else Kind.COORDINATE
+    kinds = [coordinate] * len(phase.coordinates) + [Kind.MOMENTUM] * len(phase.rates)
+    pairs = zip(multipliers, equation_names, strict=True)
+    return Motion(
+        method=method,
+        scheme=scheme.name,
+        node=tuple(Unknown(n, Meaning(kind, n)) for n, kind in zip(names, kinds, strict=True)),
+        interval=(
+            *(Unknown(n, Meaning(Kind.STAGE_VALUE, n)) for n in stage_names),
+            *(Unknown(m, Meaning(Kind.STEP, n)) for m, n in pairs),
+        ),
+        interval_symbols=(*interval.stages, *mu),
+        discrete=interval,
+        element=interval.cost + sum(m * r for m, r in zip(mu, interval.equations, strict=True)),
+        equations=(*(("0", r) for r in interval.equations), ("Cd", interval.cost)),
+        node_guess=guesses,
+        left_rates=lambda: at_nodes(phase.rates, "_k"),
+        stage_guess=tuple(guesses[names.index(s.name.rpartition("_stage")[0])] for s in interval.stages),
     )
 
 
-def _integrands(model: Model) -> tuple[Expr, ...]:
-    return (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
-
-
-def _without_idle_stages(
-    stages: Sequence[tuple[Symbol, ...]], equations: Sequence[Expr], read: Collection[Symbol]
-) -> tuple[list[Symbol], list[Expr]]:
-    """Drop each stage at which no field is evaluated, as in the trapezoidal rule, by adding the steps beside it.
-
-    The sum is free of such a stage because one step ends where the next begins. What cost, integrals or path conditions
-    have `read` stays.
-    """
-    size = len(stages[0]) if stages else len(equations)
-    kept, steps = list[Symbol](), [list(equations[i : i + size]) for i in range(0, len(equations), size)]
-    joined = [steps[0]]
-    for stage, step in zip(stages, steps[1:], strict=True):
-        # A step is linear in its ends unless its field is evaluated there.
-        sums = [before + after for before, after in zip(joined[-1], step, strict=True)]
-        if any(x in read for x in stage) or any(total.has(*stage) for total in sums):
-            kept += stage
-            joined.append(step)
-        else:
-            joined[-1] = sums
-    return kept, [equation for step in joined for equation in step]
+def _given_values(model: Model, phase: Model, boundary: Boundary, suffix: str, known: set[Symbol]) -> End:
+    """Fix positions and momenta; velocities that do not fix a momentum by themselves become equations."""
+    pins = [(q.name, v) for q, v in zip(model.coordinates, boundary.positions, strict=True) if v is not None]
+    fixed = {q: v for q, v in zip(model.coordinates, boundary.positions, strict=True) if v is not None}
+    fixed |= {v: x for v, x in zip(model.rates, boundary.rates, strict=True) if x is not None}
+    quantities = (*phase.coordinates, *phase.rates)
+    node = dict(zip(quantities, symbols([s.name for s in quantities], suffix), strict=True))
+    extra, terms, conditions = list[Unknown](), list[Expr](), list[tuple[str, Expr]]()
+    for i, value in enumerate(boundary.rates):
+        if value is None:
+            continue
+        momentum = value
+        if model.form == "lagrangian":
+            momentum = sympy.diff(model.function, model.rates[i]).subs(fixed, simultaneous=True)
+        if momentum.free_symbols <= known:
+            pins.append((phase.rates[i].name, momentum))
+            conditions.append((phase.rates[i].name, momentum))
+            continue
+        velocity = sympy.diff(phase.function, phase.rates[i]).subs(node, simultaneous=True)
+        name = model.rates[i].name
+        extra.append(Unknown(f"nu_{name}", Meaning(Kind.VELOCITY, name)))
+        terms.append(velocity - value)
+        conditions.append((name, velocity))
+    multipliers = symbols([unknown.name for unknown in extra], suffix)
+    return End(
+        pins=tuple(pins),
+        extra=tuple(extra),
+        element=sum((nu * term for nu, term in zip(multipliers, terms, strict=True)), S.Zero),
+        conditions=tuple(conditions),
+    )

@@ -1,184 +1,152 @@
-"""The Lagrangian side: discrete Lagrangian, discrete forces and discrete cost of an interval."""
+"""Control task by the variational method -> ControlProgram.
+
+l = Cd + lambda_k . (D1 Ld + f-) + lambda_k1 . (D2 Ld + f+), and lambda_i . (D_i Ld + f_i) for each inner point of a
+Galerkin variational integrator (Ober-Bloebaum and Saake 2015). Summed over intervals the multipliers of a node meet
+both halves of its forced discrete Euler-Lagrange equation; the momentum boundary conditions arise at the two end nodes
+(`momentum_ends`). Source: Ober-Bloebaum, Junge and Marsden (2011), Discrete mechanics and optimal control.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from sympy import Expr, S, Symbol
 
-import sympy
-from sympy import Expr, Symbol
-
-from codegen.discretise.nodes import (
-    FRACTION,
-    STEP,
-    PathValue,
-    PolynomialMotion,
-    Sites,
-    StateValue,
-    at_nodes,
-    distinct,
-    observed_at,
-    sites,
-    strictly_inside,
-    substitute,
+from codegen.discretise.assembly import Motion, assemble
+from codegen.discretise.boundary import with_symbolic_boundaries
+from codegen.discretise.conditions import path
+from codegen.discretise.conditions.ends import End
+from codegen.discretise.conditions.holonomic import Constraints
+from codegen.discretise.conditions.linking import joined_momenta, joined_unknowns, shared_unknowns
+from codegen.discretise.conditions.momentum_ends import EndConditions, matched_indices, momentum_end
+from codegen.discretise.conditions.path import nodal_conditions
+from codegen.discretise.conditions.periodic import (
+    Periodic,
+    periodic_momenta,
+    periodic_unknowns,
+    periodic_velocities,
+    require_constraints_return,
 )
-from codegen.expressions.tangents import gradient, variation
-from codegen.model import Model
-from codegen.schemes import Scheme
-from codegen.schemes.base import DiscreteLagrangian
+from codegen.discretise.forms import in_velocities
+from codegen.discretise.guesses import coordinate_guess
+from codegen.discretise.interval import VariationalInterval, at_nodes, variational_interval
+from codegen.discretise.model import legendre
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.program import ControlProgram, Names, Unknown, symbols
+from codegen.discretise.schemes.base import Scheme
+from codegen.errors import BoundaryError, SchemeError
+from codegen.runtime.record import Kind, Meaning
 
-_LONG = 80
-"""Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
 
+def variational(original: Model, scheme: Scheme, controls: str) -> ControlProgram:
+    """Transcribe with unknowns q and lambda on nodes and u on intervals (or nodes).
 
-@dataclass(frozen=True)
-class VariationalInterval:
-    """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
-
-    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost;
-    `observed` is what the model's measurements are of, at FRACTION of the interval.
-    Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
-    point after the other, at the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`.
-    Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
-    made from those of L: to differentiate Ld itself would take long. And `impulse` is what an interval adds to the
-    momenta, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
-    `inside` are the values of coordinates at inner points, and at quadrature points inside the interval.
+    Holonomic constraints add kappa and eta to the nodes. Raises what the Legendre transform raises, and BoundaryError
+    for conditions that do not fit together.
     """
-
-    q: Sites
-    lagrangian: Expr
-    force_minus: tuple[Expr, ...]
-    force_plus: tuple[Expr, ...]
-    cost: Expr
-    path: tuple[PathValue, ...] = ()
-    integrals: tuple[Expr, ...] = ()
-    inner: tuple[Symbol, ...] = ()
-    inner_abscissae: tuple[Expr, ...] = ()
-    force_inner: tuple[Expr, ...] = ()
-    slopes: tuple[Expr, ...] = ()
-    impulse: tuple[Expr, ...] = ()
-    observed: tuple[Expr, ...] = ()
-    inside: tuple[StateValue, ...] = ()
-
-    @property
-    def left_momentum(self) -> tuple[Expr, ...]:
-        """The forced discrete Legendre transform p_k = -D1 Ld - f-."""
-        pairs = zip(self._derivatives(self.q.left), self.force_minus, strict=True)
-        return tuple(-slope - f for slope, f in pairs)
-
-    @property
-    def right_momentum(self) -> tuple[Expr, ...]:
-        """The forced discrete Legendre transform p_k1 = D2 Ld + f+."""
-        pairs = zip(self._derivatives(self.q.right), self.force_plus, strict=True)
-        return tuple(slope + f for slope, f in pairs)
-
-    def _derivatives(self, coordinates: Sequence[Symbol]) -> list[Expr]:
-        """The derivatives of Ld by coordinates at nodes or inner points."""
-        if not self.slopes:
-            return list(gradient(self.lagrangian, coordinates))
-        known = dict(zip((*self.q.left, *self.inner, *self.q.right), self.slopes, strict=True))
-        return [known[q] for q in coordinates]
-
-    @property
-    def inner_balance(self) -> tuple[Expr, ...]:
-        """What vanishes at the inner points, the forced discrete Euler-Lagrange equations D_i Ld + f_i there."""
-        pairs = zip(self._derivatives(self.inner), self.force_inner, strict=True)
-        return tuple(slope + f for slope, f in pairs)
-
-    def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
-        """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner positions.
-
-        A long Ld is differentiated in the direction of the displacements instead of by each coordinate: this keeps
-        its structure, such as the speed of a body that many coordinates move.
-        """
-        if self.inner or self.lagrangian.count_ops() < _LONG:
-            halves = (*(-p for p in self.left_momentum), *self.right_momentum, *self.inner_balance)
-            work = (d * (half + impulse) for d, half, impulse in zip(displacements, halves, impulses, strict=True))
-            return sum(work, sympy.S.Zero)
-        along = variation(self.lagrangian, dict(zip((*self.q.left, *self.q.right), displacements, strict=True)))
-        forces = zip(displacements, (*self.force_minus, *self.force_plus), impulses, strict=True)
-        return along + sum((d * (f + impulse) for d, f, impulse in forces), sympy.S.Zero)
-
-
-def variational_interval(model: Model, scheme: Scheme, controls: str = "interval") -> VariationalInterval:
-    """Integrate L, the work of the forces and the cost over one interval by the scheme's quadrature rule.
-
-    The virtual work of the forces, h sum_i w_i f(q_i, v_i, u) . dq_i with the variations dq_i of the quadrature points,
-    is shared out between the ends and the inner points. With controls on nodes averages are taken: of the controls in
-    the cost, and along straight lines of the forces of both nodes.
-    """
-    rule = scheme.discrete_lagrangian()
-    q_sites = sites(model, model.coordinates, controls, len(rule.points))
-    inner = [at_nodes(model.coordinates, f"_stage{i}") for i in range(1, len(rule.nodes) - 1)]
-    motion = PolynomialMotion(STEP, rule.nodes, (q_sites.left, *inner, q_sites.right))
-
-    def at(function: Expr, c: Expr, controls: Sequence[Expr]) -> Expr:
-        return substitute(model, function, motion.position(c), motion.velocity(c), controls, c)
-
-    def force_at(f: Expr, i: int, c: Expr) -> Expr:
-        if q_sites.nodal and not inner:
-            return (1 - c) * at(f, sympy.S.Zero, q_sites.left_controls) + c * at(f, sympy.S.One, q_sites.right_controls)
-        return at(f, c, q_sites.controls_at(i, c))
-
-    lagrangian = sympy.S.Zero
-    integrands = (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
-    integrals = [sympy.S.Zero] * len(integrands)
-    path: list[PathValue] = []
-    evaluated = [
-        StateValue(x, c, value)
-        for c, point in zip(rule.nodes[1:-1], inner, strict=True)
-        for x, value in zip(model.coordinates, point, strict=True)
-    ]
-    forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
-    for number, point in enumerate(rule.points):
-        weight, c = STEP * point.weight, point.abscissa
-        here = q_sites.controls_at(number, c)
-        lagrangian += weight * at(model.function, c, here)
-        integrals = [total + weight * at(f, c, here) for total, f in zip(integrals, integrands, strict=True)]
-        path += [PathValue(g, c, at(g.expression, c, here)) for g in model.path]
-        evaluated += [StateValue(x, c, v) for x, v in zip(model.coordinates, motion.position(c), strict=True)]
-        for share, node in zip(motion.shares(c), forces, strict=True):
-            for i, f in enumerate(model.force):
-                node[i] += weight * share * force_at(f, number, c)
-    minus, *between, plus = (tuple(node) for node in forces)
-    slopes, impulse = (), ()
-    if inner:
-        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, q_sites.controls_at(i, c)))
-    return VariationalInterval(
-        q=q_sites,
-        lagrangian=lagrangian,
-        force_minus=minus,
-        force_plus=plus,
-        cost=integrals[0],
-        path=distinct(path),
-        integrals=tuple(integrals[1:]),
-        inner=tuple(q for point in inner for q in point),
-        inner_abscissae=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
-        force_inner=tuple(f for node in between for f in node),
-        slopes=slopes,
-        impulse=impulse,
-        observed=observed_at(model, motion.position(FRACTION), motion.velocity(FRACTION)) if model.observed else (),
-        inside=strictly_inside(evaluated),
+    model, boundary_values = with_symbolic_boundaries(in_velocities(original))
+    names = Names(model)
+    constraints = Constraints(model, names)
+    equalities = path.nodal_equalities(model, nodal_conditions(model, equality=True), "y", names)
+    periodic = _periodic(original, model, names)
+    shared = shared_unknowns(model, periodic, coordinate_guess(model), names)
+    ends = _end_conditions(model, periodic)
+    literal = {value.symbol: value.value for value in boundary_values}
+    optimised = {own.symbol for own in shared.all}
+    start, end = (momentum_end(model, e, constraints, literal, optimised, names) for e in ends)
+    start_indices, end_indices = (matched_indices(model, e, constraints) for e in ends)
+    by_momentum = {i for i, _ in periodic.start_momenta}, {i for i, _ in periodic.end_momenta}
+    return assemble(
+        model,
+        _motion(model, scheme, controls, constraints),
+        boundary_values,
+        constraints.nodal_terms((start_indices, end_indices), by_momentum) + equalities,
+        start,
+        end + End(element=periodic.end_share),
+        shared,
+        names,
     )
 
 
-def _slopes_and_impulse(
-    model: Model, scheme: DiscreteLagrangian, motion: PolynomialMotion, at: Callable[[Expr, int, Expr], Expr]
-) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
-    """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
+def _periodic(original: Model, model: Model, names: Names) -> Periodic:
+    guesses = coordinate_guess(model)
+    out = periodic_unknowns(model, model.coordinates, guesses, names)
+    out += joined_unknowns(model, model.coordinates, guesses, names) + joined_momenta(model, names)
+    if original.form == "hamiltonian":
+        return out + periodic_momenta(original, model, names)
+    out += periodic_velocities(model, names)
+    require_constraints_return(model, out)
+    return out
 
-    Second, sum_i w_i h (L_q + f).
+
+def _end_conditions(model: Model, periodic: Periodic) -> tuple[EndConditions, EndConditions]:
+    assert model.end is not None, "a control problem has an end"
+    inequalities = path.start_inequalities(model)
+    start = (*model.start_conditions, *inequalities, *periodic.start_conditions)
+    end = (*model.end_conditions, *periodic.end_conditions)
+    aliased = [frozenset(name for name, *_ in each) for each in (periodic.start_aliases, periodic.end_aliases)]
+    return (
+        EndConditions("_k", 1, model.start, start, S.Zero, dict(periodic.start_momenta), aliased[0]),
+        EndConditions("_k1", -1, model.end, end, model.terminal_cost, dict(periodic.end_momenta), aliased[1]),
+    )
+
+
+def _motion(model: Model, scheme: Scheme, controls: str, constraints: Constraints) -> Motion:
+    """The forced discrete Euler-Lagrange equations, with the forces of the constraints, times their multipliers."""
+    interval = variational_interval(path.with_inner_path(model), scheme, controls)
+    if interval.inner and model.holonomic:
+        raise SchemeError(
+            f"scheme {scheme.name!r} has inner points, where holonomic constraints are not imposed",
+            "use midpoint or trapezoidal",
+        )
+    names = [q.name for q in model.coordinates]
+    multipliers = [f"lambda_{name}" for name in names]
+    pairs = list(zip(multipliers, names, strict=True))
+    inner_multipliers = [f"lambda_{q.name}" for q in interval.inner]
+    inner = symbols(inner_multipliers, "_k")
+    displacements = (*symbols(multipliers, "_k"), *symbols(multipliers, "_k1"), *inner)
+    impulses = (*constraints.force("_k"), *constraints.force("_k1"), *(S.Zero for _ in inner))
+    guess = coordinate_guess(model)
+    return Motion(
+        method="variational",
+        scheme=scheme.name,
+        node=(
+            *(Unknown(name, Meaning(Kind.COORDINATE, name)) for name in names),
+            *(Unknown(m, Meaning(Kind.MOTION, name)) for m, name in pairs),
+        ),
+        interval=(
+            *(Unknown(q.name, Meaning(Kind.INNER_VALUE, q.name)) for q in interval.inner),
+            *(Unknown(m, Meaning(Kind.MOTION, q.name)) for m, q in zip(inner_multipliers, interval.inner, strict=True)),
+        ),
+        interval_symbols=(*interval.inner, *inner),
+        discrete=interval,
+        element=interval.cost + interval.virtual_work(displacements, impulses),
+        equations=_equations(names, interval),
+        node_guess=guess,
+        left_rates=lambda: _left_velocities(model, interval),
+        stage_guess=guess * (len(interval.inner) // len(names)),
+    )
+
+
+def _left_velocities(model: Model, interval: VariationalInterval) -> tuple[Expr, ...]:
+    """The velocities that belong to the discrete momenta at the left node of an interval, by the Legendre transform.
+
+    Raises BoundaryError where constraints share out the momentum of a node between its intervals, and what the
+    transform raises.
     """
-    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
-    impulse = [sympy.S.Zero] * len(model.coordinates)
-    of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
-    for number, point in enumerate(scheme.points):
-        weight, c = point.weight, point.abscissa
-        by_position = [at(slope, number, c) for slope in of_position]
-        by_velocity = [at(slope, number, c) for slope in of_velocity]
-        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
-            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
-                node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
-        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
-            impulse[i] += weight * STEP * (force + at(f, number, c))
-    return tuple(slope for node in slopes for slope in node), tuple(impulse)
+    if model.holonomic:
+        raise BoundaryError(
+            "a condition at an inner time depends on velocities, beside holonomic constraints",
+            "write it in coordinates, or as path condition",
+        )
+    here: dict[Symbol, Expr] = dict(zip(model.coordinates, at_nodes(model.coordinates, "_k"), strict=True))
+    here |= dict(zip(legendre.conjugate_symbols(model), interval.left_momentum, strict=True))
+    return tuple(v.subs(here, simultaneous=True) for v in legendre.velocity_of_momentum(model))
+
+
+def _equations(names: list[str], interval: VariationalInterval) -> tuple[tuple[str, Expr], ...]:
+    return (
+        ("Ld", interval.lagrangian),
+        *((f"f-_{n}", f) for n, f in zip(names, interval.force_minus, strict=True) if f != 0),
+        *((f"f+_{n}", f) for n, f in zip(names, interval.force_plus, strict=True) if f != 0),
+        *((f"f_{q}", f) for q, f in zip(interval.inner, interval.force_inner, strict=True) if f != 0),
+        ("Cd", interval.cost),
+    )

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import resources
 
-from codegen.emit import signed
+from codegen.emit.rendering import signed
 from codegen.runtime.kkt.shape import Shape
 from codegen.runtime.kkt.specialised import WITHOUT_STAGES, without_shape
 

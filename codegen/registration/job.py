@@ -22,7 +22,8 @@ import numpy as np
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
 from codegen.registration import fields
 from codegen.registration.certificate import Certificate, certificate_of, in_provable_steps
-from codegen.registration.formats import Frames, read_landmarks
+from codegen.registration.formats import read_landmarks
+from codegen.registration.formats.base import Frames
 from codegen.registration.grid import Extent, Grid, place_text
 from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
 from codegen.registration.images.spacing import Spacing
@@ -41,7 +42,7 @@ from codegen.registration.volumes import files, pictures
 from codegen.registration.volumes.files import Volume, is_volume
 from codegen.registration.volumes.warp import Nodes, VolumeResult, warped
 from codegen.registration.warp import Positions, sources, warp_reported
-from codegen.solutions import output
+from codegen.solving.results import output
 
 
 def run(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> Outcome:

@@ -26,12 +26,12 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from codegen.drivers.shared import quiet_single_thread
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment, Kind, align
 from codegen.registration.grid import MARGINS, Extent, Frame, Grid, corners, grid_of, place_text
 from codegen.registration.pairs import LandmarkPairs, PointArray
 from codegen.registration.solver import DEFAULT_SCHEME, Flow, FlowModule, registration_module
+from codegen.solving.drivers.shared import quiet_single_thread
 
 ONE = 1e-4
 """Distance in pixels, in the moving and in the fixed image, up to which two pairs are carried as one."""

@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ModuleError, NumericsError, SchemeError
-from codegen.loading import load
 from codegen.registration.pairs import PointArray
 from codegen.runtime.record import ConnectRecord, Task
+from codegen.solving.loading import load
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
@@ -174,9 +174,9 @@ def problem_file() -> Path:
 
 def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
     """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
-    from codegen.cache import stored
-    from codegen.compiler import build
-    from codegen.machine_code.parts import has_machine_code
+    from codegen.solving.cache import stored
+    from codegen.solving.compiler import build
+    from codegen.solving.machine_code.parts import has_machine_code
 
     if not stored(problem_file(), arguments_of(dimension), scheme=scheme).is_file():
         return False
@@ -189,10 +189,10 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
 
     That is announced on stderr. Raises SchemeError for a scheme without fixed steps.
     """
-    from codegen.compiler import build
-    from codegen.machine_code.compilation import compile_all
-    from codegen.machine_code.parts import has_machine_code
-    from codegen.machine_code.processes import compilers
+    from codegen.solving.compiler import build
+    from codegen.solving.machine_code.compilation import compile_all
+    from codegen.solving.machine_code.parts import has_machine_code
+    from codegen.solving.machine_code.processes import compilers
 
     made = build(problem_file(), arguments_of(dimension), scheme=scheme)
     module = require_tracers(load(made.path))

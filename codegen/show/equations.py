@@ -1,18 +1,24 @@
-"""The derived equations, continuous and discrete, laid out in blocks for people to read."""
+"""The derived equations, continuous and discrete, laid out in blocks for people to read.
+
+Derived equations as text, as LaTeX, and as a notebook shows them.
+"""
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import sympy
 from sympy import Add, Expr, Symbol, expand_mul
 
-from codegen import schemes, transcribe
-from codegen.author.sources import Source, settings_of, source_of
-from codegen.discretise import (
+from codegen.discretise import schemes, transcribe
+from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.connect import PairwiseProgram, pairwise
+from codegen.discretise.interval import (
     STEP,
     OneStepInterval,
     VariationalInterval,
@@ -21,18 +27,16 @@ from codegen.discretise import (
     repeated,
     variational_interval,
 )
-from codegen.expressions.invariants import Invariants
-from codegen.expressions.table_functions import tables_of
-from codegen.model import Model, legendre
-from codegen.model.conditions.table import CONDITIONS
-from codegen.model.definitions import Bounds, prescribed
-from codegen.model.from_file import load_problem
-from codegen.model.pairwise import PairwiseModel
+from codegen.discretise.model import legendre
+from codegen.discretise.model.definitions import Bounds, Model, prescribed
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.program import ControlProgram, StepProgram
+from codegen.problem.sources import Source, settings_of, source_of
 from codegen.show.notation import WIDTH, Block, Notation, written
-from codegen.tables.data import OUTSIDE
-from codegen.transcribe.connect import PairwiseProgram, pairwise
-from codegen.transcribe.program import ControlProgram
-from codegen.transcribe.step_program import StepProgram
+from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.tables import OUTSIDE
+from codegen.symbolic.terms import Invariants
 
 
 def pairwise_equations(model: PairwiseModel, scheme: str | None, method: str | None, latex: bool) -> str:
@@ -449,3 +453,62 @@ def _shortest(expression: Expr) -> Expr:
     # A flat sum is easier to read than nested fractions that are a little shorter.
     expanded = sympy.expand(expression)
     return expanded if expanded.count_ops() <= _FLAT_BONUS * shorter.count_ops() else shorter
+
+
+@dataclass(frozen=True)
+class Equations:
+    """The equations of a problem and of its discretisation; `str` of it is the `text` of `codegen show`.
+
+    `latex` needs the package amsmath and no other. In a notebook they are mathematics.
+    """
+
+    text: str
+    _latex: Callable[[], str]
+
+    @cached_property
+    def latex(self) -> str:
+        """The same as LaTeX, derived when it is asked for."""
+        return self._latex()
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __repr__(self) -> str:
+        return self.text
+
+    def _repr_markdown_(self) -> str:
+        return as_markdown(self.latex)
+
+
+def derived_equations(
+    problem: Source | Path | str,
+    arguments: Mapping[str, str],
+    scheme: str | None = None,
+    method: str | None = None,
+    controls: str = "interval",
+) -> Equations:
+    """The equations of a problem file, or of an object; raises what `equations` does."""
+
+    def written(latex: bool) -> str:
+        return equations(problem, arguments, scheme=scheme, method=method, controls=controls, latex=latex)
+
+    return Equations(written(False), lambda: written(True))
+
+
+_HEADING = re.compile(r"^\\(section\*|paragraph)\{(.*)\}$", re.MULTILINE)
+_ALIGNED = re.compile(r"\\begin\{align\*\}\n(.*?)\n\\end\{align\*\}", re.DOTALL)
+_ESCAPE = re.compile(r"\\([_%&#$^{}])")
+
+
+def as_markdown(latex: str) -> str:
+    """LaTeX as `codegen show --latex` writes it in the Markdown of notebooks, whose mathematics stands between $."""
+
+    def heading(found: re.Match[str]) -> str:
+        mark = "###" if found[1] == "section*" else "####"
+        return f"{mark} {_ESCAPE.sub(lambda own: own[1], found[2])}"
+
+    def aligned(found: re.Match[str]) -> str:
+        return f"\n$$\n\\begin{{aligned}}\n{found[1]}\n\\end{{aligned}}\n$$"
+
+    outside = re.sub(r"^([^&\n]*)\\\\$", r"\1  ", _HEADING.sub(heading, latex), flags=re.MULTILINE)
+    return _ALIGNED.sub(aligned, outside)

@@ -12,8 +12,9 @@ from sympy import Add, Expr, Symbol, expand_mul
 from sympy.printing.pretty.pretty import PrettyPrinter
 from sympy.printing.pretty.stringpict import prettyForm
 
-from codegen import lettering, mangling
-from codegen.model import Model
+from codegen import identifiers
+from codegen.discretise.model.definitions import Model
+from codegen.symbolic import latex as lettering
 
 WIDTH = 100
 _LATEX_WIDTH = 90
@@ -66,14 +67,14 @@ class Notation:
             if model.form == "lagrangian"
             for pair in zip(model.rates, model.coordinates, strict=True)
         ]
-        named = [(mangling.plain(v.name), mangling.plain(q.name)) for v, q in pairs]
+        named = [(identifiers.plain(v.name), identifiers.plain(q.name)) for v, q in pairs]
         return cls({v: q for v, q in named if v == f"d{q}"}, latex)
 
     def translated(self, expression: Expr) -> Expr:
         """The expression in symbols whose names are what is to be printed; a prime tells two of one name apart."""
         names = {symbol: self.name(symbol) for symbol in expression.free_symbols}
-        made = {name for symbol, name in names.items() if mangling.MARK not in symbol.name}
-        primed = {s for s, name in names.items() if mangling.MARK in s.name and name in made}
+        made = {name for symbol, name in names.items() if identifiers.MARK not in symbol.name}
+        primed = {s for s, name in names.items() if identifiers.MARK in s.name and name in made}
         return expression.xreplace({s: Symbol(n + "'" * (s in primed), real=True) for s, n in names.items()})
 
     def name(self, symbol: Symbol) -> str:
@@ -83,7 +84,7 @@ class Notation:
         index = ""
         if symbol.name != match["base"] and not match["end"] and not match["side"]:
             index = {None: "k", "1": "k+1", "-1": "k-1"}[match["shift"]]
-        base, _, lag = mangling.plain(match["base"]).partition("@t-")
+        base, _, lag = identifiers.plain(match["base"]).partition("@t-")
         written = self._written(base, match["stage"], index)
         if lag:
             return f"{written}(t - {_WORD.sub(lambda found: self._letter(found[0]), lag)})"

@@ -11,28 +11,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from codegen import compiler, loading
-from codegen.author.points import PointSet, read_points
-from codegen.drivers import DRIVERS, Driver
 from codegen.errors import SchemeError
-from codegen.interfaces import GeneratedModule, Matrix, Vector, is_control
-from codegen.machine_code import ahead_of_time
-from codegen.machine_code.processes import Compilers, compilers
+from codegen.problem.points import PointSet, read_points
 from codegen.runtime.record import Kind, Role
-from codegen.solutions import output
-from codegen.solutions.between_nodes import excursions
-from codegen.solutions.display import Background
-from codegen.solutions.poles import poles, stages_beyond
-from codegen.solutions.result import UNKNOWN_ERROR, Result, Run, Watch
-from codegen.solutions.segments import put_together, segments_of
-from codegen.solutions.sensitivities import require_sensitive, with_sensitivities
-from codegen.solving.accuracy.arcs import discretisation_error
-from codegen.solving.accuracy.loop import to_accuracy
-from codegen.solving.other_values import with_observations, with_tables, with_values
-from codegen.solving.request import Request
+from codegen.solving import compiler, loading
+from codegen.solving.accuracy import to_accuracy
+from codegen.solving.arcs import discretisation_error
+from codegen.solving.drivers import DRIVERS, Driver
+from codegen.solving.interfaces import GeneratedModule, Matrix, Vector, is_control
+from codegen.solving.machine_code import ahead_of_time
+from codegen.solving.machine_code.processes import Compilers, compilers
+from codegen.solving.request import Request, with_observations, with_tables, with_values
+from codegen.solving.results import output
+from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
+from codegen.solving.results.display import Background
+from codegen.solving.results.result import UNKNOWN_ERROR, Result, Run, Watch
+from codegen.solving.results.segments import put_together, segments_of
+from codegen.solving.results.sensitivities import require_sensitive, with_sensitivities
 from codegen.solving.run import refine, run_and_verify, transferred
+from codegen.solving.tasks import task_of
 from codegen.solving.warm_start import best_of, start_of
-from codegen.tasks import task_of
 
 LEAST_TIME = 1e-9
 """Seconds in which a search does not begin."""

@@ -16,16 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from codegen.drivers import Driver
-from codegen.drivers.shared import quiet_single_thread
 from codegen.errors import NumericsError
-from codegen.interfaces import ControlModule, GeneratedModule, Matrix, Vector, time_grid
-from codegen.loading import machine_code_counts
-from codegen.machine_code.ahead_of_time import unwritable_cache_error
-from codegen.machine_code.seconds import seconds_of_machine_code
 from codegen.runtime.record import Sites
-from codegen.solutions.result import Result, Run
-from codegen.tasks import Task, task_of
+from codegen.solving.drivers import Driver
+from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.interfaces import ControlModule, GeneratedModule, Matrix, Vector, time_grid
+from codegen.solving.loading import machine_code_counts
+from codegen.solving.machine_code.ahead_of_time import seconds_of_machine_code, unwritable_cache_error
+from codegen.solving.results.result import Result, Run
+from codegen.solving.tasks import Task, task_of
 
 
 def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:

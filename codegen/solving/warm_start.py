@@ -17,10 +17,10 @@ from typing import Any, cast
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
-from codegen.interfaces import ControlModule, GeneratedModule, Vector
 from codegen.runtime.search.cascade import varied_guess
-from codegen.solutions.result import Result, component_names
-from codegen.solutions.segments import segments_of
+from codegen.solving.interfaces import ControlModule, GeneratedModule, Vector
+from codegen.solving.results.result import Result, component_names
+from codegen.solving.results.segments import segments_of
 from codegen.solving.run import source_steps
 
 _REMEDY = "give a file that --save wrote when this problem was solved"

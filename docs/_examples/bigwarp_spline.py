@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy
 from scipy.interpolate import RBFInterpolator
 
-from codegen.registration import certify, register
+from codegen.registration import register
+from codegen.registration.certificate import certify
 from codegen.registration.formats import read_landmarks
 
 pairs = read_landmarks(Path(__file__).with_name("bigwarp_landmarks.csv"))

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from references import ROOT
 from speed import ratio, read_speed
 
-from codegen.plots.picture import Picture, using
-from codegen.plots.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.show.figures.picture import Picture, using
+from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 
 MEASURED = ROOT / "docs" / "measured"
 _OURS, _THEIRS = "codegen", "IPOPT"

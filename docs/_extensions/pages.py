@@ -42,8 +42,8 @@ def read_record(path: Path) -> dict[str, Any] | None:
 
 def mathematics(path: Path) -> str:
     """The problem as its author wrote it, in LaTeX, between the signs of formulas."""
-    from codegen.author.sources import ProblemFile
-    from codegen.notebooks.mathematics import displayed
+    from codegen.problem.sources import ProblemFile
+    from codegen.show.notebook_mathematics import displayed
 
     return displayed(ProblemFile(path).written({})[1])
 
@@ -94,9 +94,9 @@ def solution_section(path: Path, title: str, record: dict[str, Any]) -> list[str
 
 def words_of_figure(path: Path, title: str) -> str:
     """What a figure shows whose record has no words: its quantities, as the problem declares them."""
-    from codegen.author.description import quantities_in
-    from codegen.author.sources import ProblemFile
-    from codegen.author.symbols import ControlInput, Coordinate, State
+    from codegen.problem.description import quantities_in
+    from codegen.problem.sources import ProblemFile
+    from codegen.problem.symbols import ControlInput, Coordinate, State
 
     found = quantities_in(ProblemFile(path).written({})[1])
     shown = {
@@ -264,7 +264,7 @@ def make(app: Any) -> None:
     makers = [
         *Path(__file__).parent.glob("*.py"),
         *(ROOT / "codegen" / "notebooks").glob("*.py"),
-        ROOT / "codegen/lettering.py",
+        ROOT / "codegen/symbolic/latex.py",
     ]
     gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())
     write(DOCS / "reference" / "commands.md", commands())

@@ -6,7 +6,7 @@ import pytest
 import sympy
 from sympy import cos, sin
 
-from codegen.analysis.function_ring import FunctionRing, angles_that_span
+from codegen.evidence.analysis.function_ring import FunctionRing, angles_that_span
 
 
 def test_hidden_zero_is_found_by_numbers():

@@ -13,15 +13,19 @@ import sympy
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from codegen.analysis.maximum_principle import (
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.legendre import hamiltonian_form
+from codegen.discretise.model.phases import normalise
+from codegen.errors import ArgumentError, BoundaryError, DegenerateError, NumericsError
+from codegen.evidence.analysis.maximum_principle import (
     ExactOptimum,
     Reference,
     exact_optimum,
     necessary_conditions,
     reference_optimum,
 )
-from codegen.author.problem import Control
-from codegen.author.symbols import (
+from codegen.problem.problem import Control
+from codegen.problem.symbols import (
     canonical_pair,
     control,
     coordinate,
@@ -30,9 +34,6 @@ from codegen.author.symbols import (
     recorded_declarations,
     time,
 )
-from codegen.errors import ArgumentError, BoundaryError, DegenerateError, NumericsError
-from codegen.model import Model, normalise
-from codegen.model.legendre import hamiltonian_form
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PENDULUM_COST = 4.530760981081599

@@ -15,15 +15,16 @@ from simulation_systems import SYSTEMS, model_of
 from sympy import Rational, S, cos, sin
 from textbook_steps import TEXTBOOK, textbook_step
 
-from codegen import Control, Simulate, canonical_pair, control, coordinate, schemes
-from codegen.analysis import modified_equations as subject
-from codegen.analysis.flow_series import flow_series
-from codegen.analysis.modified_equations import modified_equations
-from codegen.checks.derivation.one_step import generic_model, generic_model_without_forces
+from codegen import Control, Simulate, canonical_pair, control, coordinate
+from codegen.discretise import schemes
+from codegen.discretise.model.definitions import Boundary
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes.one_step import alpha
 from codegen.errors import ExpressionError
-from codegen.model import Boundary, normalise
-from codegen.model.from_file import load_problem
-from codegen.schemes.one_step import alpha
+from codegen.evidence.analysis import modified_equations as subject
+from codegen.evidence.analysis.modified_equations import flow_series, modified_equations
+from codegen.evidence.checks.one_step import generic_model, generic_model_without_forces
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from codegen.discretise.model.from_file import load_problem
 from codegen.errors import CodegenError
-from codegen.model.from_file import load_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

@@ -22,10 +22,10 @@ from codegen import (
     time,
     together,
 )
-from codegen.author.bodies import has_path_couplings
-from codegen.drawing import Circle
+from codegen.discretise.model.phases import normalise
 from codegen.errors import CodegenError
-from codegen.model import normalise
+from codegen.problem.bodies import has_path_couplings
+from codegen.problem.drawing import Circle
 
 
 def discs(**changes: Any) -> Control:

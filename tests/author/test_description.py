@@ -14,9 +14,9 @@ from written_objects import FILES, control, object_of
 
 import codegen
 from codegen import CodegenError, coordinate, parameters
-from codegen.author.description import described, quantities_in
-from codegen.author.sources import input_digest, source_of
 from codegen.errors import ArgumentError, ExpressionError
+from codegen.problem.description import described, quantities_in
+from codegen.problem.sources import input_digest, source_of
 
 DIGESTS = """
 import sys
@@ -71,13 +71,13 @@ CHANGES = {
     "a function": {"cost": lambda x, v, u, m: u**2 + sympy.cos(x)},
     "another function": {"cost": lambda x, v, u, m: u**2 + sympy.sin(x)},
     "steps": {"steps": lambda x, v, u, m: 5},
-    "a drawing": {"drawing": lambda x, v, u, m: [codegen.drawing.Mass((x, 0), 1)]},
-    "a label": {"drawing": lambda x, v, u, m: [codegen.drawing.Mass((x, 0), 1, label="cart")]},
+    "a drawing": {"drawing": lambda x, v, u, m: [codegen.problem.drawing.Mass((x, 0), 1)]},
+    "a label": {"drawing": lambda x, v, u, m: [codegen.problem.drawing.Mass((x, 0), 1, label="cart")]},
 }
 
 
 def test_whatever_an_author_changes_makes_another_problem():
-    import codegen.drawing  # noqa: F401
+    import codegen.problem.drawing  # noqa: F401
 
     texts = {"as it is": described(control()), **{name: described(control(**own)) for name, own in CHANGES.items()}}
     same = {text: name for name, text in texts.items()}
@@ -153,7 +153,7 @@ def test_symbols_of_another_process_are_no_symbols_of_this_one(tmp_path):
 
 @pytest.mark.parametrize("wrong", [lambda *_: sympy.Symbol("y"), lambda x, v, u, m: "u**2"])
 def test_errors_begin_with_the_name_of_the_object(wrong):
-    from codegen.model.from_file import load_problem
+    from codegen.discretise.model.from_file import load_problem
 
     with pytest.raises(CodegenError, match=r"^arm: "):
         load_problem(source_of(control(cost=wrong), "arm"))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 
-from codegen.author.points import read_points
 from codegen.cli import main
 from codegen.errors import PointsError
-from codegen.solutions.connect import intersecting_paths
+from codegen.problem.points import read_points
+from codegen.solving.results.connect import intersecting_paths
 
 HEAD = "x0,y0,x1,y1\n"
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from malformed.templates import file_text
 from refused_files import PROBLEMS, refusal
 
-from codegen.author.problem_file import parse_arguments
+from codegen.discretise.model.from_file import load_problem
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError
-from codegen.model.from_file import load_problem
+from codegen.problem.problem_file import parse_arguments
 
 TYPED = '''"""Arguments of every type."""
 

@@ -9,22 +9,12 @@ import sympy
 from malformed.templates import Malformed, optimal
 from refused_files import refusal
 
-from codegen import (
-    Control,
-    body_number,
-    canonical_pair,
-    control,
-    coordinate,
-    free_parameter,
-    parameter,
-    state,
-    time,
-)
-from codegen.author import symbols
-from codegen.author.particles import ParticleQuantity, particles
-from codegen.author.quantities import Quantity
+from codegen import Control, body_number, canonical_pair, control, coordinate, free_parameter, parameter, state, time
+from codegen.discretise.model.from_file import load_problem
 from codegen.errors import ExpressionError
-from codegen.model.from_file import load_problem
+from codegen.problem import symbols
+from codegen.problem.particles import ParticleQuantity, particles
+from codegen.problem.quantities import Quantity
 
 T = time()
 Q, DQ = coordinate("q")
@@ -162,7 +152,7 @@ def test_every_argument_is_tried():
     ],
 )  # fmt: skip
 def test_every_argument_of_a_problem_refuses_a_rate(tmp_path, argument, text, rate, end):
-    lines = "from codegen import Measurements, Table\nfrom codegen.drawing import Circle"
+    lines = "from codegen import Measurements, Table\nfrom codegen.problem.drawing import Circle"
     files = (("m.csv", "x,y\n0,0\n1,1\n2,4\n3,9\n"),)
     written = optimal(lines, **{argument: text.replace("RATE", rate)})
     error = refusal(Malformed("rate", written, ExpressionError, end, files).write(tmp_path))

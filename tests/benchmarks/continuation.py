@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from compiled_modules import compiled
 
 import codegen
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 WAYS = {"cold": (False, False), "secant": (True, False), "tangent": (True, True)}

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 from control_speed import machine
 
-from codegen.engines import engine_for
-from codegen.engines.work import Done, Tally
+from codegen.batch.executors import engine_for
+from codegen.batch.executors.work import Done, Tally
 
 CHUNK = 1.0
 """Seconds of a chunk, as a sweep sizes them."""

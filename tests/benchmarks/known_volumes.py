@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.ndimage import gaussian_filter
 
-from codegen.registration import LandmarkPairs
 from codegen.registration.grid import Grid
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import Volume, read_volume
 
 Points = NDArray[np.float64]

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import codegen
-from codegen.horizons import controller as controllers
+from codegen.mpc import controller as controllers
 
 FILE = Path(__file__).resolve().parents[2] / "problems" / "cart_pole_balance.py"
 LIMITS = 100, 200, 400, math.inf

@@ -31,13 +31,13 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-import codegen.stress
-from codegen.compiler import build
-from codegen.loading import load
+import codegen.evidence.stress
 from codegen.machine import machine
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 
 ROOT = Path(__file__).resolve().parents[2]
-STRESS = Path(codegen.stress.__file__).parent / "problems"
+STRESS = Path(codegen.evidence.stress.__file__).parent / "problems"
 TARGETS = (1e-6, 1e-10)
 STORED = 1000
 PERIOD = 2 * math.pi

@@ -28,10 +28,10 @@ import numpy as np
 from compiled_modules import compiled
 from published_references import PUBLISHED
 
-from codegen.compiler import build
-from codegen.interfaces import time_grid
-from codegen.solutions.control import held_at_bounds
-from codegen.solutions.estimates import Fit, estimates_of
+from codegen.solving.compiler import build
+from codegen.solving.interfaces import time_grid
+from codegen.solving.results.control import held_at_bounds
+from codegen.solving.results.estimates import Fit, estimates_of
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 NAMES = ("gas_oil", "methanol", "predator_prey")

@@ -22,9 +22,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from codegen.registration import LandmarkPairs
 from codegen.registration.formats import write_landmarks
 from codegen.registration.images import write_image
+from codegen.registration.pairs import LandmarkPairs
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "registration"))

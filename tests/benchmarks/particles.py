@@ -28,10 +28,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from codegen import solving
-from codegen.author.points import PointSet, read_points
-from codegen.compiler import build
-from codegen.loading import load
+from codegen.problem.points import PointSet, read_points
+from codegen.solving import api
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 
 ROOT = Path(__file__).resolve().parents[2]
 REGISTRATION = ROOT / "problems" / "image_registration.py"
@@ -59,11 +59,11 @@ def best(run: Callable[[], Any], repeat: int, clock: Callable[[], float] = perf_
 def table(repeat: int) -> None:
     """Costs, errors and times on the trilobites beside those of Matlab, which were on 40 other points."""
     points = read_points(TRILOBITES, 2)
-    exact = solving.solve(module("dop853"), points=points, tolerance=1e-13).cost
+    exact = api.solve(module("dop853"), points=points, tolerance=1e-13).cost
     shown = Table("scheme", "cost", "error", "Matlab", "seconds", "Matlab ", title=f"exact {exact:.12f}")
     for scheme, tolerance in (("midpoint", None), ("lsoda", 1e-2), ("lsoda", 1e-6), ("dop853", 1e-6),
                               ("explicit-euler", None), ("symplectic-euler", None), ("rk4", None)):  # fmt: skip
-        result = solving.solve(module(scheme), points=points, tolerance=tolerance, repeat=repeat)
+        result = api.solve(module(scheme), points=points, tolerance=tolerance, repeat=repeat)
         seconds, error = MATLAB.get(scheme, (np.nan, np.nan))
         name = scheme if tolerance is None else f"{scheme} {tolerance:g}"
         row = (name, f"{result.cost:.13f}", f"{abs(result.cost - exact):.3e}", f"{error:.3e}")

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from codegen.author.points import PointSet
-from codegen.registration import LandmarkPairs
+from codegen.problem.points import PointSet
+from codegen.registration.pairs import LandmarkPairs
 
 CONSOLE = Console(width=130)
 

@@ -57,10 +57,10 @@ def solve_here(reference: Published, driver: str, steps: int | None, scheme: str
     """Build, compile, and solve once with warm machine code; the status is the driver's own."""
     from compiled_modules import compiled
 
-    from codegen import drivers
-    from codegen.compiler import build
-    from codegen.solutions.control import control_result
-    from codegen.solutions.result import Run
+    from codegen.solving import drivers
+    from codegen.solving.compiler import build
+    from codegen.solving.results.control import control_result
+    from codegen.solving.results.result import Run
 
     path = ROOT / "problems" / "published" / f"{reference.problem}.py"
     module: Any = compiled(build(path, dict(reference.arguments), scheme=scheme).path)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import codegen
-from codegen.horizons.judgement import BestIterate
+from codegen.mpc.acceptance import BestIterate
 from codegen.runtime.search.cascade import minimise
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from compiled_modules import compiled
 
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from random_scalars import random_problem
 
-from codegen.compiler import generate_from_model
+from codegen.discretise.model.phases import normalise
+from codegen.emit.lower.module import Origin
 from codegen.errors import CodegenError
-from codegen.lower.module import Origin
-from codegen.model import normalise
+from codegen.solving.compiler import generate_from_model
 
 _LATEST = 20
 ORIGIN = Origin("random.py", "codegen build random.py", "0", ("codegen",))

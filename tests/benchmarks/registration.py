@@ -31,11 +31,13 @@ from rich.table import Table
 from skimage.transform import ThinPlateSplineTransform
 from skimage.transform import warp as skimage_warp
 
-from codegen.author.points import PointSet, read_points
 from codegen.errors import RegistrationError
-from codegen.registration import LandmarkPairs, certify, register, warp_reported
+from codegen.problem.points import PointSet, read_points
+from codegen.registration import register
+from codegen.registration.certificate import certify
 from codegen.registration.grid import coarse_grid, pixel_grid
-from codegen.registration.warp import sources
+from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.warp import sources, warp_reported
 
 SIDE = 128
 """Pixels along an image on which folding is looked for."""

@@ -17,8 +17,10 @@ from noisy_landmarks import SIDE as NOISY_SIDE
 from noisy_landmarks import noisy_pairs
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration import LandmarkPairs, certify, register
+from codegen.registration import register
+from codegen.registration.certificate import certify
 from codegen.registration.grid import coarse_grid
+from codegen.registration.pairs import LandmarkPairs
 
 
 def folded_by_differences(found: Any, side: int, count: int = 257) -> tuple[int, float]:

@@ -14,7 +14,7 @@ from particles import TRILOBITES
 from PIL import Image
 from planar_maps import CONSOLE, in_pixels
 
-from codegen.author.points import read_points
+from codegen.problem.points import read_points
 
 
 def measured(command: list[str], cache: str | None = None) -> tuple[dict[str, Any], float, float, float]:

@@ -33,10 +33,11 @@ from skimage.transform import ThinPlateSplineTransform
 sys.path.insert(0, str(Path(__file__).parents[1] / "registration"))
 from noisy_landmarks import SIDE, known_warp, misplaced, noisy_pairs
 
-from codegen.registration import LandmarkPairs, certify, find_outliers, register
-from codegen.registration.certificate import certify_with_positions
+from codegen.registration import register
+from codegen.registration.certificate import certify, certify_with_positions
 from codegen.registration.grid import coarse_grid
-from codegen.registration.noise import likely_sigma
+from codegen.registration.noise import find_outliers, likely_sigma
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.warp import sources
 
 SHAPE = (SIDE, SIDE)

@@ -11,9 +11,9 @@ from time import perf_counter
 import SimpleITK as sitk
 from known_volumes import UPRIGHT, inner_points, known_map, texture, thin_plate
 
-from codegen.registration import LandmarkPairs
 from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import write_volume
 
 

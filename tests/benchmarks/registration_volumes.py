@@ -41,9 +41,10 @@ from known_volumes import (
 from registration_volume_files import many, size
 
 from codegen.errors import CodegenError
-from codegen.registration import LandmarkPairs, certify, register
-from codegen.registration.certificate import in_provable_steps
+from codegen.registration import register
+from codegen.registration.certificate import certify, in_provable_steps
 from codegen.registration.grid import Grid
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import Volume, write_field
 from codegen.registration.volumes.warp import Nodes, warped
 

@@ -26,7 +26,7 @@ from compiled_modules import compiled
 from sympy import cos, sin
 
 from codegen import Control, controls, parameters, states
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 SCHEMES = ("rk4", "gauss-4", "hermite-simpson")

@@ -1,7 +1,7 @@
 """Every scheme on the pendulum: measured order, symplecticity, the trend of the energy's error over a million steps.
 
 `python tests/benchmarks/scheme_orders.py [SCHEME ...]`. The exact motion is that of elliptic functions, in 30 digits.
-The rest is that of the section "energy in the long run" of reports (`codegen/report/measure/drift.py`): the
+The rest is that of the section "energy in the long run" of reports (`codegen/evidence/report/drift.py`): the
 defect |S'JS - J| of the emitted step, and the rise of a straight line through the energy's error with its standard
 error and t value, beside the random walk by rounding.
 """
@@ -19,10 +19,11 @@ sys.path[:0] = [str(Path(__file__).parents[1])]
 
 from simulation_systems import model_of, text_of  # noqa: E402
 
-from codegen import emit, schemes  # noqa: E402
-from codegen.cache import cache_folder  # noqa: E402
-from codegen.loading import load  # noqa: E402
-from codegen.report.measure.drift import answer, drift_values  # noqa: E402
+from codegen.discretise import schemes  # noqa: E402
+from codegen.emit import rendering  # noqa: E402
+from codegen.evidence.report.drift import answer, drift_values  # noqa: E402
+from codegen.solving.cache import cache_folder  # noqa: E402
+from codegen.solving.loading import load  # noqa: E402
 
 MOMENTUM, DURATION, LONG = 1.4, 2.0, 1_000_000
 STEPS = {1: (100, 200, 400), 2: (100, 200, 400), 4: (40, 80, 160), 6: (6, 12, 24), 8: (5, 7, 10)}
@@ -45,7 +46,7 @@ def main() -> None:
     )
     for name in chosen:
         path = cache_folder() / f"bench_{name.replace('-', '_')}.py"
-        emit.write(path, text_of(model_of("pendulum-hamiltonian"), name, "hamiltonian"))
+        rendering.write(path, text_of(model_of("pendulum-hamiltonian"), name, "hamiltonian"))
         module = load(path)
         order = module.metadata.order
         counts, start = STEPS[order], (0.0, MOMENTUM)

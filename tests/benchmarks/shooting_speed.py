@@ -49,7 +49,7 @@ from rich.console import Console
 from rich.table import Table
 
 from codegen import Control, controls, free_parameter, states, time
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 ITERATIONS = 1000

@@ -14,8 +14,8 @@ from time import perf_counter
 from rich.console import Console
 from rich.table import Table
 
-from codegen.compiler import build
-from codegen.loading import load
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 
 ROOT = Path(__file__).parents[2]
 WARM = "from generated import orbital_transfer; orbital_transfer.solve(steps=300)"

@@ -23,7 +23,7 @@ import casadi
 from rich.console import Console
 from rich.table import Table
 
-from codegen import solving
+from codegen.solving import api
 
 ROOT = Path(__file__).resolve().parents[2]
 PRECISE = {"print_level": 0, "tol": 1e-12, "bound_relax_factor": 0.0, "max_iter": 3000}
@@ -110,7 +110,7 @@ def main(cases: Sequence[tuple[str, Path, dict[str, str], Flight, Sequence[int]]
     table = Table("problem", "N", "codegen", "iterations", "ms", "IPOPT", "iterations", "ms")
     for name, path, arguments, flight, numbers in cases:
         for steps in numbers:
-            result = solving.solve(path, arguments=arguments, steps=steps, repeat=5)
+            result = api.solve(path, arguments=arguments, steps=steps, repeat=5)
             cost, iterations, seconds = flight.optimum(steps)
             own = (f"{result.cost:.11g}", str(result.iterations), f"{1e3 * result.seconds_solve:.2f}")
             table.add_row(name, str(steps), *own, f"{cost:.11g}", str(iterations), f"{1e3 * seconds:.0f}")

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from interpreted import without_compilation
 
-from codegen import checks, compiler
-from codegen.checks import Context
-from codegen.naming import Choices
+from codegen.emit.naming import Choices
+from codegen.evidence import checks
+from codegen.evidence.checks.base import Context
+from codegen.solving import compiler
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 Prepare = Callable[..., Context]

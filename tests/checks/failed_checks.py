@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from codegen import checks
+from codegen.evidence import checks
 
 
 def failures(name, context):

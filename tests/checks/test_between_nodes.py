@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from codegen import checks, schemes
+from codegen.discretise import schemes
+from codegen.evidence import checks
 
 RESTING = '''"""Outside a circle, or on it, at least cost: to rest at (1, 0) is best, and costs 100."""
 

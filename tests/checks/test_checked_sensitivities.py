@@ -2,7 +2,7 @@
 
 import pytest
 
-from codegen import checks
+from codegen.evidence import checks
 
 
 @pytest.mark.parametrize(

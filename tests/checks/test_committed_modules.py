@@ -8,7 +8,7 @@ import pytest
 from checks.conftest import PROBLEMS
 from control_variants import ANTIPHASE
 
-from codegen import checks
+from codegen.evidence import checks
 
 ABOUT_CONTROL = {
     "sparsity",

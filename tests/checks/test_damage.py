@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from codegen import checks
+from codegen.evidence import checks
 
 ABOUT_EXPRESSIONS = {
     "discrete equations",

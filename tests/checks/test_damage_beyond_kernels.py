@@ -7,7 +7,7 @@ import re
 import pytest
 from checks.test_damage import failures, line_with, negated, text_from
 
-from codegen.checks.module import assembly
+from codegen.evidence.checks import assembly
 
 # ---- Conditions between bodies ----
 

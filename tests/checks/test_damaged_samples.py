@@ -7,12 +7,13 @@ import re
 import pytest
 from checks.conftest import PROBLEMS
 
-from codegen import checks, transcribe
-from codegen.compiler import build
+from codegen.discretise import transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.emit.verify import verify
 from codegen.errors import VerificationError
-from codegen.model.from_file import load_problem
+from codegen.evidence import checks
 from codegen.runtime.search import samples
-from codegen.verify import verify
+from codegen.solving.compiler import build
 
 PROBLEM = PROBLEMS / "published" / "gas_oil.py"
 DAMAGES = {

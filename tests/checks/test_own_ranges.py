@@ -8,9 +8,9 @@ from sympy import exp, log
 
 import codegen
 from codegen import Control, control, states
-from codegen.checks import evaluation
-from codegen.checks.evaluation import own_ranges, range_of
-from codegen.model import normalise
+from codegen.discretise.model.phases import normalise
+from codegen.evidence.checks import evaluation
+from codegen.evidence.checks.evaluation import own_ranges, range_of
 
 r, v = states("r v")
 u = control("u")

@@ -9,10 +9,11 @@ import pytest
 from checks.conftest import PROBLEMS
 from interpreted import Interpreted
 
-from codegen import checks, schemes, transcribe
-from codegen.checks import Context
-from codegen.model.from_file import load_problem
-from codegen.naming import Choices
+from codegen.discretise import schemes, transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.emit.naming import Choices
+from codegen.evidence import checks
+from codegen.evidence.checks.base import Context
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from failed_checks import failures
 from sympy import Symbol
 
-from codegen import checks
+from codegen.evidence import checks
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

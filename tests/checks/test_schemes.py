@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 import sympy
 
-from codegen import checks, schemes
-from codegen.checks.derivation.consistency import first_difference, residuals
-from codegen.checks.derivation.one_step import area_factor, momentum_change
+from codegen.discretise import schemes
+from codegen.evidence import checks
+from codegen.evidence.checks.consistency import first_difference, residuals
+from codegen.evidence.checks.one_step import area_factor, momentum_change
 
 ALL = [pytest.param(s, id=f"{method}-{s.name}") for method, table in schemes.METHODS.items() for s in table.values()]
 
@@ -90,7 +91,7 @@ def test_momentum_of_a_coordinate_that_is_not_cyclic_changes(prepared):
 
 
 def test_noether_fails_where_a_scheme_breaks_the_symmetry(prepared, monkeypatch):
-    from codegen.checks.derivation import one_step
+    from codegen.evidence.checks import one_step
 
     genuine = one_step.variational_interval
 

@@ -9,8 +9,8 @@ import numpy as np
 from conftest import PROBLEMS
 from failed_checks import failures
 
-from codegen import checks
-from codegen.checks.solution.optimum import is_determined
+from codegen.evidence import checks
+from codegen.evidence.checks.optimum import is_determined
 
 
 def with_solution(context, **changes):

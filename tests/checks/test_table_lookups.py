@@ -8,12 +8,13 @@ import re
 import numpy as np
 import pytest
 
-from codegen import checks, transcribe
-from codegen.compiler import build
+from codegen.discretise import transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.emit.verify import verify
 from codegen.errors import VerificationError
-from codegen.model.from_file import load_problem
+from codegen.evidence import checks
 from codegen.runtime.tabulated import table_cells, table_curves
-from codegen.verify import verify
+from codegen.solving.compiler import build
 
 _PROBLEM = '''"""A mass on a spring from a table, and in a field from another one."""
 

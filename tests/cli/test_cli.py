@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 
-from codegen import checks, drivers, schemes, solving
-from codegen.checks.base import does_not_apply
-from codegen.solutions import output
-from codegen.solutions.result import STATUSES
-from codegen.transcribe.connect import CONNECT_METHODS
+from codegen.discretise import schemes
+from codegen.discretise.connect import CONNECT_METHODS
+from codegen.evidence import checks
+from codegen.evidence.checks.base import does_not_apply
+from codegen.solving import api, drivers
+from codegen.solving.results import output
+from codegen.solving.results.result import STATUSES
 
 WALLED = '''"""Through a wall that is thinner than a step."""
 from codegen import Control, controls, states
@@ -91,7 +93,7 @@ class TestJson:
 
 
 def test_infinite_and_missing_numbers_become_null(orbital_transfer):
-    result = solving.solve(orbital_transfer, steps=5)
+    result = api.solve(orbital_transfer, steps=5)
     changes = {"cost": float("nan"), "residual": float("inf"), "summary": {"miss": float("-inf")}}
     broken = output.as_record(replace(result, **changes), 1.0, float("nan"))
     record = json.loads(output.as_json(broken), parse_constant=pytest.fail)

@@ -6,7 +6,7 @@ import pytest
 import typer
 
 from codegen.cli import main
-from codegen.drivers import DRIVERS
+from codegen.solving.drivers import DRIVERS
 
 OPTIONS = ("tolerance", "time_limit", "scaling", "log")
 

@@ -87,7 +87,7 @@ class TestDefects:
         def fail(*arguments, **choices):
             raise RuntimeError("two\nlines")
 
-        monkeypatch.setattr("codegen.compiler.build", fail)
+        monkeypatch.setattr("codegen.solving.compiler.build", fail)
 
     def test_one_line(self, folder, broken, monkeypatch):
         monkeypatch.delenv("CODEGEN_TRACEBACK", raising=False)

@@ -10,7 +10,7 @@ from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 from conftest import PROBLEMS
 from malformed import MALFORMED
 
-from codegen.machine_code import processes
+from codegen.solving.machine_code import processes
 
 
 class TestMalformedProblems:

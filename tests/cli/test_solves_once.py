@@ -61,10 +61,10 @@ def test_what_is_compiled_during_a_run_is_no_part_of_its_time(pendulum, monkeypa
     """A driver that compiles a function of its own first, in hundreds of times what its solve takes."""
     from numba import njit
 
-    from codegen import solving
-    from codegen.drivers import newton
+    from codegen.solving import api
+    from codegen.solving.drivers import newton
 
-    solving.solve(pendulum, steps=5)
+    api.solve(pendulum, steps=5)
     original, compiling = newton.simulate, math.nan
 
     def slow(module, run):
@@ -75,17 +75,17 @@ def test_what_is_compiled_during_a_run_is_no_part_of_its_time(pendulum, monkeypa
         return original(module, run)
 
     monkeypatch.setattr(newton, "simulate", slow)
-    result = solving.solve(pendulum, steps=5)
+    result = api.solve(pendulum, steps=5)
     assert result.seconds_code > 0.5 * compiling
     assert result.seconds_solve < 0.5 * compiling
 
 
 def test_long_solves_are_not_run_twice(pendulum, monkeypatch):
     """In this process, too, whatever has been called before."""
-    from codegen import solving
-    from codegen.drivers import newton
+    from codegen.solving import api
+    from codegen.solving.drivers import newton
 
     original, calls = newton.simulate, []
     monkeypatch.setattr(newton, "simulate", lambda module, run: calls.append(run) or original(module, run))
-    solving.solve(pendulum, steps=5)
+    api.solve(pendulum, steps=5)
     assert len(calls) == 1

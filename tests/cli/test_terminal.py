@@ -19,10 +19,10 @@ from conftest import PROBLEMS
 from terminals import Terminal, on_terminal
 
 from codegen.cli import COMMANDS
-from codegen.drivers import DRIVERS
 from codegen.registration.formats import write_landmarks
 from codegen.registration.images import write_image
 from codegen.registration.pairs import LandmarkPairs
+from codegen.solving.drivers import DRIVERS
 
 CONTROL = '''"""Push a mass from one place to another, with the least effort."""
 

@@ -9,9 +9,9 @@ import pytest
 from interpreted import of_problem
 
 from codegen import Control, Simulate, canonical_pair, control, coordinate
-from codegen.compiler import build, generate
+from codegen.emit.naming import Choices, module_name
 from codegen.errors import ArgumentError
-from codegen.naming import Choices, module_name
+from codegen.solving.compiler import build, generate
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

@@ -8,10 +8,12 @@ import pytest
 import sympy
 from sympy import Matrix, Rational, Symbol, eye
 
-from codegen import Control, canonical_pair, control, coordinate, parameter, schemes, state
-from codegen.discretise import STEP, one_step_interval, variational_interval
-from codegen.model import Model, normalise
-from codegen.schemes import FIRST_ORDER
+from codegen import Control, canonical_pair, control, coordinate, parameter, state
+from codegen.discretise import schemes
+from codegen.discretise.interval import STEP, one_step_interval, variational_interval
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes.base import FIRST_ORDER
 
 H = STEP
 Q, P, Q1, P1, U = (Symbol(name, real=True) for name in "q_k p_k q_k1 p_k1 u_k".split())

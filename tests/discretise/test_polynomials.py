@@ -6,7 +6,7 @@ import pytest
 import sympy
 from sympy import Rational, S, Symbol
 
-from codegen.discretise.nodes import PolynomialMotion, between
+from codegen.discretise.interval import PolynomialMotion, between
 
 STEP, C = Symbol("h", positive=True), Symbol("c", real=True)
 GRIDS = {

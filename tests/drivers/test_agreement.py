@@ -17,8 +17,8 @@ from conftest import PROBLEMS
 from golden import text_of
 from interpreted import without_compilation
 
-from codegen import solving
 from codegen.runtime.search.grid import free_unknowns
+from codegen.solving import api
 
 STEPS = {"pendulum_swing_up": 12, "two_stage_rocket": 4}
 """Intervals, where six are too few for a solution to exist; of each phase, where there are several."""
@@ -79,7 +79,7 @@ def solved(problem: str):
     """The uncompiled module and what `newton` finds."""
     module = without_compilation(text_of(f"{problem}.py"), problem)
     with np.errstate(all="ignore"):
-        return module, solving.solve(module, steps=STEPS.get(problem, 6))
+        return module, api.solve(module, steps=STEPS.get(problem, 6))
 
 
 def beside(module, result):
@@ -96,7 +96,7 @@ def test_same_optimum(case: Case):
     assert reference.status == "solved", reference.message
     start = beside(module, reference) if case.near else None
     with np.errstate(all="ignore"):
-        result = solving.solve(module, case.driver, steps=reference.steps, warm=start)
+        result = api.solve(module, case.driver, steps=reference.steps, warm=start)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(reference.cost, rel=case.difference)
     assert result.residual <= 1e-8

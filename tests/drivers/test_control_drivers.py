@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from codegen import drivers, solving
-from codegen.drivers import shared
-from codegen.drivers.newton import control as newton
-from codegen.drivers.shared import ScaledProblem, quiet_single_thread
 from codegen.errors import ArgumentError, NumericsError
 from codegen.runtime.search.nlp import NonlinearProgram
-from codegen.solutions.control import control_result
-from codegen.solutions.result import STATUSES, Run
+from codegen.solving import api, drivers
+from codegen.solving.drivers import shared
+from codegen.solving.drivers.newton import control as newton
+from codegen.solving.drivers.shared import ScaledProblem, quiet_single_thread
+from codegen.solving.results.control import control_result
+from codegen.solving.results.result import STATUSES, Run
 
 MISSING = () if find_spec("cyipopt") else ("ipopt",)  # an extra
 CONTROL_DRIVERS = [n for n, driver in drivers.DRIVERS.items() if "control" in driver.tasks and n not in MISSING]
@@ -28,13 +28,13 @@ COST_50 = 0.0487567009
 
 @pytest.fixture(scope="module")
 def reference(orbital_transfer):
-    return {steps: solving.solve(orbital_transfer, steps=steps) for steps in (20, 50)}
+    return {steps: api.solve(orbital_transfer, steps=steps) for steps in (20, 50)}
 
 
 @pytest.mark.parametrize("steps", [20, 50])
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_drivers_agree_from_the_linear_guess(orbital_transfer, reference, name, steps):
-    result = solving.solve(orbital_transfer, name, steps=steps)
+    result = api.solve(orbital_transfer, name, steps=steps)
     assert result.status == "solved"
     assert result.cost == pytest.approx(reference[steps].cost, abs=1e-9)
     assert result.residual <= 1e-9
@@ -44,12 +44,12 @@ def test_drivers_agree_from_the_linear_guess(orbital_transfer, reference, name, 
 
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_cost_is_that_of_an_independent_program(orbital_transfer, name):
-    assert solving.solve(orbital_transfer, name, steps=50).cost == pytest.approx(COST_50, abs=1e-9)
+    assert api.solve(orbital_transfer, name, steps=50).cost == pytest.approx(COST_50, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_multipliers_are_those_of_the_unscaled_problem(orbital_transfer, reference, name):
-    result = solving.solve(orbital_transfer, name, steps=20)
+    result = api.solve(orbital_transfer, name, steps=20)
     expected = reference[20].multipliers
     np.testing.assert_allclose(result.multipliers, expected, atol=1e-4 * np.abs(expected).max())
     assert result.stationarity < 1e-5
@@ -57,7 +57,7 @@ def test_multipliers_are_those_of_the_unscaled_problem(orbital_transfer, referen
 
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_shapes_and_summary(orbital_transfer, name):
-    result = solving.solve(orbital_transfer, name, steps=20)
+    result = api.solve(orbital_transfer, name, steps=20)
     assert result.t.shape == (21,)
     assert result.q.shape == result.p.shape == result.multipliers.shape == (21, 2)
     assert result.u.shape == (20, 1)
@@ -68,7 +68,7 @@ def test_shapes_and_summary(orbital_transfer, name):
 
 
 def test_best_of_repeated_runs_is_timed(orbital_transfer):
-    result = solving.solve(orbital_transfer, steps=20, repeat=3)
+    result = api.solve(orbital_transfer, steps=20, repeat=3)
     assert 0.0 < result.seconds_solve < 1.0
 
 
@@ -133,7 +133,7 @@ def test_optimality_conditions_are_relative_to_large_multipliers(interpreted):
 @pytest.mark.parametrize("name", CONTROL_DRIVERS)
 def test_infeasible_problem_is_not_solved(orbital_transfer, name):
     """One interval leaves the end conditions four equations in one control."""
-    result = solving.solve(orbital_transfer, name, steps=1)
+    result = api.solve(orbital_transfer, name, steps=1)
     assert result.status in STATUSES
     assert result.status != "solved"
 
@@ -141,7 +141,7 @@ def test_infeasible_problem_is_not_solved(orbital_transfer, name):
 @pytest.mark.parametrize("name", ["slsqp", "fsolve"])
 def test_dense_drivers_refuse_large_problems(orbital_transfer, name):
     with pytest.raises(ArgumentError, match="dense"):
-        solving.solve(orbital_transfer, name, steps=5000)
+        api.solve(orbital_transfer, name, steps=5000)
 
 
 @pytest.mark.parametrize("name", ["slsqp", "trust-constr", "fsolve"])
@@ -156,7 +156,7 @@ def test_blas_runs_on_one_thread(orbital_transfer, name, monkeypatch):
     monkeypatch.setattr(NonlinearProgram, "constraints", constraints)
     with threadpool_limits(2, "blas"):
         assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
-        solving.solve(orbital_transfer, name, steps=10)
+        api.solve(orbital_transfer, name, steps=10)
     assert seen == {1}
 
 
@@ -208,28 +208,28 @@ def test_threads_that_use_scipy_at_once_leave_warnings_and_blas_as_they_were(mon
 
 def test_unknown_driver_is_refused(orbital_transfer):
     with pytest.raises(ArgumentError, match="did you mean trust-constr"):
-        solving.solve(orbital_transfer, "trust-const")
+        api.solve(orbital_transfer, "trust-const")
 
 
 @pytest.mark.parametrize("option", ["steps", "repeat", "every"])
 @pytest.mark.parametrize("value", [0, -3, 2.5, True])
 def test_counts_are_checked(orbital_transfer, option, value):
     with pytest.raises(NumericsError, match=option):
-        solving.solve(orbital_transfer, **{option: value})
+        api.solve(orbital_transfer, **{option: value})
 
 
 @pytest.mark.parametrize("driver", ["newton", "slsqp", "trust-constr"])
 def test_iterations_can_be_limited(interpreted, driver):
     module = interpreted("brachistochrone")
-    result = solving.solve(module, driver, steps=6, max_iterations=2)
+    result = api.solve(module, driver, steps=6, max_iterations=2)
     assert (result.status, result.iterations) == ("iteration limit", 2)
 
 
 @pytest.mark.parametrize("name", ["slsqp", "trust-constr", "fsolve"])
 def test_other_values_of_parameters_reach_every_driver(orbital_transfer, name):
     given = {"r1": 5.9}
-    reference = solving.solve(orbital_transfer, steps=10, parameters=given)
-    result = solving.solve(orbital_transfer, name, steps=10, parameters=given)
+    reference = api.solve(orbital_transfer, steps=10, parameters=given)
+    result = api.solve(orbital_transfer, name, steps=10, parameters=given)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(reference.cost, rel=1e-8)
     assert reference.cost == pytest.approx(0.0411138940489, rel=1e-9)  # by SLSQP of version 0.2, to its tolerance

@@ -55,7 +55,7 @@ def test_fewer_unknowns_than_equations():
 def test_a_time_limit_is_one_of_the_clock(monkeypatch):
     """Which shows a minute more whenever it is read; a limit of the processor's time let IPOPT go on under a load."""
     clock = itertools.count(step=60.0)
-    monkeypatch.setattr("codegen.drivers.ipopt.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("codegen.solving.drivers.ipopt.perf_counter", lambda: next(clock))
     far = Control(dynamics={x: y, y: a - sin(x)}, cost=a**2, duration=3, start={x: 0, y: 0}, end={x: 3, y: 0}, steps=4)
     assert codegen.solve(far, "ipopt").status == "solved"
     result = codegen.solve(far, "ipopt", time_limit=150)

@@ -7,9 +7,9 @@ import re
 import pytest
 from conftest import PROBLEMS
 
-from codegen.compiler import build
-from codegen.drivers.shared import quiet_single_thread
-from codegen.loading import load
+from codegen.solving.compiler import build
+from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.loading import load
 
 PAGE = PROBLEMS.parent / "docs" / "guide" / "optimisers.md"
 EXAMPLES = {

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from codegen import solving
-from codegen.drivers.newton import simulate as newton
 from codegen.errors import ArgumentError
-from codegen.solutions.result import Run
-from codegen.solutions.simulate import simulate_result
+from codegen.solving import api
+from codegen.solving.drivers.newton import simulate as newton
+from codegen.solving.results.result import Run
+from codegen.solving.results.simulate import simulate_result
 
 
 @pytest.mark.parametrize("every", [1, 7])
 def test_newton_and_fsolve_agree(pendulum, every):
-    ours = solving.solve(pendulum, "newton", steps=200, every=every)
-    theirs = solving.solve(pendulum, "fsolve", steps=200, every=every)
+    ours = api.solve(pendulum, "newton", steps=200, every=every)
+    theirs = api.solve(pendulum, "fsolve", steps=200, every=every)
     assert ours.status == theirs.status == "solved"
     np.testing.assert_allclose(theirs.t, ours.t, rtol=1e-14)
     np.testing.assert_allclose(theirs.q, ours.q, atol=1e-9)
@@ -27,7 +27,7 @@ def test_newton_and_fsolve_agree(pendulum, every):
 
 def test_midpoint_rule_holds(pendulum):
     """The scheme written out by hand, from which the residual must not differ."""
-    result = solving.solve(pendulum, steps=100)
+    result = api.solve(pendulum, steps=100)
     h = 60 / 100
     q, p = result.q[:, 0], result.p[:, 0]
     np.testing.assert_allclose(np.diff(q), h * (p[1:] + p[:-1]) / 2, atol=1e-13)
@@ -39,13 +39,13 @@ def test_midpoint_rule_holds(pendulum):
 
 def test_fsolve_has_nothing_to_do_for_an_explicit_scheme(explicit_pendulum):
     with pytest.raises(ArgumentError, match="explicit"):
-        solving.solve(explicit_pendulum, "fsolve")
+        api.solve(explicit_pendulum, "fsolve")
 
 
 @pytest.mark.parametrize("name", ["slsqp", "trust-constr"])
 def test_optimisers_do_not_apply(pendulum, name):
     with pytest.raises(ArgumentError, match="use one of newton, fsolve"):
-        solving.solve(pendulum, name)
+        api.solve(pendulum, name)
 
 
 def test_false_claim_is_downgraded(pendulum):

@@ -16,13 +16,14 @@ import pytest
 from golden import GALLERY, KEPT, built, committed, differences, digests, fresh, names, text_of
 from jinja2 import meta
 
-from codegen import emit, mangling
-from codegen.compiler import build
+from codegen import identifiers
+from codegen.emit import rendering
+from codegen.emit.lower.module import ControlModule, Origin, SimulateModule
+from codegen.emit.lower.particles.module import ConnectModule, ParticlesModule
 from codegen.errors import FileError
-from codegen.lower.module import ControlModule, Origin, SimulateModule
-from codegen.lower.particles.module import ConnectModule, ParticlesModule
 from codegen.runtime.record import Task
-from codegen.solutions.notes import record_in
+from codegen.solving.compiler import build
+from codegen.solving.results.output import record_in
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "linear_pendulum.py"
@@ -163,7 +164,7 @@ def test_names_that_generated_functions_use_are_marked(name, tree):
         names |= {argument.arg for argument in (*function.args.args, *function.args.kwonlyargs)}
         # Points that move one by one have locals of their own kind, which no symbol is called.
         task = "particles" if metadata.of_particles and metadata.task == Task.SIMULATE else metadata.task
-        lacking = {n for n in names - own if mangling.marked(n, task, (), moving=False) == n}
+        lacking = {n for n in names - own if identifiers.marked(n, task, (), moving=False) == n}
         assert not lacking, function.name
 
 
@@ -228,9 +229,9 @@ def test_templates_name_nothing_that_is_not_supplied(template, kind):
 
 def test_writing_the_same_text_touches_nothing(tmp_path):
     path = tmp_path / "module.py"
-    assert emit.write(path, "a = 1\n")
+    assert rendering.write(path, "a = 1\n")
     before = path.stat().st_mtime_ns
-    assert not emit.write(path, "a = 1\n")
+    assert not rendering.write(path, "a = 1\n")
     assert path.stat().st_mtime_ns == before
     assert [p.name for p in tmp_path.iterdir()] == ["module.py"]
 
@@ -244,7 +245,7 @@ def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", broken)
     with pytest.raises(FileError, match="no space left"):
-        emit.write(path, "new")
+        rendering.write(path, "new")
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["module.py"]
 
@@ -255,7 +256,7 @@ def test_a_killed_build_leaves_the_old_module(tmp_path, delay):
     out.mkdir()
     old = out / "linear_pendulum.py"
     old.write_text("old = True\n")
-    code = f"from codegen.compiler import build; build({str(PROBLEM)!r}, out={str(out)!r}); import time; time.sleep(9)"
+    code = f"import codegen, time; codegen.build({str(PROBLEM)!r}, out={str(out)!r}); time.sleep(9)"
     environment = {**os.environ, "CODEGEN_CACHE_DIR": str(tmp_path / "cache")}
     # The write is made slow by a text that arrives only after the kill: the process dies while it derives.
     process = subprocess.Popen([sys.executable, "-c", code], env=environment)
@@ -268,7 +269,7 @@ def test_a_killed_build_leaves_the_old_module(tmp_path, delay):
 
 
 def test_two_builds_at_once_never_mix(tmp_path):
-    code = f"from codegen.compiler import build; build({str(PROBLEM)!r}, out={str(tmp_path / 'out')!r})"
+    code = f"from codegen.solving.compiler import build; build({str(PROBLEM)!r}, out={str(tmp_path / 'out')!r})"
     environment = {**os.environ, "CODEGEN_CACHE_DIR": str(tmp_path / "cache")}
     processes = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(2)]
     assert [process.wait() for process in processes] == [0, 0]
@@ -281,7 +282,7 @@ def test_a_cache_hit_needs_no_sympy(tmp_path, monkeypatch):
     first = build(PROBLEM)
     assert not first.cached
     code = (
-        "import sys; from codegen.compiler import build;"
+        "import sys; from codegen.solving.compiler import build;"
         f"b = build({str(PROBLEM)!r}); print(b.cached, 'sympy' in sys.modules, b.path)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from codegen.emit.specialise import specialise
+from codegen.emit.rendering import specialise
 
 NAMES = ("SHARED", "SHARED_MULTIPLIERS", "COUPLINGS", "PHASES", "CARRIED")
 LOOPS = resources.files("codegen.emit") / "templates" / "loops.txt"

@@ -17,12 +17,12 @@ from conftest import PROBLEMS
 from few_landmarks import START, TARGET
 
 import codegen
-from codegen.compiler import build
-from codegen.emit import is_whole
+from codegen.emit.rendering import is_whole
 from codegen.emit.standalone import File, bundle
 from codegen.errors import ModuleError
-from codegen.interfaces import is_control
-from codegen.loading import load
+from codegen.solving.compiler import build
+from codegen.solving.interfaces import is_control
+from codegen.solving.loading import load
 
 MODULES = {
     "cart_pole": {},  # optimal control: all of the search is in it, with bounds or without

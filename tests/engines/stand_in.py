@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codegen.engines.work import LOST, Done, Tally
+from codegen.batch.executors.work import LOST, Done, Tally
 
 
 @dataclass(frozen=True)

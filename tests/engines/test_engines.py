@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from stand_in import StandIn
 
-from codegen.engines import ENGINES, engine_for
-from codegen.engines.work import LOST
+from codegen.batch.executors import ENGINES, engine_for
+from codegen.batch.executors.work import LOST
 
 pytest.importorskip("distributed")
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from codegen.engines import journal
+from codegen.batch.executors import journal
 from codegen.errors import ArgumentError
 
 HEADER = {"sweep": "0123", "chunk": 20}

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from stand_in import StandIn
 
-from codegen.engines import engine_for
-from codegen.engines.processes import TRIES
-from codegen.engines.work import LOST
+from codegen.batch.executors import engine_for
+from codegen.batch.executors.processes import TRIES
+from codegen.batch.executors.work import LOST
 
 
 def solved(work, workers, numbers):
@@ -52,7 +52,7 @@ def test_workers_end_with_the_process_that_began_them(tmp_path):
     """It is killed and can tell them nothing; they look, or find that nobody listens."""
     code = (
         "import sys, time\nfrom pathlib import Path\nsys.path[:0] = sys.argv[2:]\n"
-        "from stand_in import StandIn\nfrom codegen.engines.processes import running\n"
+        "from stand_in import StandIn\nfrom codegen.batch.executors.processes import running\n"
         "with running(StandIn(Path(sys.argv[1])), 2) as solve:\n"
         "    for number, done in solve(range(10)):\n        print(number, flush=True)\n        time.sleep(100)\n"
     )

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import Max, Min, Piecewise, Rational, atan2, cos, exp, log, sin, sqrt, symbols
 
-from codegen import transcribe
-from codegen.checks.evaluation import DIGITS, function_of, gradient, random_points, second_differences
-from codegen.derive import control_derivatives
-from codegen.expressions import StraightLine, second_derivatives
-from codegen.expressions.graph import Graph
-from codegen.expressions.zeros import vanishing
-from codegen.model.from_file import load_problem
+from codegen.discretise import transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.emit.differentiation import control_derivatives
+from codegen.evidence.checks.evaluation import DIGITS, function_of, gradient, random_points, second_differences
+from codegen.symbolic.derivatives import second_derivatives
+from codegen.symbolic.graph import Graph, StraightLine
+from codegen.symbolic.zeros import vanishing
 
 ROOT = Path(__file__).parents[2]
 X, Y, Z, P = symbols("x y z p", real=True)
@@ -202,7 +202,7 @@ def test_element_of_a_chain_of_three_pendulums(method):
 
 def test_the_same_program_whatever_the_hash_seed():
     code = (
-        "from sympy import *; from codegen.expressions import second_derivatives;"
+        "from sympy import *; from codegen.symbolic.derivatives import second_derivatives;"
         "q, r, v, w, m = symbols('q r v w m', real=True);"
         "l = m*(cos(q)*v + cos(r)*w)**2 + m*(sin(q)*v + sin(r)*w)**2 + exp(q*r)/m + Max(q, v)*w;"
         "print(second_derivatives(l, (q, r, v, w), (l*m,)))"

@@ -8,7 +8,7 @@ import pytest
 import sympy
 
 from codegen import Control, control, errors, parameters, state
-from codegen.expressions.checks import checked
+from codegen.symbolic.checks import checked
 
 x = sympy.Symbol("x", real=True)
 

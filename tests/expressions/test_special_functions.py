@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codegen import Control, control, errors, state
-from codegen.compiler import build
-from codegen.expressions.checks import checked
-from codegen.expressions.special_functions import sinc_derivative as exact_sinc_derivative
 from codegen.runtime.search import callbacks
 from codegen.runtime.special.polygamma import polygamma
 from codegen.runtime.special.sinc_derivative import sinc_derivative
+from codegen.solving.compiler import build
+from codegen.symbolic.checks import checked
+from codegen.symbolic.special_functions import sinc_derivative as exact_sinc_derivative
 
 _y, _k = sympy.symbols("y k")
 

@@ -3,7 +3,7 @@
 import sympy
 from sympy import acos, sqrt, symbols
 
-from codegen.expressions.terms import sorted_terms
+from codegen.symbolic.terms import sorted_terms
 
 a, b, c, d = QUANTITIES = symbols("a b c d", real=True)
 INDICES = {symbol: index for index, symbol in enumerate(QUANTITIES)}

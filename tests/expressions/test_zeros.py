@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import Integer, Max, Rational, atan, cos, cosh, exp, log, sin, sinh, sqrt, symbols, tan, tanh
 
-from codegen.expressions import second_derivatives
-from codegen.expressions.zeros import PRIMES, identically_zero
+from codegen.symbolic.derivatives import second_derivatives
+from codegen.symbolic.zeros import PRIMES, identically_zero
 
 X, Y, Z, A, H, T = symbols("x y z a H T", real=True)
 

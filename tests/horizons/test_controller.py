@@ -10,8 +10,8 @@ from horizon_problems import HORIZON, STEPS, carried, exactly, in_micrometres, r
 from scipy.linalg import solve_discrete_are
 
 import codegen
-from codegen.horizons import controller as controllers
-from codegen.horizons.judgement import BestIterate, Candidate, better
+from codegen.mpc import controller as controllers
+from codegen.mpc.acceptance import BestIterate, Candidate, better
 from codegen.runtime.search import descent
 from codegen.runtime.search.iterates import search_on, stored
 from codegen.runtime.search.scaling import scaled_grid

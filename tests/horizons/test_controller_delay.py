@@ -12,8 +12,8 @@ from sympy import Eq, cos
 import codegen
 from codegen import Control, control, coordinates, free_parameter, parameters, states
 from codegen.errors import ArgumentError, NumericsError
-from codegen.horizons.interface import interface_of
-from codegen.horizons.motion import Motion
+from codegen.mpc.interface import interface_of
+from codegen.mpc.motion import Motion
 
 H = HORIZON / STEPS
 

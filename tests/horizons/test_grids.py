@@ -6,8 +6,8 @@ from horizon_problems import STEPS, carried, regulator
 
 import codegen
 from codegen.errors import NumericsError
-from codegen.horizons.grids import Grids
-from codegen.horizons.interface import interface_of
+from codegen.mpc.grids import Grids
+from codegen.mpc.interface import interface_of
 
 
 def require_same(module, grid, **values):

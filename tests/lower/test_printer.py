@@ -6,7 +6,7 @@ import pytest
 from numba import njit
 from sympy import Pow, Rational, sqrt, symbols
 
-from codegen.lower.printer import scalar_code
+from codegen.emit.lower.printer import scalar_code
 
 x, y = symbols("x y")
 QUOTIENTS = [

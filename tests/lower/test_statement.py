@@ -8,10 +8,10 @@ import pytest
 from golden import CONTROL as PROBLEMS
 from golden import names, text_of
 
-from codegen.lower.control.statement import description
-from codegen.model.from_file import load_problem
-from codegen.solutions.notes import record_in
-from codegen.transcribe import transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.lower.control.text import description
+from codegen.solving.results.output import record_in
 
 FOLDER = Path(__file__).parents[2] / "problems"
 

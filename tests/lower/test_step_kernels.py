@@ -14,7 +14,7 @@ import pytest
 from interpreted import without_compilation
 from simulation_systems import ROOT, SYSTEMS, H, T, model_of, module_of, pendulum, text_of
 
-from codegen import mangling
+from codegen import identifiers
 
 # ---- Jacobians ----
 
@@ -59,7 +59,7 @@ def test_names_of_the_module_are_marked() -> None:
             own = {*module.metadata.parameters, "dict", "isinstance"}
             local = {n for n in (*code.co_varnames, *code.co_names) if not n.endswith(("_k", "_k1")) and n not in own}
             local -= {n for n in local if n.startswith(("x", "start_")) or n in ("t", "sin", "cos", "array", "values")}
-            assert all(mangling.marked(n, "simulate", (), moving=False) != n for n in local)
+            assert all(identifiers.marked(n, "simulate", (), moving=False) != n for n in local)
 
 
 def test_text_does_not_depend_on_the_hash_seed() -> None:

@@ -10,10 +10,10 @@ import sympy
 from golden import ROOT
 from sympy import exp, log
 
-from codegen import loading
-from codegen.compiler import build
-from codegen.lower.printer import stabilised
-from codegen.machine_code.parts import parts_of
+from codegen.emit.lower.printer import stabilised
+from codegen.solving import loading
+from codegen.solving.compiler import build
+from codegen.solving.machine_code.parts import parts_of
 
 COUNT = """
 import sys

@@ -13,7 +13,7 @@ from compiled_modules import compiled
 from interpreted import without_compilation
 from measured_decay import write
 
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 PAIR = '''"""Two carts in a potential of special functions move to places that depend on each other, gently."""
 from sympy import erf, gamma, loggamma, sec, sinc

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from codegen.compiler import build
-from codegen.loading import load, machine_code_counts
-from codegen.machine_code import ahead_of_time
-from codegen.machine_code.parts import has_machine_code
 from codegen.runtime import kept_code
+from codegen.solving.compiler import build
+from codegen.solving.loading import load, machine_code_counts
+from codegen.solving.machine_code import ahead_of_time
+from codegen.solving.machine_code.parts import has_machine_code
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "pendulum.py"
 

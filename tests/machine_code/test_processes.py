@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from codegen.compiler import build
-from codegen.machine_code.processes import compilers
+from codegen.solving.compiler import build
+from codegen.solving.machine_code.processes import compilers
 
 GENERATED = Path(__file__).parents[2] / "generated"
 
@@ -17,7 +17,7 @@ import sys
 from codegen.loading import load, machine_code_counts
 module = load(sys.argv[1])
 solution = module.solve(200)
-assert "codegen.drivers" not in sys.modules
+assert "codegen.solving.drivers" not in sys.modules
 print(solution.status, solution.cost, *machine_code_counts(module))
 """
 
@@ -36,7 +36,7 @@ COUNT = USE.split("solution = ")[0] + "module.solve(9); print(*machine_code_coun
 @pytest.mark.parametrize("shares", [("both",), ("0/2", "1/2"), ("0/1",)], ids=" ".join)
 def test_all_is_compiled_however_processes_share_it(tmp_path, shares, monkeypatch):
     """One process that becomes two; two where none can fork; one on one processor."""
-    monkeypatch.setattr("codegen.machine_code.processes.shares", lambda: shares)
+    monkeypatch.setattr("codegen.solving.machine_code.processes.shares", lambda: shares)
     path = tmp_path / "pendulum.py"
     path.write_bytes((GENERATED / path.name).read_bytes())
     told = []
@@ -61,7 +61,7 @@ def test_a_process_that_fails_is_named_on_stderr_and_a_first_solve_compiles(tmp_
     (tmp_path / "pendulum.py").write_bytes((GENERATED.parent / "problems" / "pendulum.py").read_bytes())
     (tmp_path / "sitecustomize.py").write_text(
         "import sys\n"
-        "is_compiling = any('codegen.machine_code.compilation' in word for word in sys.orig_argv)\n"
+        "is_compiling = any('codegen.solving.machine_code.compilation' in word for word in sys.orig_argv)\n"
         "if is_compiling: sys.modules['codegen.runtime.linking'] = None\n"
     )
     paths = os.pathsep.join([str(tmp_path), str(GENERATED.parent), os.environ.get("PYTHONPATH", "")])

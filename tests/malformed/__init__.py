@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from codegen.errors import (
-    BoundaryError,
-    DegenerateError,
-    ExpressionError,
-    ProblemFileError,
-    SymbolError,
-)
+from codegen.errors import BoundaryError, DegenerateError, ExpressionError, ProblemFileError, SymbolError
 from malformed.conditions import MALFORMED_CONDITIONS
 from malformed.delays import MALFORMED_DELAYS
 from malformed.inner_times import MALFORMED_INNER_TIMES

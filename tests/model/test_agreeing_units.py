@@ -24,9 +24,9 @@ from codegen import (
     states,
     time,
 )
-from codegen.author.description import described
+from codegen.discretise.model.phases import normalise
 from codegen.errors import SymbolError, UnitError
-from codegen.model import normalise
+from codegen.problem.description import described
 
 theta, omega = coordinate("theta", unit="rad")
 m, rod, g = parameters(m=(1, "kg"), rod=(0.5, "m"), g=(9.81, "m/s**2"))

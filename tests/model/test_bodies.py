@@ -20,9 +20,9 @@ from codegen import (
     states,
     together,
 )
-from codegen.author.symbols import Coordinate
+from codegen.discretise.model.phases import normalise
 from codegen.errors import CodegenError
-from codegen.model import normalise
+from codegen.problem.symbols import Coordinate
 
 
 def cart(name: str, **changes: Any) -> tuple[Coordinate, Control]:

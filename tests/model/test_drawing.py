@@ -12,22 +12,13 @@ from conftest import PROBLEMS
 from drawn_oscillator import oscillator
 from sympy import sin
 
-from codegen import (
-    Control,
-    Simulate,
-    body_number,
-    canonical_pair,
-    control,
-    coordinate,
-    parameter,
-    time,
-)
-from codegen.compiler import generate_from_model
-from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
+from codegen import Control, Simulate, body_number, canonical_pair, control, coordinate, parameter, time
+from codegen.discretise.model.phases import normalise
+from codegen.emit.lower.module import Origin
+from codegen.emit.naming import Choices
 from codegen.errors import ExpressionError, SymbolError
-from codegen.lower.module import Origin
-from codegen.model import normalise
-from codegen.naming import Choices
+from codegen.problem.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
+from codegen.solving.compiler import generate_from_model
 
 
 class TestItems:

@@ -6,8 +6,8 @@ import pytest
 from made_records import control_record
 from sympy import And, Piecewise, Symbol, exp
 
-from codegen.model.jumps import jumps
-from codegen.solutions.notes import notes
+from codegen.discretise.model.smoothness import jumps
+from codegen.solving.results.output import notes
 
 u, x, t, a = (Symbol(name, real=True) for name in ("u", "x", "t", "a"))
 

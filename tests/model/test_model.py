@@ -26,9 +26,10 @@ from codegen import (
     states,
     time,
 )
+from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.model.definitions import Boundary, Bounds, Condition, FreeParameter
+from codegen.discretise.model.phases import normalise
 from codegen.errors import CodegenError
-from codegen.model import Boundary, Bounds, Condition, FreeParameter, normalise
-from codegen.model.conditions.table import CONDITIONS
 
 
 def test_every_kind_of_condition_reads_an_argument_and_has_a_field() -> None:

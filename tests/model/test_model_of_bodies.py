@@ -7,18 +7,11 @@ from hypothesis import strategies as st
 from sympy import Eq, S, Symbol, sqrt
 from written_problems import names, plain, runners
 
-from codegen import (
-    Control,
-    body_number,
-    control,
-    coordinates,
-    free_parameter,
-    states,
-    time,
-)
-from codegen.author.symbols import recorded_declarations
+from codegen import Control, body_number, control, coordinates, free_parameter, states, time
+from codegen.discretise.model.definitions import Bounds, Condition, EndValue
+from codegen.discretise.model.phases import normalise
 from codegen.errors import CodegenError
-from codegen.model import Bounds, Condition, EndValue, normalise
+from codegen.problem.symbols import recorded_declarations
 
 
 def test_couplings_and_conditions_of_each_body() -> None:

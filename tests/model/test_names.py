@@ -27,13 +27,13 @@ from codegen import (
     states,
     time,
 )
-from codegen.author.symbols import recorded_declarations
-from codegen.compiler import generate_from_model
-from codegen.lower.module import Origin
-from codegen.mangling import MARK, renamed
-from codegen.model import normalise
-from codegen.model.pairwise import normalise_pairwise
-from codegen.naming import Choices
+from codegen.discretise.model.pairwise import normalise_pairwise
+from codegen.discretise.model.phases import normalise
+from codegen.emit.lower.module import Origin
+from codegen.emit.naming import Choices
+from codegen.identifiers import MARK, renamed
+from codegen.problem.symbols import recorded_declarations
+from codegen.solving.compiler import generate_from_model
 
 PLAIN = "a b c r e f g q v w".split()
 NASTY = (

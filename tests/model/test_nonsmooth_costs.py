@@ -6,8 +6,8 @@ import pytest
 from made_records import control_record
 from sympy import Abs, Max, Min, Symbol, cos
 
-from codegen.model.nonsmooth_costs import kinks
-from codegen.solutions.notes import notes
+from codegen.discretise.model.smoothness import kinks
+from codegen.solving.results.output import notes
 
 u, x, m = Symbol("u", real=True), Symbol("x", real=True), Symbol("m", real=True)
 

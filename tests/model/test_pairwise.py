@@ -9,11 +9,11 @@ import sympy
 from conftest import PROBLEMS
 
 from codegen import Connect, Pairwise, Simulate, parameters, particles
-from codegen.author.symbols import recorded_declarations
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.pairwise import normalise_pairwise
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
-from codegen.expressions.invariants import Invariants
-from codegen.model.from_file import load_problem
-from codegen.model.pairwise import normalise_pairwise
+from codegen.problem.symbols import recorded_declarations
+from codegen.symbolic.terms import Invariants
 
 NONE = np.zeros(0)
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sympy import Eq, Ge, Gt, Le, Lt, sqrt
 
+from codegen.discretise.model.relations import relation
 from codegen.errors import CodegenError
-from codegen.model.relations import relation
 
 Q, U, R = sympy.symbols("q u R", real=True)
 RELATIONS = [

@@ -4,8 +4,8 @@ import pytest
 from sympy import exp, sqrt
 
 from codegen import Control, Phases, control, free_parameter, states
+from codegen.discretise.model.phases import normalise
 from codegen.errors import ExpressionError
-from codegen.model import normalise
 
 EARTH = 6378145.0
 

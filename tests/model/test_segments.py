@@ -11,15 +11,16 @@ from interpreted import text_of, without_compilation
 from sympy import cos
 
 from codegen import Control, control, coordinate, parameters, state, states, time
-from codegen.checks import CHECKS, Context, apply
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes import find
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.naming import Choices
 from codegen.errors import ArgumentError, BoundaryError
-from codegen.model import normalise
-from codegen.naming import Choices
-from codegen.schemes import find
+from codegen.evidence.checks import CHECKS, apply
+from codegen.evidence.checks.base import Context
 from codegen.show.equations import equations
-from codegen.solutions.notes import notes
-from codegen.solutions.segments import segments_of
-from codegen.transcribe import transcribe
+from codegen.solving.results.output import notes
+from codegen.solving.results.segments import segments_of
 
 
 def test_guesses_are_functions_of_the_time_of_the_whole_motion():

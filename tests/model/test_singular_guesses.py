@@ -9,11 +9,11 @@ from made_records import control_record
 from sympy import Abs, acos, exp, log, sqrt
 
 from codegen import Control, controls, coordinate, states, time
-from codegen.lower.control.notable import notable
-from codegen.model import normalise
-from codegen.model.singular_guesses import singular_at_guess
-from codegen.solutions.notes import notes
-from codegen.transcribe import transcribe
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.smoothness import singular_at_guess
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.lower.control.text import notable
+from codegen.solving.results.output import notes
 
 x, y = states("x y")
 a, b = controls("a b")

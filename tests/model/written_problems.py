@@ -6,14 +6,8 @@ from typing import Any
 
 import sympy
 
-from codegen import (
-    Control,
-    control,
-    controls,
-    coordinate,
-    coordinates,
-)
-from codegen.model import Condition
+from codegen import Control, control, controls, coordinate, coordinates
+from codegen.discretise.model.definitions import Condition
 
 
 def plain(names: str) -> Any:

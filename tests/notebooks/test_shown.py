@@ -19,11 +19,11 @@ from PIL import Image
 from written_objects import FILES, object_of
 
 import codegen
-from codegen.checks.base import Finding, Findings
 from codegen.errors import ArgumentError, ExtraError
-from codegen.notebooks.mathematics import displayed
-from codegen.show.shown import as_markdown
-from codegen.solutions.result import Result
+from codegen.evidence.checks.base import Finding, Findings
+from codegen.show.equations import as_markdown
+from codegen.show.notebook_mathematics import displayed
+from codegen.solving.results.result import Result
 
 UNPICKLED = """
 import pickle, sys
@@ -199,7 +199,9 @@ def test_a_frame_has_a_row_for_each_node(solution):
 @pytest.mark.parametrize(("method", "library"), [("to_dataset", "xarray"), ("to_frame", "pandas")])
 def test_a_missing_library_is_named_with_its_extra(monkeypatch, solution, method, library):
     real = importlib.util.find_spec
-    monkeypatch.setattr("codegen.solutions.display.find_spec", lambda name: None if name == library else real(name))
+    monkeypatch.setattr(
+        "codegen.solving.results.display.find_spec", lambda name: None if name == library else real(name)
+    )
     with pytest.raises(ExtraError, match=rf"needs {library}, which is not installed; pip install .*\[sweep\]"):
         getattr(solution, method)()
 

@@ -12,12 +12,13 @@ from drawn_oscillator import oscillator
 from sympy import cos, pi, sin
 
 from codegen import Control, body_number, control, coordinates, free_parameter, time
-from codegen.author.symbols import recorded_declarations
-from codegen.drawing import Arrow, Circle, Mass, Rod, Trail
-from codegen.model import Model, normalise
-from codegen.model.from_file import load_problem
-from codegen.pictures import fine_times, scene
-from codegen.solutions.result import Result
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.phases import normalise
+from codegen.problem.drawing import Arrow, Circle, Mass, Rod, Trail
+from codegen.problem.symbols import recorded_declarations
+from codegen.show.films import fine_times, scene
+from codegen.solving.results.result import Result
 
 DRAWN = (
     "acrobot brachistochrone cart_pendulum cart_pole convoy crane four_bar hovercraft linear_pendulum "

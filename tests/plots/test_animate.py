@@ -12,10 +12,10 @@ from invented_results import picture
 from PIL import Image
 from typer.testing import CliRunner
 
-from codegen.cli import main, pictures
-from codegen.drawing import Mass, Scene, Trail
+from codegen.cli import main, solve
 from codegen.errors import ArgumentError
-from codegen.plots import shapes
+from codegen.problem.drawing import Mass, Scene, Trail
+from codegen.show.figures import shapes
 from codegen.solving.outcome import outcome_of
 from codegen.solving.request import Request
 
@@ -157,7 +157,7 @@ class TestMp4:
         with pytest.raises(ArgumentError, match=r"needs the program ffmpeg.*\.gif"):
             shapes.save(short(), "A disc moves.", tmp_path / "a.mp4")
         with pytest.raises(ArgumentError, match=r"--animate .*a.mp4 needs the program ffmpeg.*\.gif"):
-            pictures.requested(Request(tmp_path / "none.py"), None, tmp_path / "a.mp4")
+            solve.requested(Request(tmp_path / "none.py"), None, tmp_path / "a.mp4")
 
 
 class TestCommand:
@@ -192,7 +192,7 @@ class TestCommand:
         ],
     )
     def test_what_cannot_be_drawn_is_refused_before_anything_is_solved(self, folder, monkeypatch, words, fragments):
-        monkeypatch.setattr("codegen.compiler.build", pytest.fail)
+        monkeypatch.setattr("codegen.solving.compiler.build", pytest.fail)
         before = {path.name for path in folder.iterdir()}
         result = self.run(*words.split())
         assert result.exit_code == 2
@@ -212,29 +212,29 @@ class TestCommand:
         assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
     def test_unit(self, folder):
-        assert pictures.requested(Request(folder / "swing.py"), folder / "a.png", None).unit == "nondimensional"
+        assert solve.requested(Request(folder / "swing.py"), folder / "a.png", None).unit == "nondimensional"
         (folder / "swing.py").write_text(SWING.replace("All quantities are nondimensional.", ""))
-        assert pictures.requested(Request(folder / "swing.py"), folder / "a.png", None).unit == ""
+        assert solve.requested(Request(folder / "swing.py"), folder / "a.png", None).unit == ""
 
     def test_nothing_wanted_reads_nothing(self, folder):
-        assert pictures.requested(Request(folder / "none.py"), None, None) == pictures.Pictures()
+        assert solve.requested(Request(folder / "none.py"), None, None) == solve.Pictures()
 
 
 def test_a_generated_module_is_drawn_as_far_as_it_knows_how(tmp_path, pendulum):
     """It has no drawing, which is written in the problem file alone."""
     request = Request(pendulum.__file__, steps=20)
-    wanted = pictures.requested(request, tmp_path / "a.png", None)
+    wanted = solve.requested(request, tmp_path / "a.png", None)
     wanted.save(pendulum, outcome_of(request).result)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ArgumentError, match="says nothing about how to draw it"):
-        pictures.requested(request, None, tmp_path / "a.gif")
+        solve.requested(request, None, tmp_path / "a.gif")
 
 
 def test_no_progress_bar_without_a_terminal():
     frames = iter(())
-    assert pictures._with_progress(frames, 3) is frames
+    assert solve._with_progress(frames, 3) is frames
 
 
 def test_progress_bar_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    assert list(pictures._with_progress([1, 2, 3], 3)) == [1, 2, 3]
+    assert list(solve._with_progress([1, 2, 3], 3)) == [1, 2, 3]

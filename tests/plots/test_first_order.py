@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import xarray
 
-from codegen.plots import sweep_figure
-from codegen.plots.fans import NORMAL_90, prediction
+from codegen.show.figures.sweep import NORMAL_90, prediction, sweep_figure
 
 NUMBER = 4000
 SLOPES = {"m": 2.0, "k": -3.0}

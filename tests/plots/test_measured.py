@@ -7,7 +7,7 @@ import pytest
 from measured_decay import TIMES, VALUES, interpreted, write, write_decay
 
 import codegen
-from codegen import plots
+from codegen.show import figures
 
 
 def axes_of(figure, label):
@@ -17,7 +17,7 @@ def axes_of(figure, label):
 def test_points_errors_and_band(folder):
     module = interpreted(write_decay(folder, t=TIMES, z=np.where(TIMES == 0.9, np.nan, VALUES)), scheme="gauss-4")
     result = codegen.solve(module)
-    figure = plots.control_figure(module, result)
+    figure = figures.control_figure(module, result)
     state, errors = axes_of(figure, "$x$"), axes_of(figure, "z")
     points = next(
         line for line in state.lines if line.get_linestyle() == "None" and len(line.get_xdata()) == TIMES.size
@@ -57,9 +57,9 @@ def test_of_an_expression_and_several_bodies(folder):
     write(folder, "m.csv", t=TIMES, z=np.exp(-1.6 * TIMES))
     (folder / "squared.py").write_text(_SQUARED)
     module = interpreted(folder / "squared.py", scheme="gauss-4")
-    figure = plots.control_figure(module, codegen.solve(module))
+    figure = figures.control_figure(module, codegen.solve(module))
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert "z" in " ".join(labels)
     assert "z, by $\\sigma$" in labels
-    fitted = axes_of(figure, plots.label("z"))
+    fitted = axes_of(figure, figures.label("z"))
     assert len([line for line in fitted.lines if line.get_linestyle() == "-"]) == 2

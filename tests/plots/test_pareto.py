@@ -7,9 +7,16 @@ import pytest
 import xarray
 
 from codegen.errors import ArgumentError
-from codegen.plots import pareto_figure, save_sweep
-from codegen.plots.pareto import Objective, is_dominated, objectives_of, require_objectives, values_of
-from codegen.plots.style import CRIMSON
+from codegen.show.figures import save_sweep
+from codegen.show.figures.pareto import (
+    Objective,
+    is_dominated,
+    objectives_of,
+    pareto_figure,
+    require_objectives,
+    values_of,
+)
+from codegen.show.figures.style import CRIMSON
 
 ATTRIBUTES = {"title": "A test.", "formulation": "variational", "scheme": "midpoint", "steps": 4}
 WEIGHTS = np.linspace(0.0, 1.0, 11)

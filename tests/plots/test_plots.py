@@ -10,12 +10,13 @@ import pytest
 from invented_results import BOUNDED, PAIR, column, invented, overlaps, picture, unsolved
 from matplotlib.figure import Figure
 
-from codegen import plots, solving
-from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.plots import panels, style
-from codegen.plots.picture import STYLE, Picture, using, words_of
-from codegen.plots.quantities import Inequality, Quantity
+from codegen.problem.drawing import Arrow, Mass, Scene, Trail
+from codegen.show import figures
+from codegen.show.figures import panels, style
+from codegen.show.figures.picture import STYLE, Picture, using, words_of
+from codegen.show.figures.quantities import Inequality, Quantity
+from codegen.solving import api
 
 
 @pytest.mark.parametrize(
@@ -39,7 +40,7 @@ from codegen.plots.quantities import Inequality, Quantity
     ],
 )
 def test_labels(name, label):
-    assert plots.label(name) == label
+    assert figures.label(name) == label
 
 
 def test_relations():
@@ -60,8 +61,8 @@ class TestControlFigure:
     def test_orbit(self, interpreted):
         module = interpreted("orbital_transfer")
         with np.errstate(all="ignore"):  # as in compiled code
-            result = solving.solve(module, steps=8)
-        figure = plots.control_figure(module, result, unit="nondimensional")
+            result = api.solve(module, steps=8)
+        figure = figures.control_figure(module, result, unit="nondimensional")
         assert {"$r$", r"$\varphi$", "$p_{r}$", r"$p_{\varphi}$", r"$\lambda_{r}$", "$u$", "max-norm"} <= texts(figure)
         assert "8 steps" in figure.get_suptitle()
         assert "Transfer a satellite" in figure.get_suptitle()
@@ -71,7 +72,7 @@ class TestControlFigure:
 
     def test_failure_is_named(self, interpreted):
         module = interpreted("bounded", BOUNDED)
-        figure = plots.control_figure(module, unsolved(module))
+        figure = figures.control_figure(module, unsolved(module))
         assert "NOT SOLVED: stalled" in figure.get_suptitle()
         legend = [text.get_text() for text in figure.legends[0].get_texts()]
         assert legend == ["last iterate", "initial guess", "bound", "forbidden"]
@@ -79,7 +80,7 @@ class TestControlFigure:
     def test_bounds_are_drawn(self, interpreted):
         module = interpreted("bounded", BOUNDED)
         result = unsolved(module)
-        figure = plots.control_figure(module, replace(result, u=column(2.0, 2.0, 0.0, -1.0)))
+        figure = figures.control_figure(module, replace(result, u=column(2.0, 2.0, 0.0, -1.0)))
         control = next(axes for axes in figure.axes if axes.get_ylabel() == "$f$")
         dashed = [line.get_ydata()[0] for line in control.lines if line.get_linestyle() == "--"]
         assert sorted(dashed) == [-1.0, 2.0]
@@ -116,7 +117,7 @@ class TestControlFigure:
         module = interpreted("pair", PAIR)
         result = unsolved(module)
         drawn = Scene(result.t, (Trail((result.q.T, np.zeros((2, 4)))), Arrow(_at(result.q.T, 0.0), _at(1.0, 0.5))))
-        figure = plots.control_figure(module, replace(result, status="solved"), plots.Drawings(drawn, drawn))
+        figure = figures.control_figure(module, replace(result, status="solved"), figures.Drawings(drawn, drawn))
         titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
         assert titles == ["initial guess", "optimum"]
         left, right = figure.axes[:2]
@@ -145,16 +146,18 @@ def test_nothing_overlaps(states, controls, bodies, form, conditions, height):
     module, result = invented(states, controls, bodies, form, conditions)
     drawn = picture(bodies, height) if height is not None else None
     with matplotlib.rc_context(STYLE):
-        figure = plots.control_figure(module, result, plots.Drawings(drawn, drawn) if drawn else None, "nondimensional")
+        figure = figures.control_figure(
+            module, result, figures.Drawings(drawn, drawn) if drawn else None, "nondimensional"
+        )
         assert overlaps(figure) == []
     assert figure.get_figheight() < 30.0
     panels_of = {axes.get_ylabel() for axes in figure.axes}
-    assert {plots.label(f"x{i + 1}") for i in range(states)} <= panels_of
+    assert {figures.label(f"x{i + 1}") for i in range(states)} <= panels_of
 
 
 def test_what_does_not_fit_is_counted():
     module, result = invented(14, 13, 1, "lagrangian")
-    title = plots.control_figure(module, result).get_suptitle().replace("\n", " ")
+    title = figures.control_figure(module, result).get_suptitle().replace("\n", " ")
     assert "2 further states not shown, 1 further controls not shown" in title
 
 
@@ -167,15 +170,15 @@ def test_numbers_that_are_none(tmp_path, number, everywhere):
     broken = {name: getattr(result, name).copy() for name in names}
     for name in names:
         broken[name][place] = number
-    plots.save(module, replace(result, status="non-finite", cost=float(number), **broken), tmp_path / "a.png")
+    figures.save(module, replace(result, status="non-finite", cost=float(number), **broken), tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
 class TestSimulation:
     def test_phase_portrait_and_energy(self, interpreted):
         module = interpreted("pendulum")
-        result = solving.solve(module, steps=50)
-        figure = plots.simulation_figure(result)
+        result = api.solve(module, steps=50)
+        figure = figures.simulation_figure(result)
         over_time, portrait, energy = figure.axes
         assert (over_time.get_xlabel(), over_time.get_ylabel()) == ("time", "$q$")
         np.testing.assert_array_equal(over_time.lines[0].get_xydata(), np.column_stack([result.t, result.q[:, 0]]))
@@ -185,11 +188,11 @@ class TestSimulation:
         np.testing.assert_allclose(np.abs(energy.lines[0].get_ydata()).max(), result.summary["energy_drift"])
 
     def test_with_a_drawing(self, interpreted, tmp_path):
-        result = solving.solve(interpreted("pendulum"), steps=50)
+        result = api.solve(interpreted("pendulum"), steps=50)
         bob = np.sin(result.q.T), -np.cos(result.q.T)
         scene = Scene(result.t, (Trail(bob), Mass(bob, 0.1 + 0 * bob[0])))
         with matplotlib.rc_context(STYLE):
-            figure = plots.simulation_figure(result, scene, "nondimensional")
+            figure = figures.simulation_figure(result, scene, "nondimensional")
             assert overlaps(figure) == []
         assert len(figure.axes) == 4
         assert figure.axes[-1].get_xlabel() == "time (nondimensional)"
@@ -200,7 +203,7 @@ class TestSimulation:
         result = replace(invented(coordinates, 1, 1, "lagrangian")[1], energy=np.linspace(1.0, 1.1, 7), names=names)
         result = replace(result, summary={"energy_drift": 0.1})
         with matplotlib.rc_context(STYLE):
-            figure = plots.simulation_figure(result)
+            figure = figures.simulation_figure(result)
             assert overlaps(figure) == []
         assert figure.get_figheight() <= height
         assert len(figure.axes) == 2 * min(coordinates, 12) + 1
@@ -213,17 +216,17 @@ class TestSimulation:
             result, p=(8.775825619 + rounding)[:, None], energy=2.0 + rounding, summary={"energy_drift": 0}
         )
         result = replace(result, names={"q": ["x"], "p": ["p_x"]})
-        _, portrait, energy = plots.simulation_figure(result).axes
+        _, portrait, energy = figures.simulation_figure(result).axes
         assert portrait.get_title(loc="right") == "conserved to 5e-15"
         assert portrait.get_ylim() == pytest.approx((8.775825619 / 2, 1.5 * 8.775825619))
         assert energy.get_title(loc="right") == "conserved to 5e-15"
         assert max(map(abs, energy.get_ylim())) < 1e-8
 
     def test_the_energy_of_what_is_driven_is_no_error(self, interpreted):
-        result = solving.solve(interpreted("driven", DRIVEN), steps=40)
+        result = api.solve(interpreted("driven", DRIVEN), steps=40)
         assert "energy_drift" not in result.summary
         assert result.summary["energy_change"] == result.energy[-1] - result.energy[0]
-        axes = plots.simulation_figure(result).axes[-1]
+        axes = figures.simulation_figure(result).axes[-1]
         assert axes.get_ylabel() == "energy (J)"
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), result.energy)
 
@@ -232,7 +235,7 @@ class TestSimulation:
         result = replace(
             invented(1, 1, 1, "lagrangian")[1], t=t, q=t[:, None], p=t[:, None], energy=t, names={"q": "x", "p": "p"}
         )
-        assert plots.simulation_figure(result).axes[0].lines[0].get_xdata().size <= 20_001
+        assert figures.simulation_figure(result).axes[0].lines[0].get_xdata().size <= 20_001
 
 
 class TestStyles:
@@ -242,7 +245,7 @@ class TestStyles:
     def test_sizes_and_that_nothing_overlaps(self, name, width, letters):
         module, result = invented(2, 1, 1, "lagrangian", 1)
         drawn = picture(1, 1.0)
-        figure = plots.figure(module, result, plots.Drawings(drawn, drawn), style=name)
+        figure = figures.figure(module, result, figures.Drawings(drawn, drawn), style=name)
         assert figure.get_figwidth() == pytest.approx(width)
         assert result.title.rstrip(".") in " ".join(figure.get_suptitle().split("\n"))
         assert figure._suptitle.get_fontsize() == pytest.approx(letters, abs=0.1)
@@ -252,13 +255,13 @@ class TestStyles:
     def test_others_are_refused(self):
         module, result = invented(1, 1, 1, "lagrangian")
         with pytest.raises(ArgumentError, match="there is no style 'poster'; give one of page, paper, talk"):
-            plots.figure(module, result, style="poster")
+            figures.figure(module, result, style="poster")
 
 
 class TestWords:
     def test_a_figure_says_what_it_shows_with_units(self, interpreted):
-        result = solving.solve(interpreted("driven", DRIVEN), steps=40)
-        text = words_of(plots.simulation_figure(result))
+        result = api.solve(interpreted("driven", DRIVEN), steps=40)
+        text = words_of(figures.simulation_figure(result))
         assert text.startswith("Drive an oscillator. variational, midpoint, 40 steps. Shown: theta_1 (m) from ")
         low, high = result.q.min(), result.q.max()
         assert f"theta_1 (m) from {low:.3g} to {high:.3g}; " in text
@@ -269,7 +272,7 @@ class TestWords:
     @pytest.mark.parametrize("ending", ["png", "svg"])
     def test_files_have_the_text(self, tmp_path, ending):
         module, result = invented(1, 1, 1, "lagrangian")
-        Picture(plots.figure(module, result)).save(tmp_path / f"a.{ending}")
+        Picture(figures.figure(module, result)).save(tmp_path / f"a.{ending}")
         assert b"; p_x,1 from 0 to 9.97e-05; " in (tmp_path / f"a.{ending}").read_bytes()
 
 
@@ -290,12 +293,12 @@ def problem():
 def test_files(tmp_path, suffix, signature):
     module, result = invented(1, 1, 1, "lagrangian")
     drawn = picture(1)
-    plots.save(module, result, tmp_path / f"a.{suffix}", plots.Drawings(drawn, drawn))
+    figures.save(module, result, tmp_path / f"a.{suffix}", figures.Drawings(drawn, drawn))
     assert (tmp_path / f"a.{suffix}").read_bytes().startswith(signature)
 
 
 def test_pictures_are_reproducible(tmp_path):
     module, result = invented(2, 1, 2, "lagrangian")
     for name in ("a.svg", "b.svg"):
-        plots.save(module, result, tmp_path / name)
+        figures.save(module, result, tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

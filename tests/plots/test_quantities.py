@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from invented_results import BOUNDED, PAIR, column, unsolved
 
-from codegen import plots
-from codegen.plots.quantities import Quantity, first_guess, inequalities, quantities
+from codegen.show import figures
+from codegen.show.figures.quantities import Quantity, first_guess, inequalities, quantities
 
 
 class TestQuantities:
@@ -59,7 +59,7 @@ class TestQuantities:
         found = quantities(module, unsolved(module))
         assert [m.name for m in found["multiplier"]] == ["mu_x", "mu_p_x"]
         assert all(m.on_intervals for m in found["multiplier"])
-        figure = plots.control_figure(module, unsolved(module))
+        figure = figures.control_figure(module, unsolved(module))
         assert r"$\mu_{x}$, $\mu_{p,x}$" in {axes.get_ylabel() for axes in figure.axes}
 
 

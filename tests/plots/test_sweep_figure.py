@@ -8,7 +8,8 @@ import xarray
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.contour import ContourSet
 
-from codegen.plots import fans, save_sweep, sweep_figure
+from codegen.show.figures import save_sweep, sweep
+from codegen.show.figures.sweep import sweep_figure
 
 ATTRIBUTES = {"title": "A test.", "formulation": "variational", "scheme": "midpoint", "steps": 4}
 
@@ -175,7 +176,7 @@ def test_samples_have_a_distribution_and_fans():
     solved = data.m.values[data.status.values == "solved"]
     edges = outer.get_paths()[0].vertices
     at_end = edges[np.isclose(edges[:, 0], 1.0), 1]
-    low, high, _ = fans.BANDS[0]
+    low, high, _ = sweep.BANDS[0]
     np.testing.assert_allclose([at_end.min(), at_end.max()], np.quantile(solved, (low, high)))
     np.testing.assert_allclose(fan.lines[0].get_ydata()[-1], np.median(solved))
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import codegen
-from codegen import plots
-from codegen.plots.control import MOST, changes, tornado
-from codegen.solutions.result import Sensitivities
-from codegen.solutions.sensitivities import quantity_values
+from codegen.show import figures
+from codegen.show.figures.control import MOST, changes, tornado
+from codegen.solving.results.result import Sensitivities
+from codegen.solving.results.sensitivities import quantity_values
 
 
 @pytest.fixture
@@ -32,20 +32,20 @@ def test_changes_in_closed_form(effort):
 
 def test_the_figure_has_a_panel_of_bars_to_both_sides(effort):
     module, result = effort
-    figure = plots.control_figure(module, result)
+    figure = figures.control_figure(module, result)
     axes = next(axes for axes in figure.axes if axes.get_xlabel().startswith("change of the cost"))
     shown = changes(result.sensitivities(), quantity_values(module, result))
     widths = [bar.get_width() for bar in axes.patches]
     np.testing.assert_allclose(widths, [*shown.values(), *(-change for change in shown.values())])
     names = [text.get_text() for text in axes.get_yticklabels()]
-    assert names == [plots.style.quantity(name) for name in shown]
+    assert names == [figures.style.quantity(name) for name in shown]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first is on top
 
 
 def test_without_sensitivities_there_is_none(effort):
     module, _ = effort
     with np.errstate(all="ignore"):
-        figure = plots.control_figure(module, codegen.solve(module, steps=10))
+        figure = figures.control_figure(module, codegen.solve(module, steps=10))
     assert not [axes for axes in figure.axes if axes.get_xlabel().startswith("change of the cost")]
 
 

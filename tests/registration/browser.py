@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codegen.registration import LandmarkPairs
 from codegen.registration.formats import write_landmarks
 from codegen.registration.images import write_image
+from codegen.registration.pairs import LandmarkPairs
 
 START = np.array([[14.0, 10.0], [80.0, 12.0], [16.0, 60.0], [78.0, 58.0], [46.0, 36.0]])
 """Landmarks of the moving image of `with_smooth_images`."""

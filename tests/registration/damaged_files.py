@@ -22,7 +22,8 @@ from PIL import Image as Pillow
 from test_images import HUGE
 
 from codegen.errors import ImageError, PointsError
-from codegen.registration.formats import Frames, parse_landmarks
+from codegen.registration.formats import parse_landmarks
+from codegen.registration.formats.base import Frames
 from codegen.registration.images import Limits, read_image, write_image
 
 TOKENS = (b"nan", b"1e999", b"-", b"\0", b"9" * 5000, b"[" * 5000, b'"', b"\n", b",", b"true", b"LM=999999999",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from codegen.registration import LandmarkPairs
+from codegen.registration.pairs import LandmarkPairs
 
 SIDE = 512
 

@@ -6,10 +6,10 @@ from browser import SHAPE, START, Visit, browser, free_port, server, visiting, w
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.registration import LandmarkPairs
 from codegen.registration.app.reading import LIMITS
 from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.noise import choose_sigma
+from codegen.registration.pairs import LandmarkPairs
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 

@@ -8,9 +8,10 @@ import tifffile
 from small_pictures import SHAPE, picture
 
 from codegen.errors import ImageError, PointsError
-from codegen.registration import LandmarkPairs
 from codegen.registration.app import reading
-from codegen.registration.formats import FORMATS, Frames, landmark_texts
+from codegen.registration.formats import FORMATS, landmark_texts
+from codegen.registration.formats.base import Frames
+from codegen.registration.pairs import LandmarkPairs
 
 PAIR = LandmarkPairs([[1.0, 2.0], [8.0, 9.0]], [[2.0, 4.0], [9.0, 7.0]])
 TWO_FILES = [form for form in FORMATS.values() if form.files == 2]

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from browser import START, Visit, browser, server
 
-from codegen.registration import LandmarkPairs, chosen_alignment, leave_one_out
+from codegen.registration import leave_one_out
 from codegen.registration.formats import read_landmarks, write_landmarks
 from codegen.registration.grid import Grid
 from codegen.registration.images import write_image
+from codegen.registration.linear import chosen_alignment
+from codegen.registration.pairs import LandmarkPairs
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 itk = pytest.importorskip("SimpleITK")

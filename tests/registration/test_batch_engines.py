@@ -17,10 +17,10 @@ from command_lines import assert_refused, run
 from dask_parts import cluster, kill, until
 from small_batches import batch, make
 
-from codegen.engines import ENGINES
-from codegen.engines.journal import journal_of
-from codegen.engines.processes import TRIES
-from codegen.engines.work import LOST
+from codegen.batch.executors import ENGINES
+from codegen.batch.executors.journal import journal_of
+from codegen.batch.executors.processes import TRIES
+from codegen.batch.executors.work import LOST
 from codegen.errors import ClusterError
 from codegen.registration.batches.pairing import Places, jobs_in_folder
 from codegen.registration.batches.work import BatchWork, Pair, Place, read_summary
@@ -84,7 +84,7 @@ def deadly(job, options):
 
 @pytest.mark.parametrize("where", [None, "local"])
 def test_a_pair_that_kills_its_workers_takes_no_other_with_it(source, whole, tmp_path, monkeypatch, where):
-    monkeypatch.setattr("codegen.engines.dask.TRIES", 2)  # workers of dask begin slowly; sweeps lose three
+    monkeypatch.setattr("codegen.batch.executors.dask.TRIES", 2)  # workers of dask begin slowly; sweeps lose three
     done = batch(source, tmp_path / "out", deadly, workers=2, cluster=where)
     assert [line["status"] for line in done.failed] == ["wrong input", LOST]
     assert done.failed[1]["moving"] == str(source / "007.png")

@@ -71,7 +71,7 @@ def malformed(solver, tmp_path_factory):
 
 @pytest.mark.parametrize(("words", "fragment"), LINES.values(), ids=LINES)
 def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(malformed, words, fragment, monkeypatch):
-    monkeypatch.setattr("codegen.engines.dask.PATIENCE", 0.5)
+    monkeypatch.setattr("codegen.batch.executors.dask.PATIENCE", 0.5)
     monkeypatch.chdir(malformed)
     before, folders = contents(malformed), {*malformed.rglob("*")}
     assert_refused(run("warp", *words.split()), fragment)

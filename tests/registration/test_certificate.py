@@ -7,9 +7,11 @@ import pytest
 from registered_images import SHAPE
 
 from codegen.errors import LandmarkError
-from codegen.registration import LandmarkPairs, certify, choose_sigma, leave_one_out, register
-from codegen.registration.certificate import bound_of_steps, certify_with_positions
+from codegen.registration import leave_one_out, register
+from codegen.registration.certificate import bound_of_steps, certify, certify_with_positions
 from codegen.registration.grid import Grid, pixel_grid
+from codegen.registration.noise import choose_sigma
+from codegen.registration.pairs import LandmarkPairs
 
 
 def known_map(determinant, back=lambda p: p):

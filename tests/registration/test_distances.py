@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from codegen.cli import main
 from codegen.errors import LandmarkError, PointsError
-from codegen.registration import LandmarkPairs, register
+from codegen.registration import register
 from codegen.registration.batches.distances import (
     Specimens,
     classical_scaling,
@@ -18,6 +18,7 @@ from codegen.registration.batches.distances import (
     read_specimens,
     superimposed,
 )
+from codegen.registration.pairs import LandmarkPairs
 
 pytestmark = pytest.mark.usefixtures("solver")
 

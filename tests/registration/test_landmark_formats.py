@@ -8,9 +8,9 @@ import pytest
 from landmark_samples import REFUSED, SAMPLES, SHAPE
 
 from codegen.errors import PointsError
-from codegen.registration.formats import FORMATS, Frames, landmark_texts, parse_landmarks, read_landmarks
+from codegen.registration.formats import FORMATS, landmark_texts, parse_landmarks, read_landmarks
 from codegen.registration.formats import write_landmarks as write
-from codegen.registration.formats.base import MOST_BYTES, MOST_LANDMARKS
+from codegen.registration.formats.base import MOST_BYTES, MOST_LANDMARKS, Frames
 from codegen.registration.pairs import LandmarkPairs
 
 FRAMES = Frames(SHAPE, SHAPE, "left.jpg", "right.jpg")

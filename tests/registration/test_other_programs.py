@@ -14,9 +14,11 @@ from registered_images import SHAPE
 from scipy.spatial.transform import Rotation
 from volume_samples import run, table, texture, volume, waves
 
-from codegen.registration import LandmarkPairs, chosen_alignment, register
+from codegen.registration import register
 from codegen.registration.grid import Grid
 from codegen.registration.images import read_image, write_image
+from codegen.registration.linear import chosen_alignment
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import read_volume, write_volume
 
 itk = pytest.importorskip("SimpleITK")

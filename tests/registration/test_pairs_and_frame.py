@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from codegen.errors import LandmarkError
-from codegen.registration import Frame, LandmarkPairs
-from codegen.registration.grid import coarse_grid, corners, pixel_grid
+from codegen.registration.grid import Frame, coarse_grid, corners, pixel_grid
+from codegen.registration.pairs import LandmarkPairs
 
 PLACES = st.floats(-1e4, 1e4).map(lambda x: round(x, 3))
 

@@ -5,8 +5,9 @@ import pytest
 from noisy_landmarks import noisy_pairs
 
 from codegen.errors import RegistrationError
-from codegen.registration import LandmarkPairs, register
+from codegen.registration import register
 from codegen.registration.matching import partners, said_of_partners
+from codegen.registration.pairs import LandmarkPairs
 
 SHAPE = (512, 512)
 

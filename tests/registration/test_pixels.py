@@ -8,13 +8,15 @@ import pytest
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.registration import LandmarkPairs, certify, displacement_field, register, warp
+from codegen.registration import register, warp
 from codegen.registration.app.reading import session_of
 from codegen.registration.app.solving import Wanted, certified, estimated_sigma, field, found
-from codegen.registration.certificate import certify_with_positions
+from codegen.registration.certificate import certify, certify_with_positions
+from codegen.registration.fields import displacement_field
 from codegen.registration.images.spacing import Spacing
 from codegen.registration.leave_one_out import leave_one_out
 from codegen.registration.noise import estimate_sigma
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.pixels import PixelRegistration, in_pixels, in_squares, square_grid
 
 tifffile = pytest.importorskip("tifffile")

@@ -8,9 +8,10 @@ from registered_images import SHAPE
 from scipy.integrate import solve_ivp
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration import LandmarkPairs, register
+from codegen.registration import register
 from codegen.registration.grid import coarse_grid
 from codegen.registration.matching import Matching
+from codegen.registration.pairs import LandmarkPairs
 
 pytestmark = pytest.mark.usefixtures("solver")
 PROBE = coarse_grid(SHAPE, 7)

@@ -32,7 +32,7 @@ def test_a_checkout_uses_its_own_problem():
 
 def test_schemes_without_steps_of_their_own_are_refused_before_anything_is_compiled(tmp_path, monkeypatch):
     made = SimpleNamespace(metadata=connect_record(adaptive="dop853", passive=True))
-    monkeypatch.setattr("codegen.compiler.build", lambda *_, **__: SimpleNamespace(path=tmp_path / "module.py"))
+    monkeypatch.setattr("codegen.solving.compiler.build", lambda *_, **__: SimpleNamespace(path=tmp_path / "module.py"))
     monkeypatch.setattr(place, "load", lambda path: made)
     with pytest.raises(SchemeError, match="dop853"):
         place.registration_module.__wrapped__("dop853")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from volume_samples import FIXED, MOVING, pairs_of
 
-from codegen.registration.formats import Frames, landmark_texts, parse_landmarks
+from codegen.registration.formats import landmark_texts, parse_landmarks
+from codegen.registration.formats.base import Frames
 
 
 def frames():

@@ -11,8 +11,8 @@ from volume_samples import MOVING, asked, filled, pairs_of, refused, table, volu
 
 from codegen.cli import main
 from codegen.errors import ExtraError
-from codegen.registration import LandmarkPairs
 from codegen.registration.images import write_image
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import is_volume, read_volume, write_volume
 
 itk = pytest.importorskip("SimpleITK")

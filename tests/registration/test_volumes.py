@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from volume_samples import FIXED, MOVING, OBLIQUE, asked, filled, pairs_of, refused, run, table, volume
 
-from codegen.registration import LandmarkPairs, register
+from codegen.registration import register
 from codegen.registration.grid import Grid
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import read_volume, write_volume
 from codegen.registration.volumes.warp import Nodes
 

@@ -8,9 +8,11 @@ import pytest
 from registered_images import SHAPE
 
 from codegen.errors import ArgumentError, ExtraError, FileError, ImageError
-from codegen.registration import LandmarkPairs, displacement_field, register, warp, warp_reported, write_field
+from codegen.registration import register, warp
+from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.grid import pixel_grid
-from codegen.registration.warp import map_grid
+from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.warp import map_grid, warp_reported
 
 TYPES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 

@@ -4,9 +4,9 @@ import numpy as np
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.registration import LandmarkPairs
 from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
+from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.volumes.files import write_volume
 
 C, S = np.cos(0.3), np.sin(0.3)

@@ -12,11 +12,9 @@ import pytest
 from conftest import PROBLEMS
 
 from codegen.cli import main
-from codegen.report import page, settings, study
-from codegen.report.measure import landmark_motion
-from codegen.report.sections import questions
-from codegen.report.store import Case, Store
-from codegen.solutions.connect import intersecting_paths
+from codegen.evidence.report import landmark_motion, landmark_questions, landmark_study, page, settings
+from codegen.evidence.report.store import Case, Store
+from codegen.solving.results.connect import intersecting_paths
 
 
 @pytest.fixture
@@ -107,8 +105,8 @@ def test_the_study_keeps_what_is_known_and_measures_the_rest(tmp_path, problem, 
     store = Store(out / "quick.jsonl")
     for (part, name), values in INVENTED.items():
         store.measured(Case(part, name, lambda values=values: values))
-    monkeypatch.setattr(study, "PARTS", [part for part in study.PARTS if part[0] == "weak solution"])
-    text = study.run(chosen, out).read_text()
+    monkeypatch.setattr(landmark_study, "PARTS", [part for part in landmark_study.PARTS if part[0] == "weak solution"])
+    text = landmark_study.run(chosen, out).read_text()
     assert "1.250000000000" in text
     assert "exceeds the thesis" in text  # 1e-2 is more than 4e-6
     assert "93990" in text  # the thesis's 9399 s divided by 0.1 s
@@ -126,7 +124,7 @@ def test_the_study_keeps_what_is_known_and_measures_the_rest(tmp_path, problem, 
     assert float(rows["nc 3", "largest defect"]) == values["largest defect"]
     assert json.loads((out / "environment.json").read_text())["seeds"]["few landmarks"] == "numpy default_rng(nc)"
     before = (out / "quick.jsonl").read_bytes()
-    study.run(chosen, out)
+    landmark_study.run(chosen, out)
     assert (out / "quick.jsonl").read_bytes() == before
 
 
@@ -135,7 +133,7 @@ def test_sentences_claim_what_was_measured(tmp_path):
     for size, claim in ((1e-9, "vanishes up to"), (0.1, "does NOT vanish")):
         store = Store(tmp_path / f"{size}.jsonl")
         store.measured(Case("weak solution", "nc 3", lambda size=size: {"largest defect": size, "largest rate": 1.0}))
-        assert claim in questions._ansatz(store).texts[0]
+        assert claim in landmark_questions._ansatz(store).texts[0]
 
 
 def test_a_problem_that_is_absent_has_no_report(tmp_path, capsys):

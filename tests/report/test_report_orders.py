@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from interpreted import without_compilation
 
-from codegen import solving
-from codegen.compiler import generate
-from codegen.naming import Choices
-from codegen.report.building import Variant
-from codegen.report.measure.drift import answer, drift_values, symplecticity_defect, trend_of
-from codegen.report.measure.optima import (
+from codegen.emit.naming import Choices
+from codegen.evidence.report.building import Variant
+from codegen.evidence.report.drift import answer, drift_values, symplecticity_defect, trend_of
+from codegen.evidence.report.optima import (
     all_grids,
     convergence_of,
     fitted_limit,
@@ -23,8 +21,10 @@ from codegen.report.measure.optima import (
     sequence,
     switching,
 )
-from codegen.report.measure.orders import fitted_order, verdict
-from codegen.report.store import Case, Store
+from codegen.evidence.report.orders import fitted_order, verdict
+from codegen.evidence.report.store import Case, Store
+from codegen.solving import api
+from codegen.solving.compiler import generate
 
 EFFORT = '''"""Move a unit mass by one unit of length in one unit of time, with least effort."""
 
@@ -108,7 +108,7 @@ def test_a_mesh_sequence_has_the_optima_of_its_grids(tmp_path):
 def test_bounds_that_become_active_are_seen(tmp_path, bound, names):
     """Without bounds the force is 6 - 12 t."""
     module = module_of(tmp_path, EFFORT.replace("BOUNDS", f"{{f: (-{bound}, {bound})}}"), "midpoint", "variational")
-    result = solving.solve(module, steps=20)
+    result = api.solve(module, steps=20)
     assert result.solved
     assert switching(module, result) == names
 

@@ -14,18 +14,18 @@ import pytest
 from interpreted import without_compilation
 from made_records import control_record
 
-from codegen import solving
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.report import building, gallery, kinds, records, thesis
-from codegen.report.building import Variant, Workshop
-from codegen.report.measure.orders import is_exhausted, measured_order, verdict
-from codegen.report.measure.simulations import conserved, reference_motion
-from codegen.report.records import regressions
-from codegen.report.sections import control as sections_control
-from codegen.report.sections import simulation as sections_simulation
-from codegen.report.settings import Extent
-from codegen.report.store import Case, Store
+from codegen.evidence.report import building, gallery, kinds, records, thesis
+from codegen.evidence.report import control_sections as sections_control
+from codegen.evidence.report import simulation_sections as sections_simulation
+from codegen.evidence.report.building import Variant, Workshop
+from codegen.evidence.report.orders import is_exhausted, measured_order, verdict
+from codegen.evidence.report.records import regressions
+from codegen.evidence.report.settings import Extent
+from codegen.evidence.report.simulations import conserved, reference_motion
+from codegen.evidence.report.store import Case, Store
+from codegen.solving import api
 
 OSCILLATOR = '''"""Let a unit mass swing on a spring."""
 
@@ -275,7 +275,7 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
         raise AssertionError("measured twice")
 
     before = (out / "quick.jsonl").read_bytes()
-    monkeypatch.setattr(solving, "solve", refuse)
+    monkeypatch.setattr(api, "solve", refuse)
     again = gallery.run(problems, out, TINY, earlier=out)
     assert again.regressions == ()
     assert "nothing is worse" in again.page.read_text()

@@ -9,11 +9,11 @@ from interpreted import of_problem
 from kkt_residuals import linear_residual
 from random_problems import phase_problems, single_problems
 
+from codegen.batch.quantities import given_to, quantities
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.point import lagrangian
 from codegen.runtime.search.sensitivities import case_at, changes_along, follow_ties, kernel_times
-from codegen.sweeping.quantities import given_to, quantities
 
 STEPS = 3
 MORE = [

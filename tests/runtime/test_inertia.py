@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from codegen.runtime.kkt.shape import last_width, padded, row_width
-from codegen.runtime.kkt.symmetric import (
-    eliminate_rows,
-    solve_backward,
-    solve_forward,
-    solve_pivots,
-    subtract_products,
-)
+from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt

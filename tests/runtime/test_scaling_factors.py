@@ -9,14 +9,15 @@ from interpreted import of_problem, text_of, without_compilation
 from poorly_guessed import FIRST, SECOND, batch, charging, lane, reactions, thrust, yeast
 from sympy import cos, exp, sin
 
-from codegen import Control, control, controls, free_parameter, solving, states, time
-from codegen.author.problem import Phases
-from codegen.compiler import build
-from codegen.interfaces import time_grid
+from codegen import Control, control, controls, free_parameter, states, time
+from codegen.problem.problem import Phases
 from codegen.runtime.search.convergence import sizes_of_terms
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import scaled_unknowns
+from codegen.solving import api
+from codegen.solving.compiler import build
+from codegen.solving.interfaces import time_grid
 
 POISON = 1.093664682973  # IPOPT 3.14 on the same program
 
@@ -109,7 +110,7 @@ def test_a_guess_outside_its_bounds_counts_as_the_bound():
     grid = module.make_grid(40)
     with np.errstate(all="ignore"):  # of the guess, as machine code does
         scaled = scaled_grid(grid, module.initial_guess(grid))
-        result = solving.solve(module)
+        result = api.solve(module)
     assert scaled.sizes.size == 0 or scaled.sizes.min() >= 1e-6
     assert result.status == "solved", result.message
     assert -result.cost == pytest.approx(0.610775, rel=1e-3)

@@ -16,18 +16,18 @@ import sympy
 from simulation_systems import model_of, module_of
 
 import codegen
-from codegen import schemes
-from codegen.checks.derivation.one_step import has_symplectic_table
-from codegen.compiler import build, generate
-from codegen.discretise.nodes import LENGTHS, STEP
-from codegen.drivers.fsolve import simulate as fsolve
+from codegen.discretise import schemes
+from codegen.discretise.interval import LENGTHS, STEP
+from codegen.discretise.schemes.base import Tableau
+from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.naming import Choices
 from codegen.errors import ArgumentError, SchemeError
-from codegen.loading import load
-from codegen.naming import Choices
-from codegen.schemes.base import Tableau
-from codegen.schemes.particles import PARTICLE_SCHEMES
-from codegen.solutions.result import Run
-from codegen.transcribe import transcribe
+from codegen.evidence.checks.one_step import has_symplectic_table
+from codegen.solving.compiler import build, generate
+from codegen.solving.drivers.fsolve import simulate as fsolve
+from codegen.solving.loading import load
+from codegen.solving.results.result import Run
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 _MECHANICAL, _FIRST_ORDER = (schemes.of_method(method) for method in ("hamiltonian", schemes.FIRST_ORDER))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from codegen import schemes
+from codegen.discretise import schemes
 from codegen.errors import ArgumentError, SchemeError
 from codegen.show.equations import equations
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from codegen.cli import main
 from codegen.errors import ArgumentError, SchemeError
-from codegen.show.modified_equations import analysis
+from codegen.evidence.analysis.display import analysis
 
 
 @pytest.mark.parametrize("order", [0, -1, 9])

@@ -118,7 +118,7 @@ def test_too_few_values_are_said_to_be(folder):
 
 def test_the_record_of_a_solve_has_estimates(folder):
     outcome = codegen.solve(interpreted(write_decay(folder)))
-    from codegen.solutions import output
+    from codegen.solving.results import output
 
     record = json.loads(output.as_json(output.as_record(outcome, 0.0, 0.0)))["estimates"]
     assert record["parameters"]["k"]["value"] == pytest.approx(outcome.summary["k"])

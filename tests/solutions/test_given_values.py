@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from codegen.batch.quantities import quantities
 from codegen.errors import ArgumentError
-from codegen.loading import load
-from codegen.solutions.given_values import as_number, duration_arguments, parameter_arguments, prescribed_ends
-from codegen.solving.other_values import with_values
-from codegen.sweeping.quantities import quantities
+from codegen.solving.loading import load
+from codegen.solving.request import with_values
+from codegen.solving.results.overrides import as_number, duration_arguments, parameter_arguments, prescribed_ends
 
 GENERATED = Path(__file__).parents[2] / "generated"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import golden
 import pytest
 
-from codegen.solutions.notes import notes, record_in
+from codegen.solving.results.output import notes, record_in
 
 
 @pytest.mark.parametrize("name", sorted(golden.names()))

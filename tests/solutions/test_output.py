@@ -11,11 +11,11 @@ from invented_results import BOUNDED, unsolved
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from codegen import solving
-from codegen.notebooks.solution import html
-from codegen.plots import style
 from codegen.runtime.search.iteration_log import print_log
-from codegen.solutions.output import as_record, as_table, log_table
+from codegen.show.figures import style
+from codegen.show.notebook_solution import html
+from codegen.solving import api
+from codegen.solving.results.output import as_record, as_table, log_table
 
 NEWTON = (4.5, 1e-9, 2e-3, 0.0, 1.0)
 INTERIOR_POINT = (*NEWTON, 0.25)
@@ -60,7 +60,7 @@ def test_log_of_either_solver(interpreted, capsys, row, last):
 )
 def test_steps_of_phases(interpreted, problem, steps):
     """Both phases have as many as were asked for."""
-    result = solving.solve(interpreted(problem), steps=3)
+    result = api.solve(interpreted(problem), steps=3)
     console, figure = Console(width=120), Figure()
     with console.capture() as captured:
         console.print(as_table(as_record(result, 0.0, 0.0), result))
@@ -78,7 +78,7 @@ def test_steps_of_phases(interpreted, problem, steps):
 )
 def test_names_of_an_author_are_shown_as_written(interpreted, name, text, shown):
     """On the terminal and in a notebook; other words have blanks between them."""
-    result = solving.solve(interpreted(name, text))
+    result = api.solve(interpreted(name, text))
     console = Console(width=120)
     with console.capture() as captured:
         console.print(as_table(as_record(result, 0.0, 0.0), result))

@@ -12,7 +12,7 @@ from interpreted import text_of, without_compilation
 
 from codegen import Control, control, states
 from codegen.runtime.search import callbacks
-from codegen.solutions.control import MANY_TERMS, _rounding_level
+from codegen.solving.results.control import MANY_TERMS, _rounding_level
 
 AREA = 0.1
 

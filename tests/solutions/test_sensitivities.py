@@ -11,7 +11,7 @@ from measured_decay import write_decay
 
 import codegen
 from codegen.errors import ArgumentError, NumericsError
-from codegen.solutions import output
+from codegen.solving.results import output
 
 PROBLEM = '''"""{title}"""
 from sympy import Eq, cos

@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 from made_records import control_record
 
-from codegen import solving
-from codegen.solutions.output import as_record, as_table
-from codegen.solutions.result import component_units
+from codegen.solving import api
+from codegen.solving.results.output import as_record, as_table
+from codegen.solving.results.result import component_units
 
 SPRING = '''"""Let a mass on a spring swing."""
 from codegen import Simulate, coordinate, parameters
@@ -23,7 +23,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def solution(interpreted):
-    return solving.solve(interpreted("spring", SPRING))
+    return api.solve(interpreted("spring", SPRING))
 
 
 def test_those_that_follow_are_there_as_well(solution):

@@ -9,12 +9,12 @@ import pytest
 from compiled_modules import compiled
 from conftest import PROBLEMS
 
-from codegen import solving
-from codegen.compiler import build
 from codegen.errors import ArgumentError
-from codegen.solutions import output
-from codegen.solving.accuracy.arcs import Gap
-from codegen.solving.accuracy.loop import bisected, equal, refined
+from codegen.solving import api
+from codegen.solving.accuracy import bisected, equal, refined
+from codegen.solving.arcs import Gap
+from codegen.solving.compiler import build
+from codegen.solving.results import output
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def layer(interpreted):
 @pytest.mark.parametrize("request_", [1e-3, 1e-5])
 def test_states_and_cost_are_as_accurate_as_asked(effort, request_):
     # x = 3 t^2 - 2 t^3 from rest to rest; the integral of u^2 is 12.
-    result = solving.solve(effort, steps=10, accuracy=request_)
+    result = api.solve(effort, steps=10, accuracy=request_)
     assert result.status == "solved"
     found = result.accuracy
     assert found.estimate <= request_
@@ -47,7 +47,7 @@ def test_states_and_cost_are_as_accurate_as_asked(effort, request_):
 
 def test_layers_get_the_short_intervals(layer):
     # The closed form of the problem's file for long times.
-    result = solving.solve(layer, steps=50, accuracy=1e-4)
+    result = api.solve(layer, steps=50, accuracy=1e-4)
     exact = (np.sqrt(2.0) * (1.5**2 + 1.0) + 1.0 - 1.5**2) / 2.0
     assert result.status == "solved"
     assert abs(result.cost - exact) <= 1e-4 * exact
@@ -59,7 +59,7 @@ def test_layers_get_the_short_intervals(layer):
 
 def test_a_switch_is_closed_in_upon(fastest):
     # T = 2, and the control switches at half time, which no node of the first grid is.
-    result = solving.solve(fastest, steps=7, accuracy=1e-5)
+    result = api.solve(fastest, steps=7, accuracy=1e-5)
     assert result.status == "solved"
     assert result.t[-1] == pytest.approx(2.0, rel=1e-5)
     inside = np.argmin(np.abs(0.5 * (result.t[1:] + result.t[:-1]) - 1.0))
@@ -67,7 +67,7 @@ def test_a_switch_is_closed_in_upon(fastest):
 
 
 def test_what_cannot_be_reached_is_not_claimed(effort):
-    result = solving.solve(effort, steps=10, accuracy=1e-15, time_limit=5.0)
+    result = api.solve(effort, steps=10, accuracy=1e-15, time_limit=5.0)
     assert result.status == "accuracy not reached"
     assert result.accuracy.estimate > 1e-15
     assert "not reached" in result.message
@@ -76,7 +76,7 @@ def test_what_cannot_be_reached_is_not_claimed(effort):
 
 
 def test_the_history_is_in_the_record(effort):
-    result = solving.solve(effort, steps=10, accuracy=1e-3)
+    result = api.solve(effort, steps=10, accuracy=1e-3)
     record = json.loads(output.as_json(output.as_record(result, 0.0, 0.0)))["accuracy"]
     assert record["reached"] is True
     assert record["request"] == 1e-3
@@ -86,9 +86,9 @@ def test_the_history_is_in_the_record(effort):
 
 def test_accuracy_and_doublings_exclude_each_other(effort):
     with pytest.raises(ArgumentError, match="--accuracy beside --doublings"):
-        solving.solve(effort, accuracy=1e-3, doublings=1)
+        api.solve(effort, accuracy=1e-3, doublings=1)
     with pytest.raises(ArgumentError, match="between 0 and 1"):
-        solving.solve(effort, accuracy=0.0)
+        api.solve(effort, accuracy=0.0)
 
 
 def test_errors_of_equal_size_are_distributed():

@@ -10,11 +10,11 @@ from conftest import PROBLEMS
 from few_landmarks import START, STEPS, TARGET, few
 from scipy.integrate import solve_ivp
 
-from codegen import solving
-from codegen.author.points import PointSet, read_points
-from codegen.compiler import build
-from codegen.loading import load
+from codegen.problem.points import PointSet, read_points
 from codegen.runtime.particles import shooting, steps
+from codegen.solving import api
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 
 FILE = PROBLEMS / "image_registration.py"
 
@@ -39,7 +39,7 @@ def module(interpreted):
 def test_forty_landmarks_against_an_independent_program(compiled):
     """The discrete cost h sum 2H, from a hand-written program with numpy and scipy's fsolve."""
     points = read_points(PROBLEMS / "data" / "trilobite40.csv", 2)
-    result = solving.solve(compiled, points=points)
+    result = api.solve(compiled, points=points)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(1.0220537180672813, abs=1e-9)
     assert result.residual < 1e-11
@@ -76,7 +76,7 @@ def test_the_guessed_way_where_its_circle_is_a_line(module, start, target):
 
 @pytest.mark.parametrize("scheme", ["explicit-euler", "midpoint", "stormer-verlet", "rk4", "yoshida-4-of-midpoint"])
 def test_order_against_an_adaptive_reference(module, scheme):
-    reference = solving.solve(module("dop853"), points=few(), steps=2, tolerance=1e-13).cost
+    reference = api.solve(module("dop853"), points=few(), steps=2, tolerance=1e-13).cost
     order = module(scheme).metadata.order
     coarse, fine = (abs(module(scheme).solve(START, TARGET, n).cost - reference) for n in (4, 8))
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.45)
@@ -84,7 +84,7 @@ def test_order_against_an_adaptive_reference(module, scheme):
 
 @pytest.mark.parametrize("scheme", ["dop853", "lsoda"])
 def test_adaptive_schemes_arrive_and_keep_the_energy(module, scheme):
-    result = solving.solve(module(scheme), points=few(), steps=4, tolerance=1e-11)
+    result = api.solve(module(scheme), points=few(), steps=4, tolerance=1e-11)
     assert result.status == "solved", result.message
     assert result.summary["energy_drift"] < 1e-9
     momenta = result.p[0].reshape(3, 2)
@@ -148,14 +148,14 @@ def test_shooting_and_all_states_agree(module, scheme):
 
 @pytest.mark.parametrize(("scheme", "method"), [("explicit-euler", "stepping"), ("midpoint", "full")])
 def test_fsolve_agrees(module, scheme, method):
-    ours, theirs = (solving.solve(module(scheme, method), d, points=few(), steps=3) for d in ("newton", "fsolve"))
+    ours, theirs = (api.solve(module(scheme, method), d, points=few(), steps=3) for d in ("newton", "fsolve"))
     assert theirs.status == "solved", theirs.message
     assert theirs.cost == pytest.approx(ours.cost, abs=1e-9)
 
 
 def test_fmin_agrees(interpreted, module):
     pair = PointSet(START[:2], TARGET[:2], np.zeros(2))
-    ours, theirs = (solving.solve(module("explicit-euler"), d, points=pair, steps=2) for d in ("newton", "fmin"))
+    ours, theirs = (api.solve(module("explicit-euler"), d, points=pair, steps=2) for d in ("newton", "fmin"))
     assert theirs.status == "solved", theirs.message
     assert theirs.cost == pytest.approx(ours.cost, abs=1e-7)
 
@@ -164,7 +164,7 @@ def test_fmin_agrees(interpreted, module):
 @pytest.mark.parametrize("scheme", ["symplectic-euler", "symplectic-euler-adjoint", "midpoint"])
 def test_the_action_has_the_optimum_of_its_symplectic_scheme(module, scheme, driver):
     stepping = module(scheme).solve(START, TARGET, 3)
-    result = solving.solve(module(scheme, "action"), driver, points=few(), steps=3)
+    result = api.solve(module(scheme, "action"), driver, points=few(), steps=3)
     assert result.status == "solved", result.message
     assert result.cost == pytest.approx(stepping.cost, abs=1e-7)
 

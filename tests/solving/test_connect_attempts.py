@@ -7,13 +7,13 @@ import pytest
 from conftest import PROBLEMS
 from few_landmarks import START, TARGET, few
 
-from codegen import solving
-from codegen.author.points import PointSet, read_points
 from codegen.errors import ArgumentError, PointsError, SchemeError
+from codegen.problem.points import PointSet, read_points
 from codegen.runtime.particles import cascade, shooting
 from codegen.runtime.particles.trajectory import follow
-from codegen.solutions.connect import connect_result
-from codegen.solutions.result import ConnectAttempt, Run
+from codegen.solving import api
+from codegen.solving.results.connect import connect_result
+from codegen.solving.results.result import ConnectAttempt, Run
 
 
 @pytest.fixture
@@ -117,13 +117,13 @@ def test_a_false_claim_of_success_is_downgraded(module):
 
 def test_what_does_not_fit_is_refused(module):
     with pytest.raises(ArgumentError, match="use --method action"):
-        solving.solve(module("midpoint"), "slsqp", points=few())
+        api.solve(module("midpoint"), "slsqp", points=few())
     row = np.stack([0.01 * np.arange(13), np.zeros(13)], axis=1)
     thirteen = PointSet(row, row + 0.1, np.zeros(13))
     with pytest.raises(ArgumentError, match="at most 24"):
-        solving.solve(module("explicit-euler"), "fmin", points=thirteen)
+        api.solve(module("explicit-euler"), "fmin", points=thirteen)
     with pytest.raises(PointsError, match="no points"):
-        solving.solve(module("midpoint"))
+        api.solve(module("midpoint"))
     with pytest.raises(SchemeError, match="no action belongs to it"):
         module("rk4", "action")
     with pytest.raises(SchemeError, match="chooses its own steps"):
@@ -148,7 +148,7 @@ def test_neighbours_that_turn_at_a_millionth(module):
     """Momenta of 1e5 leave residuals above the tolerance that are rounding; each place is met to 1e-8."""
     start, target = START.copy(), TARGET.copy()
     start[1], target[1] = start[0] + [1e-6, 0.0], target[0] + [0.0, 1e-6]
-    result = solving.solve(module("explicit-euler"), points=PointSet(start, target, np.zeros(3)), steps=10)
+    result = api.solve(module("explicit-euler"), points=PointSet(start, target, np.zeros(3)), steps=10)
     assert result.status == "solved", result.message
     assert result.residual < 1e-8
 

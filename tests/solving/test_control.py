@@ -16,13 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import lambdify
 
-from codegen.analysis.maximum_principle import exact_optimum, reference_optimum
-from codegen.model.from_file import load_problem
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.schemes import METHODS
+from codegen.discretise.transcribe import MOST_PARTS
+from codegen.evidence.analysis.maximum_principle import exact_optimum, reference_optimum
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
-from codegen.schemes import METHODS
-from codegen.transcribe import MOST_PARTS
 
 EXACT = 4.530760981081599  # of the linear pendulum, from the maximum principle
 

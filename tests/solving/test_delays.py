@@ -12,16 +12,17 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from sympy import Eq, cos, sin
 
-from codegen import Control, canonical_pair, control, controls, coordinate, coordinates, solving, state, states, time
-from codegen.drivers import find as find_driver
-from codegen.model import normalise
-from codegen.plots.quantities import quantities_of_segments
-from codegen.solutions.control import control_result
-from codegen.solutions.output import save
-from codegen.solutions.result import Run
-from codegen.solutions.segments import put_together, segments_of
+from codegen import Control, canonical_pair, control, controls, coordinate, coordinates, state, states, time
+from codegen.discretise.model.phases import normalise
+from codegen.show.figures.quantities import quantities_of_segments
+from codegen.solving import api
+from codegen.solving.drivers import find as find_driver
 from codegen.solving.outcome import outcome_of
 from codegen.solving.request import Request
+from codegen.solving.results.control import control_result
+from codegen.solving.results.output import save
+from codegen.solving.results.result import Run
+from codegen.solving.results.segments import put_together, segments_of
 
 PUBLISHED = 2.79685770
 """Betts, example 10.90."""
@@ -183,7 +184,7 @@ def test_a_solve_is_of_the_whole_motion(interpreted: Interpreted, folder: Path):
         assert archive["q"].shape == (101, 1)
         assert archive["u_times"] == pytest.approx(np.linspace(0.025, 4.975, 100))
         assert list(archive["q_names"]) == ["q"]
-    again = solving.solve(module, steps=50, warm=folder / "calm.npz", doublings=1)
+    again = api.solve(module, steps=50, warm=folder / "calm.npz", doublings=1)
     assert [level.steps for level in again.levels] == [50, 100]
     assert again.cost == pytest.approx(CALMED[100], rel=1e-10)
 

@@ -10,11 +10,12 @@ from compiled_modules import compiled
 from conftest import PROBLEMS
 from interpreted import of_problem
 
-from codegen import Control, control, free_parameter, solving, states
-from codegen.compiler import build
-from codegen.solutions import output
-from codegen.solutions.result import UNKNOWN_ERROR
-from codegen.solving.accuracy.arcs import discretisation_error
+from codegen import Control, control, free_parameter, states
+from codegen.solving import api
+from codegen.solving.arcs import discretisation_error
+from codegen.solving.compiler import build
+from codegen.solving.results import output
+from codegen.solving.results.result import UNKNOWN_ERROR
 
 FACTOR = 3.0
 EFFORT, PENDULUM = 12.0, 4.530760981081599
@@ -38,9 +39,9 @@ def within(estimate: float, truth: float) -> bool:
 @pytest.mark.parametrize(("method", "scheme", "controls"), SCHEMES)
 def test_closed_forms(interpreted, method, scheme, controls, steps):
     choices = {"method": method, "scheme": scheme, "controls": controls}
-    pendulum = solving.solve(interpreted("linear_pendulum", **choices), steps=steps)
+    pendulum = api.solve(interpreted("linear_pendulum", **choices), steps=steps)
     assert within(pendulum.error.cost, abs(pendulum.cost - PENDULUM) / PENDULUM)
-    effort = solving.solve(interpreted("double_integrator_effort", **choices), steps=steps)
+    effort = api.solve(interpreted("double_integrator_effort", **choices), steps=steps)
     assert within(effort.error.cost, abs(effort.cost - EFFORT) / EFFORT)
     exact = np.stack([3.0 * effort.t**2 - 2.0 * effort.t**3, 6.0 * effort.t - 6.0 * effort.t**2], axis=1)
     found = np.column_stack([effort.q, effort.p])
@@ -54,7 +55,7 @@ def test_closed_forms(interpreted, method, scheme, controls, steps):
 @pytest.mark.parametrize("steps", [6, 10])
 def test_fourth_order_with_controls_at_stages(interpreted, steps):
     module = interpreted("linear_pendulum", scheme="gauss-4", controls="stages")
-    result = solving.solve(module, steps=steps)
+    result = api.solve(module, steps=steps)
     assert within(result.error.cost, abs(result.cost - PENDULUM) / PENDULUM)
 
 
@@ -77,7 +78,7 @@ def damped(limit: float) -> Control:
 @pytest.mark.parametrize("scheme", ["midpoint", "gauss-4", "rk4", "hermite-simpson"])
 def test_richardson(scheme, limit):
     module = of_problem(damped(limit), scheme=scheme)
-    coarse, middle, fine = (solving.solve(module, steps=steps) for steps in (20, 40, 80))
+    coarse, middle, fine = (api.solve(module, steps=steps) for steps in (20, 40, 80))
     truth = fine.cost + (fine.cost - middle.cost) / 3.0
     states = fine.q[::4] + (fine.q[::4] - middle.q[::2]) / 3.0
     errors = np.abs(coarse.q - states).max(axis=0) / np.abs(coarse.q).max(axis=0)
@@ -90,7 +91,7 @@ def test_richardson(scheme, limit):
 @pytest.mark.parametrize("name", ["two_stage_rocket", "hovercraft", "brachistochrone"])
 def test_phases_bodies_and_free_durations(interpreted, name):
     module = interpreted(name)
-    coarse, middle, fine = (solving.solve(module, steps=steps) for steps in (10, 20, 40))
+    coarse, middle, fine = (api.solve(module, steps=steps) for steps in (10, 20, 40))
     truth = fine.cost + (fine.cost - middle.cost) / 3.0
     assert within(middle.error.cost, abs(middle.cost / truth - 1.0))
     assert within(coarse.error.cost, abs(coarse.cost / truth - 1.0))
@@ -104,7 +105,7 @@ def ethanol(cache_folder):
 @pytest.mark.parametrize("steps", [100, 200, 400])
 def test_controls_that_chatter_are_noted(ethanol, steps):
     """Midpoints alternate along the singular arc, and with 400 intervals the optimum is another, of 18126."""
-    result = solving.solve(ethanol, steps=steps, parameters={"hours": 54})
+    result = api.solve(ethanol, steps=steps, parameters={"hours": 54})
     assert result.solved
     assert result.error.is_large
     (note,) = result.notes
@@ -113,13 +114,13 @@ def test_controls_that_chatter_are_noted(ethanol, steps):
 
 
 def test_a_figure_is_small_where_the_error_is(interpreted):
-    result = solving.solve(interpreted("linear_pendulum"), steps=100)
+    result = api.solve(interpreted("linear_pendulum"), steps=100)
     assert not result.error.is_large
     assert result.notes == ()
 
 
 def test_the_estimate_is_shown(interpreted):
-    result = solving.solve(interpreted("linear_pendulum"), steps=10)
+    result = api.solve(interpreted("linear_pendulum"), steps=10)
     record = json.loads(output.as_json(output.as_record(result, 0.0, 0.0)))
     assert record["summary"]["cost_error"] == result.error.cost
     assert record["summary"]["state_error"] == result.error.states
@@ -128,8 +129,8 @@ def test_the_estimate_is_shown(interpreted):
 
 def test_no_estimate_is_noted(interpreted, monkeypatch):
     module = interpreted("linear_pendulum")
-    result = solving.solve(module, steps=10)
-    monkeypatch.setattr("codegen.solving.accuracy.arcs._carried_on", lambda *_: None)
+    result = api.solve(module, steps=10)
+    monkeypatch.setattr("codegen.solving.arcs._carried_on", lambda *_: None)
     assert discretisation_error(module, result, lambda *_: None) is None
     monkeypatch.setattr("codegen.solving.outcome.discretisation_error", lambda *_, **__: None)
-    assert solving.solve(module, steps=10).notes == (UNKNOWN_ERROR,)
+    assert api.solve(module, steps=10).notes == (UNKNOWN_ERROR,)

@@ -15,16 +15,17 @@ from made_records import control_record
 from sympy import Eq
 from typer.testing import CliRunner
 
-from codegen import Control, controls, solving, states
+from codegen import Control, controls, states
 from codegen.cli import main
-from codegen.compiler import generate
+from codegen.emit.naming import Choices
 from codegen.errors import BoundaryError
-from codegen.interfaces import time_grid
-from codegen.naming import Choices
 from codegen.runtime.search.bounds import prescribed_beyond
 from codegen.runtime.search.solve import has_run_away
-from codegen.solutions.notes import notes
-from codegen.solutions.result import STATUSES
+from codegen.solving import api
+from codegen.solving.compiler import generate
+from codegen.solving.interfaces import time_grid
+from codegen.solving.results.output import notes
+from codegen.solving.results.result import STATUSES
 
 
 def module_of(folder: Path, text: str):
@@ -133,7 +134,7 @@ def test_machine_code_gives_the_same_numbers():
 def test_other_drivers_name_the_row_too(tmp_path, driver):
     """Two circles that do not meet."""
     (case,) = (case for case in FAILING if case.id == "circles-that-do-not-meet")
-    result = solving.solve(module_of(tmp_path, case.text), driver)
+    result = api.solve(module_of(tmp_path, case.text), driver)
     assert result.status in set(STATUSES) - {"solved"}
     assert "= 1 at the end is off by" in result.message
 
@@ -145,12 +146,12 @@ def test_other_drivers_name_the_row_too(tmp_path, driver):
 )
 def test_equations_hold_where_they_depend_on_each_other(tmp_path, case: Failing, plain: str):
     """The point that is returned is feasible, and its cost is that of the sound problem beside it."""
-    result = solving.solve(module_of(tmp_path, case.text))
+    result = api.solve(module_of(tmp_path, case.text))
     assert result.residual <= 1e-9
     if result.status != "solved":
         assert result.status == case.status
         assert all(fragment in result.message for fragment in case.fragments)
-    solved = solving.solve(module_of(tmp_path, Failing("", plain, "", ()).text))
+    solved = api.solve(module_of(tmp_path, Failing("", plain, "", ()).text))
     assert solved.status == "solved"
     assert result.cost == pytest.approx(solved.cost, rel=1e-6)
 
@@ -166,16 +167,16 @@ def test_coupling_without_slope_is_refused(tmp_path):
 def test_minimum_where_the_hessian_is_singular_is_no_saddle_point(tmp_path):
     """A control that only acts together with another, so that the Hessian had to be shifted."""
     text = mass('w = control("w")', dynamics="{x: v, v: sin(u + w)}", cost="(u + w)**2", end="{x: 0.1, v: 0}")
-    result = solving.solve(module_of(tmp_path, Failing("", text, "", ()).text))
+    result = api.solve(module_of(tmp_path, Failing("", text, "", ()).text))
     assert result.status == "solved"
     alone = mass(dynamics="{x: v, v: sin(u)}", end="{x: 0.1, v: 0}")
-    assert result.cost == pytest.approx(solving.solve(module_of(tmp_path, Failing("", alone, "", ()).text)).cost)
+    assert result.cost == pytest.approx(api.solve(module_of(tmp_path, Failing("", alone, "", ()).text)).cost)
 
 
 def test_long_duration_that_is_best_is_no_runaway(tmp_path):
     """Least u^2 + time for a long way: T^4 = 36 (2e6)^2 in closed form, far beyond the guess."""
     text = mass('T = free_parameter("T", 1, lower=0.01)', terminal_cost="T", duration="T", end="{x: 2e6, v: 0}")
-    result = solving.solve(module_of(tmp_path, Failing("", text, "", ()).text))
+    result = api.solve(module_of(tmp_path, Failing("", text, "", ()).text))
     assert result.status == "solved", result.message
     factor = 6**2 / (6**2 - 1)  # of the discrete optimum, N^2/(N^2 - 1)
     assert result.summary["duration"] == pytest.approx((36 * factor * 4e12) ** 0.25, rel=1e-8)

@@ -8,8 +8,8 @@ from compiled_modules import compiled
 from conftest import PROBLEMS
 from gallery_references import BIOPTIM, REFERENCES, Reference
 
-from codegen import solving
-from codegen.compiler import build
+from codegen.solving import api
+from codegen.solving.compiler import build
 
 ON_ALL_GRIDS = ("cart_pole", "goddard_rocket", "hovercraft", "hypersensitive", "brachistochrone")
 """Problems that are solved on all their grids; the others on their coarsest one."""
@@ -30,7 +30,7 @@ def test_optimum_and_value(interpreted, reference):
     else:
         module = interpreted(reference.problem, arguments=dict(reference.arguments), scheme=reference.scheme)
     for steps, optimum in reference.optima.items():
-        result = solving.solve(module, steps=steps)
+        result = api.solve(module, steps=steps)
         assert result.status == "solved", result.message
         assert result.residual <= 1e-9
         assert result.cost == pytest.approx(optimum, rel=2e-8, abs=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from interpreted import without_compilation
 
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 _GUESSED = '''"""An oscillator that starts from a file."""
 

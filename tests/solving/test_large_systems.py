@@ -9,20 +9,20 @@ import sympy
 from interpreted import Interpreted, of_problem
 from numpy.testing import assert_allclose
 
-from codegen import checks, schemes
-from codegen import expressions as differentiate
-from codegen.checks import Context
-from codegen.derive import step_derivatives
-from codegen.discretise import STEP
+from codegen.discretise import schemes
+from codegen.discretise.interval import STEP
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
+from codegen.discretise.simulation import linear_in, phase_functions
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.differentiation import step_derivatives
+from codegen.emit.naming import Choices
 from codegen.errors import SizeError
-from codegen.expressions.samples import hessian_samples
-from codegen.model import Model
-from codegen.model.from_file import load_problem
-from codegen.model.legendre import conjugate_symbols, hamiltonian_form, in_phase_space
-from codegen.naming import Choices
-from codegen.transcribe import transcribe
-from codegen.transcribe.simulation.elimination import linear_in
-from codegen.transcribe.simulation.phase_functions import phase_functions
+from codegen.evidence import checks
+from codegen.evidence.checks.base import Context
+from codegen.symbolic import derivatives as differentiate
+from codegen.symbolic.derivatives import hessian_samples
 
 FOLDER = Path(__file__).parents[1] / "large_systems"
 

@@ -9,15 +9,16 @@ from conftest import PROBLEMS
 from failing_problems import INFEASIBLE
 from typer.testing import CliRunner
 
-from codegen import drivers, solving, terminal
+from codegen import terminal
 from codegen.cli import main
 from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
 from codegen.runtime.search import descent, iteration_log, restoration, solution
 from codegen.runtime.search.messages import row_text
 from codegen.runtime.search.slacks import with_violations
-from codegen.solutions import output
+from codegen.solving import api, drivers
 from codegen.solving.outcome import LEAST_TIME, Outcome
+from codegen.solving.results import output
 
 
 class Clock:
@@ -54,7 +55,7 @@ class SteadyClock:
 def test_the_time_runs_out(interpreted, monkeypatch, clock, name, is_watched):
     """With and without bounds, the search stops at the first iterate after the time, and says how far it came."""
     module, seen = interpreted(name), []
-    whole = solving.solve(module, steps=10)
+    whole = api.solve(module, steps=10)
     search = descent.descend
 
     def of_one_second_per_iteration(*arguments):
@@ -66,7 +67,7 @@ def test_the_time_runs_out(interpreted, monkeypatch, clock, name, is_watched):
 
     monkeypatch.setattr(descent, "descend", of_one_second_per_iteration)
     watch = {"watch": lambda number, row: seen.append(number)} if is_watched else {}
-    stopped = solving.solve(module, steps=10, time_limit=2.5, **watch)
+    stopped = api.solve(module, steps=10, time_limit=2.5, **watch)
     assert whole.status == "solved"
     assert stopped.status == "time limit"
     assert stopped.iterations == 3 < whole.iterations
@@ -81,7 +82,7 @@ def test_the_time_runs_out(interpreted, monkeypatch, clock, name, is_watched):
 def test_with_a_time_limit_the_clock_is_looked_at_after_a_millisecond(interpreted, monkeypatch, clock):
     """The search returns after one iteration, then after as many as take a millisecond; the path stays the same."""
     module, counts = interpreted("cart_pole"), []
-    whole = solving.solve(module, steps=10)
+    whole = api.solve(module, steps=10)
     search = descent.descend
 
     def of_a_third_of_a_millisecond_per_iteration(*arguments):
@@ -93,12 +94,12 @@ def test_with_a_time_limit_the_clock_is_looked_at_after_a_millisecond(interprete
         return status
 
     monkeypatch.setattr(descent, "descend", of_a_third_of_a_millisecond_per_iteration)
-    timed = solving.solve(module, steps=10, time_limit=1.0)
+    timed = api.solve(module, steps=10, time_limit=1.0)
     assert counts[0] == 1
     assert set(counts[1:-1]) == {3}
     np.testing.assert_array_equal(timed.log, whole.log)
     counts.clear()
-    solving.solve(module, steps=10)
+    api.solve(module, steps=10)
     assert counts == [whole.iterations]
 
 
@@ -112,7 +113,7 @@ def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, clock, nam
     """Both solvers lower the violation of equations without a solution, and stop at the first step after the time."""
     (failing,) = (case for case in INFEASIBLE if case.id == name)
     module, steps = interpreted(name.replace("-", "_"), failing.text), []
-    whole = solving.solve(module)
+    whole = api.solve(module)
     original = restoration.sum_of_squares
 
     def of_the_restoration(grid, point):
@@ -121,7 +122,7 @@ def test_the_time_runs_out_in_a_restoration(interpreted, monkeypatch, clock, nam
         return original(grid, point)
 
     monkeypatch.setattr(restoration, "sum_of_squares", of_the_restoration)
-    stopped = solving.solve(module, time_limit=1e5)
+    stopped = api.solve(module, time_limit=1e5)
     assert (whole.status, stopped.status) == ("infeasible", "time limit")
     assert 1 <= len(steps) <= 4
 
@@ -136,7 +137,7 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
 
     monkeypatch.setattr(solution, "Log", Recording)
     monkeypatch.setattr("codegen.solving.run.time.perf_counter", Clock())  # every solve takes one second
-    result = solving.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
+    result = api.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
     assert result.levels[0].status == "solved"
     assert limits[0] == 1.5
     assert limits[-1] == LEAST_TIME
@@ -147,30 +148,30 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan])
 def test_times_that_are_none(interpreted, limit):
     with pytest.raises(ArgumentError, match=r"--time-limit .*positive number of seconds"):
-        solving.solve(interpreted("cart_pole"), steps=5, time_limit=limit)
+        api.solve(interpreted("cart_pole"), steps=5, time_limit=limit)
     with pytest.raises(ValueError, match="time_limit"):
         interpreted("cart_pole").solve(5, time_limit=limit)
 
 
 def test_tasks_and_drivers_without_a_time_limit(interpreted):
     with pytest.raises(ArgumentError, match=r"driver slsqp takes no --time-limit .* newton, ipopt"):
-        solving.solve(interpreted("cart_pole"), "slsqp", steps=5, time_limit=1.0)
+        api.solve(interpreted("cart_pole"), "slsqp", steps=5, time_limit=1.0)
     with pytest.raises(ArgumentError, match="does not apply to a simulate problem"):
-        solving.solve(interpreted("pendulum"), time_limit=1.0)
+        api.solve(interpreted("pendulum"), time_limit=1.0)
 
 
 @pytest.mark.parametrize(("limit", "status"), [({"time_limit": 1e-6}, "time limit"),
                                                ({"max_iterations": 2}, "iteration limit")])  # fmt: skip
 def test_ipopt_says_which_limit_it_met(interpreted, limit, status):
     pytest.importorskip("cyipopt")
-    result = solving.solve(interpreted("cart_pole"), "ipopt", steps=10, **limit)
+    result = api.solve(interpreted("cart_pole"), "ipopt", steps=10, **limit)
     assert result.status == status
     assert f"raise {next(iter(limit))}, or try driver newton" in result.message
 
 
 def test_iterates_are_shown_as_they_come(interpreted):
     seen = []
-    result = solving.solve(interpreted("cart_pole"), steps=10, watch=lambda number, row: seen.append((number, row[0])))
+    result = api.solve(interpreted("cart_pole"), steps=10, watch=lambda number, row: seen.append((number, row[0])))
     assert [number for number, _ in seen] == list(range(result.iterations + 1))
     assert seen[-1][1] == pytest.approx(result.cost)
 
@@ -178,11 +179,11 @@ def test_iterates_are_shown_as_they_come(interpreted):
 def test_what_has_no_iterates_to_be_shown_is_refused(interpreted):
     """By the table of drivers, before anything is solved; so is a limit of iterations that a module does not have."""
     with pytest.raises(ArgumentError, match="--watch does not apply to a simulate problem, only to optimisation;"):
-        solving.solve(interpreted("pendulum"), steps=2, watch=print)
+        api.solve(interpreted("pendulum"), steps=2, watch=print)
     with pytest.raises(ArgumentError, match=r"driver slsqp takes no --watch for a control problem; .* newton"):
-        solving.solve(interpreted("cart_pole"), "slsqp", steps=2, watch=print)
+        api.solve(interpreted("cart_pole"), "slsqp", steps=2, watch=print)
     with pytest.raises(ArgumentError, match="--max-iterations of particles"):
-        solving.solve(interpreted("lennard_jones"), steps=2, max_iterations=3)
+        api.solve(interpreted("lennard_jones"), steps=2, max_iterations=3)
 
 
 def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
@@ -213,8 +214,8 @@ def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
 
 def solved(monkeypatch, interpreted, *words):
     """What `codegen solve` prints with a module that is run by the interpreter."""
-    monkeypatch.setattr("codegen.loading.load", lambda path: interpreted("cart_pole"))
-    monkeypatch.setattr("codegen.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+    monkeypatch.setattr("codegen.solving.loading.load", lambda path: interpreted("cart_pole"))
+    monkeypatch.setattr("codegen.solving.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
     found = CliRunner().invoke(main, ["solve", str(PROBLEMS / "cart_pole.py"), "--steps", "10", "--json", *words])
     return json.loads(found.stdout), found.stderr
 
@@ -232,7 +233,7 @@ def test_messages_name_the_option_that_was_given(monkeypatch, interpreted, words
 
 
 def test_results_name_arguments_where_functions_are_called(interpreted):
-    result = solving.solve(interpreted("cart_pole"), steps=10, max_iterations=2, doublings=1)
+    result = api.solve(interpreted("cart_pole"), steps=10, max_iterations=2, doublings=1)
     assert all("raise max_iterations" in text for text in (result.message, result.levels[0].message))
     named = with_options(Outcome(None, result, 0.0, 0.0, [])).result
     assert all("raise --max-iterations" in text for text in (named.message, named.levels[0].message))
@@ -240,7 +241,7 @@ def test_results_name_arguments_where_functions_are_called(interpreted):
 
 @pytest.mark.parametrize("driver", ["newton", "slsqp"])
 def test_no_driver_is_advised_to_try_itself(interpreted, monkeypatch, driver):
-    monkeypatch.setattr("codegen.solutions.control._rounding_level", lambda *_: 0.0)
+    monkeypatch.setattr("codegen.solving.results.control._rounding_level", lambda *_: 0.0)
     module = interpreted("cart_pole")
     function = drivers.find(driver).function("control")
 
@@ -250,27 +251,27 @@ def test_no_driver_is_advised_to_try_itself(interpreted, monkeypatch, driver):
         changed[module.primal_unknowns(module.make_grid(request.steps))] += 1e-3
         return type(attempt)(**{**vars(attempt), "unknowns": changed, "status": "solved"})
 
-    monkeypatch.setattr(f"codegen.drivers.{driver}.control", liar)
-    result = solving.solve(module, driver, steps=6)
+    monkeypatch.setattr(f"codegen.solving.drivers.{driver}.control", liar)
+    result = api.solve(module, driver, steps=6)
     assert result.status == "inaccurate"
     assert ("driver newton" in result.message) == (driver != "newton")
 
 
 class TestGrids:
     def test_every_grid_is_told_of(self, interpreted):
-        result = solving.solve(interpreted("double_integrator_effort"), steps=10, doublings=2)
+        result = api.solve(interpreted("double_integrator_effort"), steps=10, doublings=2)
         assert [level.steps for level in result.levels] == [10, 20, 40]
         for level in result.levels:  # the discrete optimum in closed form
             assert level.cost == pytest.approx(12 * level.steps**2 / (level.steps**2 - 1), rel=1e-10)
         record = output.as_record(result, 0.0, 0.0)
         assert [level["steps"] for level in record["levels"]] == [10, 20, 40]
         assert record["levels"][-1]["cost"] == record["cost"]
-        assert "levels" not in output.as_record(solving.solve(interpreted("cart_pole"), steps=5), 0.0, 0.0)
+        assert "levels" not in output.as_record(api.solve(interpreted("cart_pole"), steps=5), 0.0, 0.0)
 
     def test_a_coarse_grid_that_fails_ends_nothing(self, interpreted):
         """One interval has no node between the ends, where the double integrator has two conditions too many."""
         module = interpreted("double_integrator_effort")
-        result = solving.solve(module, steps=1, doublings=3)
+        result = api.solve(module, steps=1, doublings=3)
         assert [level.status == "solved" for level in result.levels] == [False, True, True, True]
         assert result.status == "solved"
         assert result.cost == pytest.approx(12 * 64 / 63, rel=1e-10)
@@ -279,7 +280,7 @@ class TestGrids:
         assert result.summary["observed_order"] == pytest.approx(order, rel=1e-6)
 
     def test_estimates_come_from_grids_that_were_solved(self, interpreted):
-        result = solving.solve(interpreted("double_integrator_effort"), steps=1, doublings=1)
+        result = api.solve(interpreted("double_integrator_effort"), steps=1, doublings=1)
         assert [level.status == "solved" for level in result.levels] == [False, True]
         assert "cost_extrapolated" not in result.summary
 

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit, least_squares
 
 import codegen
-from codegen.compiler import build
 from codegen.errors import ArgumentError, NumericsError, TableError
+from codegen.solving.compiler import build
 
 
 @pytest.mark.parametrize(("loss", "scipys"), [("huber", "huber"), ("soft-l1", "soft_l1")])

@@ -7,12 +7,13 @@ import pytest
 from interpreted import of_problem
 from sympy import cos, sin
 
-from codegen import Control, control, coordinates, solving, states
+from codegen import Control, control, coordinates, states
 from codegen.errors import ArgumentError
 from codegen.runtime.search import solve
 from codegen.runtime.search.cascade import varied_guess
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.point import evaluate
+from codegen.solving import api
 from codegen.solving.warm_start import varied
 
 
@@ -36,8 +37,8 @@ def hoop():
 
 
 def test_best_of_several_guesses(hoop):
-    alone = solving.solve(hoop)
-    result = solving.solve(hoop, guesses=6)
+    alone = api.solve(hoop)
+    result = api.solve(hoop, guesses=6)
     assert result.solved
     assert not alone.solved or result.cost <= alone.cost * (1 + 1e-9)
     assert len(result.attempts) == result.summary["guesses"] == 6
@@ -50,14 +51,14 @@ def test_best_of_several_guesses(hoop):
 
 def test_where_no_guess_is_solved_the_first_failure_counts(hoop, monkeypatch):
     monkeypatch.setattr(solve, "minimise", lambda grid, unknowns, *rest: ("stalled", hoop.evaluate(grid, unknowns), 0))
-    result = solving.solve(hoop, guesses=3)
+    result = api.solve(hoop, guesses=3)
     assert result.status == "stalled"
     assert result.summary["guesses_solved"] == 0
     assert len(result.attempts) == 3
 
 
 def test_guesses_are_refined_together_with_their_record(hoop):
-    result = solving.solve(hoop, guesses=6, doublings=1)
+    result = api.solve(hoop, guesses=6, doublings=1)
     assert result.solved
     assert result.steps == 12
     assert result.summary["guesses"] == len(result.attempts) == 6
@@ -78,9 +79,9 @@ def test_a_variation_keeps_what_is_given_and_is_reproducible(interpreted, proble
 
 def test_several_guesses_contradict_a_warm_start_and_a_simulation(hoop, pendulum):
     with pytest.raises(ArgumentError, match="warm start"):
-        solving.solve(hoop, guesses=2, warm=hoop.initial_guess(hoop.make_grid(4)))
+        api.solve(hoop, guesses=2, warm=hoop.initial_guess(hoop.make_grid(4)))
     with pytest.raises(ArgumentError, match="optimisation"):
-        solving.solve(pendulum, guesses=2)
+        api.solve(pendulum, guesses=2)
 
 
 def test_a_guess_of_zeros_is_varied():

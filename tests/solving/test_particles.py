@@ -9,8 +9,9 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen import checks, solving
 from codegen.errors import ArgumentError
+from codegen.evidence import checks
+from codegen.solving import api
 
 BOLTZMANN = 1.380658e-23 / 1e-27
 
@@ -105,7 +106,7 @@ def test_thinned_states_are_those_of_all_steps(sun):
 
 
 def test_a_driver_reports_energies(sun):
-    result = solving.solve(sun, steps=20)
+    result = api.solve(sun, steps=20)
     assert result.status == "solved"
     assert result.names["q"][3] == "x_2"
 
@@ -121,4 +122,4 @@ def test_unusable_arguments(sun):
 
 def test_fsolve_says_that_it_does_not_solve_steps_of_particles(sun):
     with pytest.raises(ArgumentError, match="does not solve the steps of particles"):
-        solving.solve(sun, "fsolve", steps=20)
+        api.solve(sun, "fsolve", steps=20)

@@ -11,7 +11,7 @@ from sympy import Eq, sin
 
 from codegen import Control, control, states, time
 from codegen.errors import BoundaryError
-from codegen.solutions import notes
+from codegen.solving.results import output
 
 LEAST = 6 * 400 / 399
 """The discrete cost of the midpoint rule from rest at 1 to rest at 0 in unit time: 6 N^2/(N^2 - 1), N = 20."""
@@ -46,14 +46,14 @@ def test_a_condition_that_is_met_with_equality_at_the_end(kind, scheme):
     assert solution.status == "solved", solution.message
     assert solution.cost == pytest.approx(LEAST, rel=1e-9)
     assert solution.q[-1] == pytest.approx([0, 0], abs=1e-9)
-    (note,) = notes.notes(module.metadata)
+    (note,) = output.notes(module.metadata)
     assert note.endswith("holds with equality at the end, by what is prescribed there, and was left out")
 
 
 def test_a_bound_needs_no_note_where_the_value_is_given():
     module = of_problem(to_rest("bound"))
     assert module.solve().cost == pytest.approx(LEAST, rel=1e-9)
-    assert notes.notes(module.metadata) == []
+    assert output.notes(module.metadata) == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -82,7 +82,7 @@ def test_a_limit_that_nothing_meets_holds_at_a_free_end():
     solution = module.solve()
     assert solution.status == "solved", solution.message
     assert solution.q[:, 0].min() == pytest.approx(0.5, abs=1e-7)
-    assert notes.notes(module.metadata) == []
+    assert output.notes(module.metadata) == []
 
 
 @pytest.mark.parametrize("guess", [2.0, 0.5, -0.5, 0.0, -40.0])

@@ -10,10 +10,10 @@ from interpreted import of_problem
 from sympy import Eq, Symbol, cos, pi, sin
 
 from codegen import Control, controls, coordinates, parameters, states, time
-from codegen.discretise import at_nodes
-from codegen.model import normalise
+from codegen.discretise.interval import at_nodes
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.runtime.record import phrase
-from codegen.transcribe import transcribe
 
 
 def resting(**how) -> Control:

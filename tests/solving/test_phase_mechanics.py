@@ -19,10 +19,10 @@ from codegen import (
     coordinates,
     free_parameter,
     parameters,
-    plots,
-    solving,
 )
-from codegen.plots.quantities import quantities
+from codegen.show import figures
+from codegen.show.figures.quantities import quantities
+from codegen.solving import api
 from codegen.solving.run import transferred
 
 N = 4
@@ -191,8 +191,8 @@ def test_bouncing_ball_against_its_closed_form(interpreted):
 
 def test_warm_start_from_a_coarser_grid(interpreted):
     module = interpreted("bouncing_ball")
-    coarse, cold = (solving.solve(module, steps=steps) for steps in (4, 8))
-    warm = solving.solve(module, steps=8, warm=coarse.unknowns)
+    coarse, cold = (api.solve(module, steps=steps) for steps in (4, 8))
+    warm = api.solve(module, steps=8, warm=coarse.unknowns)
     assert (coarse.steps, cold.steps, warm.steps) == (4, 8, 8)
     assert (cold.status, warm.status) == ("solved", "solved")
     assert warm.cost == pytest.approx(cold.cost, rel=1e-10)
@@ -202,12 +202,12 @@ def test_warm_start_from_a_coarser_grid(interpreted):
 
 def test_figure(interpreted):
     module = interpreted("two_stage_rocket")
-    result = solving.solve(module, steps=5)
+    result = api.solve(module, steps=5)
     found = quantities(module, result)
     m, thrust = found["state"][2], found["control"][0]
     assert (m.jumps, found["state"][0].jumps) == ((5,), ())
     np.testing.assert_allclose(thrust.upper[:, 0], [0.06] * 5 + [0.012] * 5 + [np.inf] * 5)
     assert np.isnan(thrust.values[:, 0]).tolist() == [False] * 10 + [True] * 5
-    figure = plots.control_figure(module, result)
+    figure = figures.control_figure(module, result)
     axes = next(axes for axes in figure.axes if axes.get_ylabel() == "$m$")
     assert [line.get_xdata().size for line in axes.lines[:2]] == [6, 10]

@@ -19,12 +19,12 @@ from codegen import (
     coordinate,
     free_parameter,
     parameters,
-    solving,
     states,
     time,
 )
-from codegen.plots.quantities import inequalities
 from codegen.runtime.search import callbacks
+from codegen.show.figures.quantities import inequalities
+from codegen.solving import api
 
 
 def split(given: dict, duration: float, steps: int) -> tuple[Control, Phases]:
@@ -290,7 +290,7 @@ def test_derivatives_of_the_whole_problem(mixed_module):
 
 
 def test_a_path_inequality_is_shown_in_the_phases_that_have_it(mixed_module):
-    result = solving.solve(mixed_module)
+    result = api.solve(mixed_module)
     shown = {one.name: one for one in inequalities(mixed_module, result)}
     assert set(shown) == {"u + w <= 1.2", "x <= 1.02", "u >= -0.6", "u - v <= 0.9"}
     switches = [result.summary["switch_1"], result.summary["switch_2"]]

@@ -7,8 +7,8 @@ import pytest
 from interpreted import of_problem, without_compilation
 
 from codegen import Control, control, coordinates, solve, states
-from codegen.compiler import build
-from codegen.solutions.poles import poles
+from codegen.solving.compiler import build
+from codegen.solving.results.between_nodes import poles
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from conftest import PROBLEMS
 
-from codegen import solving
 from codegen.errors import ArgumentError, NumericsError
-from codegen.solutions import output
+from codegen.solving import api
+from codegen.solving.results import output
 from codegen.solving.run import order_of_optima, source_steps, transferred
 from codegen.solving.warm_start import fitting, read_start
 
 
 def test_error_estimate_against_the_closed_form(interpreted):
     module = interpreted("double_integrator_effort")
-    result = solving.solve(module, steps=10, doublings=2)
+    result = api.solve(module, steps=10, doublings=2)
     steps = 40
     assert result.cost == pytest.approx(12 * steps**2 / (steps**2 - 1), rel=1e-10)
     error = result.cost - 12.0
@@ -26,8 +26,8 @@ def test_error_estimate_against_the_closed_form(interpreted):
 
 def test_warm_start_from_a_coarser_grid(interpreted):
     module = interpreted("brachistochrone")
-    coarse, cold = solving.solve(module, steps=10), solving.solve(module, steps=20)
-    warm = solving.solve(module, steps=20, warm=coarse.unknowns)
+    coarse, cold = api.solve(module, steps=10), api.solve(module, steps=20)
+    warm = api.solve(module, steps=20, warm=coarse.unknowns)
     assert warm.status == "solved"
     assert warm.cost == pytest.approx(cold.cost, rel=1e-9)
     assert warm.iterations < cold.iterations
@@ -42,18 +42,18 @@ def test_transfer_to_the_same_grid_changes_nothing(interpreted):
 
 def test_start_of_another_problem_is_refused(interpreted):
     with pytest.raises(NumericsError, match="fit no number of steps"):
-        solving.solve(interpreted("brachistochrone"), steps=10, warm=np.zeros(17))
+        api.solve(interpreted("brachistochrone"), steps=10, warm=np.zeros(17))
 
 
 def test_simulations_are_not_refined(interpreted):
     with pytest.raises(ArgumentError, match="optimisation"):
-        solving.solve(interpreted("pendulum"), doublings=1)
+        api.solve(interpreted("pendulum"), doublings=1)
 
 
 def test_costs_are_extrapolated_by_the_order_of_optima(interpreted):
     """With a control that is constant on intervals the cost is of order 2, also by Gauss' method of order 4."""
     module = interpreted("double_integrator_effort", scheme="gauss-4")
-    result = solving.solve(module, steps=4, doublings=2)
+    result = api.solve(module, steps=4, doublings=2)
     assert module.metadata.order == 4
     assert order_of_optima(module) == 2
     assert result.summary["observed_order"] == pytest.approx(2.0, abs=0.1)
@@ -66,7 +66,7 @@ class TestSavedStarts:
     @pytest.fixture
     def saved(self, interpreted, tmp_path):
         def save(name, **choices):
-            result = solving.solve(interpreted(name, **choices), steps=4)
+            result = api.solve(interpreted(name, **choices), steps=4)
             output.save(result, output.as_record(result, 0.0, 0.0), tmp_path / "saved.npz")
             return read_start(tmp_path / "saved.npz")
 

@@ -5,8 +5,8 @@ import pytest
 from interpreted import of_problem
 
 from codegen import Control, Phases, control, controls, coordinates, solve, states
-from codegen.solutions import output
-from codegen.solutions.between_nodes import GROSS, excursions, sampled_conditions
+from codegen.solving.results import output
+from codegen.solving.results.between_nodes import GROSS, excursions, sampled_conditions
 
 
 def outside(path, **how) -> Control:

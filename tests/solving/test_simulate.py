@@ -15,9 +15,9 @@ from simulation_systems import SYSTEMS, H, T, compiled, falling_root, kepler, mo
 from textbook_stages import TABLES, composed_of_midpoint, higher_order_step
 from textbook_steps import TEXTBOOK, textbook_step
 
-from codegen import schemes
+from codegen.discretise import schemes
+from codegen.discretise.simulation import simulate
 from codegen.errors import SchemeError
-from codegen.transcribe.simulation.simulate import simulate
 
 COMBINATIONS = [(method, name) for method, table in schemes.METHODS.items() for name in table]
 BASIC = [(method, name) for method, name in COMBINATIONS if schemes.METHODS[method][name].order <= 2]

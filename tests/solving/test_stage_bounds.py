@@ -7,8 +7,10 @@ import pytest
 from conftest import PROBLEMS
 from interpreted import of_problem
 
-from codegen import Control, control, coordinates, schemes, solve, solving, states
-from codegen.solutions.poles import stages_beyond
+from codegen import Control, control, coordinates, solve, states
+from codegen.discretise import schemes
+from codegen.solving import api
+from codegen.solving.results.between_nodes import stages_beyond
 
 
 def bouncing(form: str) -> Control:
@@ -39,7 +41,7 @@ CASES = [
 @pytest.mark.parametrize(("form", "method", "scheme"), CASES, ids=lambda case: case)
 def test_positions_inside_intervals_are_within_bounds(form, method, scheme):
     module = of_problem(bouncing(form), method=method, scheme=scheme)
-    result = solving.solve(module)
+    result = api.solve(module)
     assert result.solved, result.message
     table = schemes.find(scheme, method)
     abscissae = [p.abscissa for p in (table.points if table.variational else table.step().points)]
@@ -54,7 +56,7 @@ def test_positions_inside_intervals_are_within_bounds(form, method, scheme):
 
 def test_explicit_stages_beyond_a_bound_are_noted():
     """A stage of rk4 is on a tangent: half an interval from (x, v) it is at x + h v/2, below where the parabola is."""
-    result = solving.solve(of_problem(bouncing("first-order"), scheme="rk4"))
+    result = api.solve(of_problem(bouncing("first-order"), scheme="rk4"))
     assert result.solved
     h, x, v, u = np.diff(result.t), result.q[:-1, 0], result.q[:-1, 1], result.u[:, 0]
     stages = np.stack([x + h * v / 2, x + h * v / 2 + h**2 * u / 4, x + h * v + h**2 * u / 2])
@@ -67,7 +69,7 @@ def test_explicit_stages_beyond_a_bound_are_noted():
 def test_no_note_of_stages_within_bounds():
     for scheme in ("gauss-4", "midpoint"):
         module = of_problem(bouncing("first-order"), scheme=scheme)
-        result = solving.solve(module)
+        result = api.solve(module)
         assert not list(stages_beyond(module, result.unknowns, result.steps, None))
 
 

@@ -14,8 +14,8 @@ import pytest
 from interpreted import without_compilation
 
 import codegen
-from codegen.compiler import build
 from codegen.errors import ArgumentError, TableError
+from codegen.solving.compiler import build
 
 IPOPT = pytest.param("ipopt", marks=pytest.mark.skipif(find_spec("cyipopt") is None, reason="cyipopt is an extra"))
 

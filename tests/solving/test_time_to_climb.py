@@ -8,7 +8,7 @@ import f4_model
 import pytest
 from interpreted import without_compilation
 
-from codegen.compiler import build
+from codegen.solving.compiler import build
 
 CLIMB = Path(__file__).parents[2] / "problems" / "published" / "time_to_climb.py"
 

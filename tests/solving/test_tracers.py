@@ -10,12 +10,12 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen.checks import particles
-from codegen.compiler import build
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
 from codegen.errors import ExpressionError, ModuleError, NumericsError
-from codegen.model.from_file import load_problem
+from codegen.evidence.checks import particles
 from codegen.registration import solver
-from codegen.schemes.particles import PARTICLE_SCHEMES
+from codegen.solving.compiler import build
 
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])
 MOMENTA = np.array([[0.9, -0.4], [0.2, 0.7], [-0.6, 0.5]])

@@ -11,7 +11,7 @@ import sympy
 from simulation_systems import System
 from textbook_steps import field, textbook_step
 
-from codegen import schemes
+from codegen.discretise import schemes
 
 Table = list[list[Any]]
 _ITERATIONS = 40

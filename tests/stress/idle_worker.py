@@ -3,7 +3,7 @@
 import os
 import time
 
-from codegen.stress.cases import Case, Measurement
+from codegen.evidence.stress.cases import Case, Measurement
 
 SOLVED = Measurement("solved", "all steps", error=1e-4, residual=1e-14, tolerance=1e-10, drift=1e-5)
 

@@ -8,14 +8,14 @@ import pytest
 from interpreted import without_compilation
 from stress_cases import PLAIN, every_case
 
-from codegen.compiler import generate
+from codegen.emit.naming import Choices
 from codegen.errors import NumericsError
-from codegen.naming import Choices
-from codegen.stress.classify import classify
-from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.stress.families.common import VERLET, oscillation
-from codegen.stress.measure import measure
-from codegen.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
+from codegen.evidence.stress.cases import classify
+from codegen.evidence.stress.families.common import PROBLEMS as OWN_PROBLEMS
+from codegen.evidence.stress.families.common import VERLET, oscillation
+from codegen.evidence.stress.measure import measure
+from codegen.evidence.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
+from codegen.solving.compiler import generate
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import pytest
 from interpreted import without_compilation
 from stress_cases import every_case
 
-from codegen.compiler import generate
-from codegen.naming import Choices
-from codegen.schemes import METHODS
-from codegen.stress.families.common import MECHANICAL, SYMPLECTIC_EULER, VERLET, registered
-from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.stress.systems import GROWTH, growth, limit, spectral_radius, stable_limit, swing, turn
+from codegen.discretise.schemes import METHODS
+from codegen.emit.naming import Choices
+from codegen.evidence.stress.families.common import MECHANICAL, SYMPLECTIC_EULER, VERLET, registered
+from codegen.evidence.stress.families.common import PROBLEMS as OWN_PROBLEMS
+from codegen.evidence.stress.systems import GROWTH, growth, limit, spectral_radius, stable_limit, swing, turn
+from codegen.solving.compiler import generate
 
 LIMITS = {
     "explicit-euler": 0.0,

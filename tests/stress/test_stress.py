@@ -14,14 +14,13 @@ from stress_cases import PLAIN, every_case
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.stress import page, pool
-from codegen.stress.cases import DEFECTS, OUTCOMES, Setup
-from codegen.stress.classify import EXPECTATIONS, classify
-from codegen.stress.families import FAMILIES, QUICK, quick_cases
-from codegen.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.stress.families.common import SYMPLECTIC_EULER, VERLET, promised
-from codegen.stress.measure import REFERENCES
-from codegen.tasks import TASKS
+from codegen.evidence.stress import page, pool
+from codegen.evidence.stress.cases import DEFECTS, EXPECTATIONS, OUTCOMES, Setup, classify
+from codegen.evidence.stress.families import FAMILIES, QUICK, quick_cases
+from codegen.evidence.stress.families.common import PROBLEMS as OWN_PROBLEMS
+from codegen.evidence.stress.families.common import SYMPLECTIC_EULER, VERLET, promised
+from codegen.evidence.stress.measure import REFERENCES
+from codegen.solving.tasks import TASKS
 
 # ---- The registry ----
 
@@ -163,7 +162,7 @@ def test_the_command_wants_one_thing(words, tmp_path):
 
 
 def test_generic_cases_vary_one_parameter_at_a_time():
-    from codegen.stress.generic import FACTORS, STEPS, _cases
+    from codegen.evidence.stress.generic import FACTORS, STEPS, _cases
 
     metadata = control_record(steps=50, parameters={"m": 2.0, "zero": 0.0})
     cases = _cases(Setup(OWN_PROBLEMS / "arm.py"), metadata, ())

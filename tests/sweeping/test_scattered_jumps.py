@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from codegen.sweeping.jumps import improved, scattered
+from codegen.batch.jumps import improved, scattered
 
 SMOOTH = {
     "plane": lambda x: 1.0 + x @ np.arange(1.0, 1.0 + x.shape[1]),

@@ -17,10 +17,10 @@ from command_lines import ORBIT, PENDULUM, assert_refused, run
 from conftest import PROBLEMS
 
 import codegen
+from codegen.batch.case import LOST, MEANINGS, NOT_BUILT, UNUSABLE
+from codegen.batch.executors import processes
+from codegen.batch.executors.journal import journal_of
 from codegen.cli.options import on_statuses
-from codegen.engines import processes
-from codegen.engines.journal import journal_of
-from codegen.sweeping.case import LOST, MEANINGS, NOT_BUILT, UNUSABLE
 
 PARTS = ("t", "q", "u", "cost", "residual", "iterations", "status", "message")
 """What two sweeps have alike, to the last bit: all but seconds."""

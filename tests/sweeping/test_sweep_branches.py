@@ -12,8 +12,8 @@ from command_lines import run
 from compiled_modules import compiled
 
 import codegen
+from codegen.batch.store import Store
 from codegen.runtime.search import callbacks
-from codegen.sweeping.store import Store
 
 HILL = '''"""Past a hill, on its one side or the other."""
 

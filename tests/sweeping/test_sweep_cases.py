@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from codegen.batch.cases import METHODS, axis_of, grid, samples, table
+from codegen.batch.layout import MOST, Chunks, blocks_of, nearest_chain, serpentine
 from codegen.errors import ArgumentError, NumericsError
-from codegen.sweeping.cases import METHODS, axis_of, grid, samples, table
-from codegen.sweeping.chunks import MOST, Chunks, blocks_of, nearest_chain, serpentine
 
 
 class TestGrids:

@@ -19,10 +19,10 @@ from dask_parts import address_in, cluster, kill, process, until
 from test_sweep import assert_same
 
 import codegen
-from codegen.engines.journal import journal_of
+from codegen.batch.executors.journal import journal_of
+from codegen.batch.work import Work
 from codegen.errors import ArgumentError, ClusterError, ExtraError
 from codegen.files import refused
-from codegen.sweeping.work import Work
 
 distributed = pytest.importorskip("distributed")
 
@@ -129,7 +129,7 @@ class Full:
 
 
 def test_a_store_that_workers_do_not_see_is_written_by_the_client(folder, orbital_transfer, monkeypatch):
-    monkeypatch.setattr("codegen.sweeping.store.Store.mark", lambda self: (os.getpid(),))
+    monkeypatch.setattr("codegen.batch.store.Store.mark", lambda self: (os.getpid(),))
     axes = {"r1": AXES["r1"][:40]}
     data = codegen.sweep(ORBIT, axes, steps=30, chunk=7, cluster="local", workers=2, out="s.zarr")
     assert_same(data, codegen.sweep(ORBIT, axes, steps=30, chunk=7, workers=1))
@@ -138,7 +138,7 @@ def test_a_store_that_workers_do_not_see_is_written_by_the_client(folder, orbita
 class TestRefusals:
     @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:9", "http://127.0.0.1:8786", "127.0.0.1", " "])
     def test_an_address_where_nothing_answers(self, folder, address, monkeypatch):
-        monkeypatch.setattr("codegen.engines.dask.PATIENCE", 0.5)
+        monkeypatch.setattr("codegen.batch.executors.dask.PATIENCE", 0.5)
         done = run("sweep", ORBIT, "--vary", "r1=5:6:3", "--out", "s.zarr", "--cluster", address)
         assert_refused(done, "--cluster", "such as tcp://")
         assert not list(folder.iterdir())
@@ -156,7 +156,7 @@ class TestRefusals:
             codegen.sweep(interpreted("linear_pendulum"), {"duration": [1.0]}, steps=5, cluster="local")
 
     def test_a_scheduler_without_workers(self, folder, monkeypatch, orbital_transfer):
-        monkeypatch.setattr("codegen.engines.dask.PATIENCE", 2.0)
+        monkeypatch.setattr("codegen.batch.executors.dask.PATIENCE", 2.0)
         with (
             process("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", "s.json"),
             pytest.raises(ClusterError, match="no workers"),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from codegen.sweeping.case import OTHERS, Continuation
+from codegen.batch.case import OTHERS, Continuation
 
 
 @dataclass(frozen=True)

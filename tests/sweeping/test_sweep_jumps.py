@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from codegen.sweeping.jumps import Grid, improved, jumps_of
+from codegen.batch.jumps import Grid, improved, jumps_of
 
 X = np.linspace(-1.0, 1.0, 41)
 SMOOTH = {

@@ -10,8 +10,8 @@ import xarray
 from command_lines import ORBIT, PENDULUM, run
 
 import codegen
+from codegen.batch.layout import FITS, Shapes, layout_of
 from codegen.errors import ArgumentError
-from codegen.sweeping.layout import FITS, Shapes, layout_of
 
 COLUMNS = {"q": ("x", "y"), "p": ("x", "y"), "u": ("f",), "multipliers": ("x", "y")}
 ROWS = {"t": "node", "q": "node", "p": "node", "u": 1, "multipliers": "node"}
@@ -49,7 +49,7 @@ def test_the_command_says_what_is_kept_and_what_is_not(folder, orbital_transfer,
     kept = "\nt, q, p, u, multipliers of each, 1.34 kB before compression (--keep)\n"
     assert kept in run(*words, "--out", "a.nc").stdout
     assert " of each" not in run(*words, "--keep", "none", "--out", "b.nc").stdout
-    monkeypatch.setattr("codegen.sweeping.layout.FITS", 2000)
+    monkeypatch.setattr("codegen.batch.layout.FITS", 2000)
     done = run(*words, "--out", "c.nc")
     assert "t, q, u of each, 0.664 kB before compression; with p, multipliers" in " ".join(done.stdout.split())
     assert set(xarray.open_dataset("c.nc").data_vars) >= {"t", "q", "u"}

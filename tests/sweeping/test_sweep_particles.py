@@ -9,8 +9,8 @@ import pytest
 from golden import ROOT
 
 import codegen
-from codegen.author.points import PointSet
 from codegen.errors import ArgumentError
+from codegen.problem.points import PointSet
 
 REGISTRATION = ROOT / "problems" / "image_registration.py"
 

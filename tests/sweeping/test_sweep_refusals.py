@@ -9,8 +9,8 @@ from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 from conftest import PROBLEMS
 
 import codegen
+from codegen.batch.cases import NUMBER
 from codegen.errors import ArgumentError, ExtraError, NumericsError
-from codegen.sweeping.cases import NUMBER
 
 LINES = {
     "nothing-varies": ("sweep O --out s.zarr", "nothing varies"),

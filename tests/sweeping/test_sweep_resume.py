@@ -12,10 +12,10 @@ import xarray
 from command_lines import ORBIT, assert_refused, contents, run
 
 import codegen
-from codegen.engines.journal import journal_of
+from codegen.batch.executors.journal import journal_of
+from codegen.batch.store import Store
 from codegen.errors import ClusterError, FileError, Interrupted
 from codegen.files import refused
-from codegen.sweeping.store import Store
 
 WORDS = ("sweep", ORBIT, "--vary", "r1=5.9,-6,6,6.1", "--chunk", 1, "--steps", 20, "--workers", 1, "--out", "s.zarr")
 ENDS = {
@@ -86,7 +86,7 @@ def test_nothing_is_left_of_a_file_that_is_written_at_the_end(folder, monkeypatc
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("codegen.sweeping.outcome.write_netcdf", interrupted)
+    monkeypatch.setattr("codegen.batch.sweep.write_netcdf", interrupted)
     done = run(*WORDS[:-1], "s.nc")
     assert (done.exit_code, done.stderr) == (130, "codegen: interrupted; no file was left half written\n")
     assert not list(folder.iterdir())

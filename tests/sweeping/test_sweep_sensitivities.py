@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import codegen
+from codegen.batch.case import Attempt, Start, _unknowns
+from codegen.batch.cases import grid
+from codegen.batch.layout import Shapes, layout_of
+from codegen.batch.quantities import CaseRates, Quantity, Tangent
+from codegen.batch.store import Frame
 from codegen.errors import ArgumentError
-from codegen.plots.pareto import is_dominated
-from codegen.solutions.result import Outline
-from codegen.sweeping.case import Attempt, Start, _unknowns
-from codegen.sweeping.cases import grid
-from codegen.sweeping.layout import Shapes, layout_of
-from codegen.sweeping.quantities import CaseRates, Quantity, Tangent
-from codegen.sweeping.store import Frame
+from codegen.show.figures.pareto import is_dominated
+from codegen.solving.results.result import Outline
 
 ALL = ("t", "q", "u", "multipliers", "d_t", "d_q", "d_u", "d_multipliers")
 MISSING = "no sensitivities: "

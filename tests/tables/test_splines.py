@@ -11,10 +11,10 @@ import sympy
 from scipy.interpolate import CubicSpline, PchipInterpolator, RectBivariateSpline, RegularGridInterpolator
 
 from codegen import Table
-from codegen.author.symbols import states
-from codegen.expressions.table_functions import member, numbers_of, tables_of
-from codegen.expressions.zeros import identically_zero
-from codegen.tables.data import TableData
+from codegen.problem.symbols import states
+from codegen.symbolic.table_functions import member, numbers_of, tables_of
+from codegen.symbolic.tables import TableData
+from codegen.symbolic.zeros import identically_zero
 
 X, Y = np.array([0.0, 0.3, 1.0, 1.4, 2.0, 3.1, 3.5]), np.array([-1.0, 0.0, 0.5, 2.0, 2.2])
 HEIGHTS = np.random.default_rng(3).normal(size=X.size)

@@ -21,8 +21,8 @@ import sympy
 from dense_layout import DenseLayout
 from scipy.optimize import OptimizeResult, minimize
 
-from codegen.discretise import STEP
-from codegen.transcribe.program import ControlProgram
+from codegen.discretise.interval import STEP
+from codegen.discretise.program import ControlProgram
 
 
 class Scalar:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import sympy
 
-from codegen.transcribe.guesses import DURATION
-from codegen.transcribe.program import ControlProgram, EndElement
+from codegen.discretise.guesses import DURATION
+from codegen.discretise.program import ControlProgram, EndElement
 
 
 class DenseLayout:

@@ -5,8 +5,8 @@ import pytest
 from conftest import PROBLEMS
 from dense_assembly import DenseProblem
 
-from codegen.model.from_file import load_problem
-from codegen.transcribe import transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.transcribe import transcribe
 
 
 def test_dense_assembly_reproduces_the_linear_pendulum():

@@ -7,10 +7,10 @@ from interpreted import of_problem
 from sympy import Eq
 
 from codegen import Control, controls, coordinates, states, time
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.errors import BoundaryError
-from codegen.model import normalise
-from codegen.solutions import notes
-from codegen.transcribe import transcribe
+from codegen.solving.results import output
 
 
 def together(**how) -> Control:
@@ -62,7 +62,7 @@ def test_states(scheme, left_out):
     solution = module.solve(6)
     assert solution.status == "solved", solution.message
     assert solution.q[:, 3] == pytest.approx(solution.q[:, 2], abs=1e-10)
-    (note,) = notes.notes(module.metadata)
+    (note,) = output.notes(module.metadata)
     where = "start" if left_out[0] else "end"
     assert (
         note == f"w at the {where} follows from the path equalities with the other values at the ends, and was left out"

@@ -10,11 +10,11 @@ import sympy
 from interpreted import without_compilation
 from simulation_systems import SYSTEMS, chain, coupled, model_of, module_of, rough_plane, text_of
 
-from codegen.derive import derivatives
-from codegen.discretise import STEP
-from codegen.lower import lower
-from codegen.transcribe import transcribe
-from codegen.transcribe.simulation.elimination import eliminate
+from codegen.discretise.interval import STEP
+from codegen.discretise.simulation import eliminate
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.differentiation import derivatives
+from codegen.emit.lower import lower
 
 NEWTON_UNKNOWNS = {
     #                                    pendulum  double pendulum  Kepler  coupled

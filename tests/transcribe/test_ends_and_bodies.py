@@ -21,9 +21,10 @@ from codegen import (
     states,
     time,
 )
+from codegen.discretise.model.definitions import Condition
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.errors import BoundaryError
-from codegen.model import Condition, normalise
-from codegen.transcribe import transcribe
 
 METHODS = ("variational", "hamiltonian")
 

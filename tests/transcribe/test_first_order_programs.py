@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from dense_assembly import DenseProblem
 
-from codegen import Control, control, coordinate, free_parameter, parameters, schemes, states, time
+from codegen import Control, control, coordinate, free_parameter, parameters, states, time
+from codegen.discretise import schemes
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.errors import ArgumentError, SchemeError
-from codegen.model import normalise
-from codegen.transcribe import transcribe
 
 CHAINS = [s for s in schemes.of_method(schemes.FIRST_ORDER) if s.is_chain and not s.parts]
 SECOND_ORDER = [s.name for s in CHAINS if s.order == 2]

@@ -9,9 +9,9 @@ from dense_layout import pinned_names
 from sympy import cos, sin
 
 from codegen import Control, control, controls, coordinate, coordinates, parameters, time
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError
-from codegen.model import normalise
-from codegen.transcribe import transcribe
 
 FROM, TO, SPEED = 0.3, 1.2, 0.5
 

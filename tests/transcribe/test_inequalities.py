@@ -18,9 +18,9 @@ from codegen import (
     states,
     time,
 )
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.errors import ExpressionError
-from codegen.model import normalise
-from codegen.transcribe import transcribe
 
 MASS_METHODS = [("variational", "midpoint"), ("variational", "trapezoidal"), ("hamiltonian", "midpoint")]
 

@@ -24,12 +24,14 @@ from codegen import (
     states,
     together,
 )
-from codegen.checks import CHECKS, Context
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes import find
+from codegen.discretise.schemes.base import FIRST_ORDER
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.naming import Choices
 from codegen.errors import BoundaryError
-from codegen.model import normalise
-from codegen.naming import Choices
-from codegen.schemes import FIRST_ORDER, find
-from codegen.transcribe import transcribe
+from codegen.evidence.checks import CHECKS
+from codegen.evidence.checks.base import Context
 
 TIMES, HEIGHTS = (1.0, 1.5, 3.0), (1.0, -0.5, 2.0)
 FORMS = ["lagrangian", "hamiltonian", "dynamics"]

@@ -9,12 +9,13 @@ import sympy
 from interpreted import text_of, without_compilation
 
 from codegen import Control, Phases, body_number, canonical_pair, control, coordinate, states, together
-from codegen.checks import CHECKS, Context, apply
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes import find
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.naming import Choices
 from codegen.errors import ExpressionError
-from codegen.model import normalise
-from codegen.naming import Choices
-from codegen.schemes import find
-from codegen.transcribe import transcribe
+from codegen.evidence.checks import CHECKS, apply
+from codegen.evidence.checks.base import Context
 
 AREA = 0.1
 EFFORT = 720.0 * AREA**2

@@ -6,12 +6,12 @@ import pytest
 import sympy
 
 from codegen import Control, Phases, control, controls, coordinate, coordinates, free_parameter, parameters, states
-from codegen.derive import control_derivatives
+from codegen.discretise.guesses import with_guesses
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.differentiation import control_derivatives
 from codegen.errors import ArgumentError
-from codegen.model import normalise
 from codegen.runtime.record import phrase
-from codegen.transcribe import transcribe
-from codegen.transcribe.phases.guesses import with_guesses
 
 
 def program_of(problem: Phases, **choices: str):

@@ -8,9 +8,9 @@ import pytest
 from sympy import Eq, sqrt
 
 from codegen import Control, Phases, controls, states
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.transcribe import transcribe
 from codegen.errors import BoundaryError
-from codegen.model import normalise
-from codegen.transcribe import transcribe
 
 R = 6378145.0
 A, B = R * cos(radians(28.5)), R * sin(radians(28.5))

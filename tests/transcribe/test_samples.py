@@ -8,11 +8,12 @@ import pytest
 import sympy
 from scipy.optimize import least_squares
 
-from codegen import Control, Measurements, control, schemes, states, time
-from codegen.discretise import FRACTION, STEP, one_step_interval, variational_interval
-from codegen.model import normalise
-from codegen.schemes import FIRST_ORDER
-from codegen.transcribe import transcribe
+from codegen import Control, Measurements, control, states, time
+from codegen.discretise import schemes
+from codegen.discretise.interval import FRACTION, STEP, one_step_interval, variational_interval
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes.base import FIRST_ORDER
+from codegen.discretise.transcribe import transcribe
 
 
 def measured(folder, **options) -> Measurements:

@@ -9,13 +9,14 @@ import pytest
 from interpreted import text_of, without_compilation
 
 from codegen import Control, Simulate, canonical_pair, control, coordinate, states, time
-from codegen.checks import CHECKS, Context
+from codegen.discretise.model.phases import normalise
+from codegen.discretise.schemes import find
+from codegen.discretise.transcribe import transcribe
+from codegen.emit.naming import Choices, choice_texts
 from codegen.errors import ArgumentError
-from codegen.model import normalise
-from codegen.naming import Choices, choice_texts
-from codegen.schemes import find
-from codegen.solutions.result import Result
-from codegen.transcribe import transcribe
+from codegen.evidence.checks import CHECKS
+from codegen.evidence.checks.base import Context
+from codegen.solving.results.result import Result
 
 E = np.e
 DRIFT = (2.0 * E - 2.0) ** 2 / (E**2 - 1.0)

@@ -6,10 +6,11 @@ import re
 
 from conftest import PROBLEMS
 
-from codegen import derive, emit, lower, transcribe
-from codegen.derive.mixed import control_sensitivities
-from codegen.lower.module import Origin
-from codegen.model.from_file import load_problem
+from codegen.discretise import transcribe
+from codegen.discretise.model.from_file import load_problem
+from codegen.emit import differentiation, lower, rendering
+from codegen.emit.differentiation import control_sensitivities
+from codegen.emit.lower.module import Origin
 
 ORIGIN = Origin("test.py", "codegen build test.py", "0", ("codegen",))
 
@@ -18,7 +19,7 @@ def prepared_file(name: str, sensitivities: bool = False):
     """The program of a problem file of the gallery, and the text of its module."""
     program = transcribe.transcribe(load_problem(PROBLEMS / f"{name}.py", {}), None, None, "interval")
     mixed = (control_sensitivities(program),) if sensitivities else ()
-    return program, emit.render(lower.lower(program, derive.derivatives(program), *mixed), ORIGIN)
+    return program, rendering.render(lower.lower(program, differentiation.derivatives(program), *mixed), ORIGIN)
 
 
 def changed(text: str, function: str, pattern: str, replacement: str) -> str:

@@ -9,32 +9,19 @@ from planted_defects import ORIGIN, changed
 from random_scalars import random_problem
 from sympy import Integer, Rational, cos, exp, sin, tanh
 
-from codegen import (
-    Control,
-    Simulate,
-    compiler,
-    control,
-    coordinates,
-    derive,
-    emit,
-    lower,
-    parameters,
-    states,
-    time,
-    transcribe,
-    verify,
-)
-from codegen import (
-    expressions as differentiate,
-)
-from codegen.compiler import generate_from_model
-from codegen.derive.mixed import control_sensitivities
+from codegen import Control, Simulate, control, coordinates, parameters, states, time
+from codegen.discretise import transcribe
+from codegen.discretise.model.phases import normalise
+from codegen.emit import differentiation, lower, rendering, verify
+from codegen.emit.differentiation import control_sensitivities
+from codegen.emit.lower.printer import scalar_code
+from codegen.emit.naming import Choices
+from codegen.emit.verify import comparison, kernels, shares
 from codegen.errors import ExpressionError, VerificationError
-from codegen.expressions.straight_line import written_out
-from codegen.lower.printer import scalar_code
-from codegen.model import normalise
-from codegen.naming import Choices
-from codegen.verify import judgement, shares, steps
+from codegen.solving import compiler
+from codegen.solving.compiler import generate_from_model
+from codegen.symbolic import derivatives as differentiate
+from codegen.symbolic.graph import written_out
 
 
 def cart() -> Control:
@@ -65,7 +52,7 @@ def swinging() -> Simulate:
 
 def prepared(problem, **choices):
     program = transcribe.transcribe(normalise(problem), choices.get("scheme"), choices.get("method"), "interval")
-    return program, emit.render(lower.lower(program, derive.derivatives(program)), ORIGIN)
+    return program, rendering.render(lower.lower(program, differentiation.derivatives(program)), ORIGIN)
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +99,8 @@ def test_planted_defect_is_found(of_cart, name):
 @pytest.fixture(scope="module")
 def of_sensitive_cart():
     program = transcribe.transcribe(normalise(cart()), None, None, "interval")
-    module = lower.lower(program, derive.derivatives(program), control_sensitivities(program))
-    return program, emit.render(module, ORIGIN)
+    module = lower.lower(program, differentiation.derivatives(program), control_sensitivities(program))
+    return program, rendering.render(module, ORIGIN)
 
 
 MIXED_DEFECTS = {
@@ -178,13 +165,13 @@ def compared(monkeypatch):
     seen: list[tuple[list[str], np.ndarray]] = []
 
     def judge(names, evaluate, opinion):
-        judgement.judge(names, evaluate, opinion)
+        comparison.judge(names, evaluate, opinion)
         emitted, exact = evaluate(np.clongdouble)
         agree = np.isfinite(exact) & (abs(emitted - exact) <= 1e-9 * abs(exact))
         seen.append((list(names), agree & (exact != 0)))
 
     monkeypatch.setattr(shares, "judge", judge)
-    monkeypatch.setattr(steps, "judge", judge)
+    monkeypatch.setattr(kernels, "judge", judge)
     return seen
 
 
@@ -228,7 +215,7 @@ def test_entries_lost_because_they_are_small_elsewhere_are_found(name, monkeypat
             steps=8,
         )
     )
-    monkeypatch.setattr(derive, "LONG", 0)
+    monkeypatch.setattr(differentiation, "LONG", 0)
     generate_from_model(model, Choices(), ORIGIN)
     monkeypatch.setattr(differentiate, "vanishing", lambda graph, roots: {r for r in roots if size(graph, r) < 1e-40})
     with pytest.raises(VerificationError, match="for the second derivative"):
@@ -251,12 +238,12 @@ def test_nothing_is_written_where_a_derivative_is_wrong(tmp_path, monkeypatch):
         "    u = control('u')\n"
         "    return Control(dynamics={x: v, v: u - v**2}, cost=u**2, duration=1, start={x: 0, v: 0}, end={x: 1})\n"
     )
-    original = emit.render
+    original = rendering.render
 
     def broken(module, origin):
         return changed(original(module, origin), "interval_hessian", r"hessian\[0\] = ", "hessian[0] = 3 + ")
 
-    monkeypatch.setattr(emit, "render", broken)
+    monkeypatch.setattr(rendering, "render", broken)
     with pytest.raises(VerificationError, match="the emitted code gives"):
         compiler.build(file, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

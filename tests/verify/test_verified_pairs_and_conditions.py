@@ -3,7 +3,7 @@
 import pytest
 from planted_defects import changed, prepared_file
 
-from codegen import verify
+from codegen.emit import verify
 from codegen.errors import VerificationError
 
 PAIR_DEFECTS = {

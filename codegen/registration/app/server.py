@@ -36,7 +36,8 @@ from codegen.registration.app.reading import (
 )
 from codegen.registration.app.session import Session
 from codegen.registration.app.state import tile
-from codegen.registration.formats import FORMATS, Frames, parse_landmarks
+from codegen.registration.formats import FORMATS, parse_landmarks
+from codegen.registration.formats.base import Frames
 
 HOSTS = ("localhost", "127.0.0.1", "[::1]")
 """Names of this machine. Others may be anybody's that lead here (DNS rebinding)."""

@@ -21,7 +21,8 @@ from codegen.registration.app.session import Task
 from codegen.registration.app.state import Picture, rgba
 from codegen.registration.certificate import certify_with_positions
 from codegen.registration.fields import displacements, write_field
-from codegen.registration.formats import FORMATS, Frames, landmark_texts
+from codegen.registration.formats import FORMATS, landmark_texts
+from codegen.registration.formats.base import Frames
 from codegen.registration.grid import coarse_grid
 from codegen.registration.images import write_image
 from codegen.registration.jobs import out_of_place

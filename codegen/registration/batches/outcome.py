@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from codegen.engines import connected
-from codegen.engines import journal as journals
-from codegen.engines.journal import Journal, journal_of
-from codegen.engines.team import Progress, Team, Working, silent
-from codegen.engines.work import LOST, SOLVED, Done, Tally
+from codegen.batch.executors import connected
+from codegen.batch.executors import journal as journals
+from codegen.batch.executors.journal import Journal, journal_of
+from codegen.batch.executors.team import Progress, Team, Working, silent
+from codegen.batch.executors.work import LOST, SOLVED, Done, Tally
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers
 from codegen.registration.batches.pairing import Places, make_folders

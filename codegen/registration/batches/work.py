@@ -15,15 +15,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from codegen import __version__, loading
-from codegen.engines.machines import Target, alone, compiled_note, target
-from codegen.engines.work import LOST, SOLVED, Abandoned, Done, Tally
+from codegen import __version__
+from codegen.batch.executors.work import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
 from codegen.errors import ClusterError, CodegenError, FileError, one_line
 from codegen.files import replacing
 from codegen.registration.fields import written_with
 from codegen.registration.job import run
 from codegen.registration.jobs import Job, Options
 from codegen.registration.solver import is_compiled, registration_module, threads_at_most
+from codegen.solving import loading
 
 SUMMARY = "summary.csv"
 COLUMNS = (

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codegen.author.points import finite_numbers
 from codegen.errors import PointsError
+from codegen.problem.points import finite_numbers
 from codegen.registration.formats.base import Format, Frames, Source, is_missing, made, placed, rows, text_of
 from codegen.registration.pairs import LandmarkPairs
 

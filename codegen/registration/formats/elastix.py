@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from codegen.author.points import finite_numbers
 from codegen.errors import PointsError
+from codegen.problem.points import finite_numbers
 from codegen.registration.formats.base import (
     Format,
     Frames,

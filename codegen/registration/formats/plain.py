@@ -10,8 +10,8 @@ import csv
 import io
 from collections.abc import Sequence
 
-from codegen.author.points import finite_numbers
 from codegen.errors import PointsError
+from codegen.problem.points import finite_numbers
 from codegen.registration.formats.base import Format, Frames, Source, made, rows, text_of
 from codegen.registration.pairs import LandmarkPairs
 

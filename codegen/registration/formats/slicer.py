@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from codegen.author.points import finite_numbers
 from codegen.errors import PointsError
+from codegen.problem.points import finite_numbers
 from codegen.registration.formats.base import (
     Format,
     Frames,

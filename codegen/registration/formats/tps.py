@@ -15,8 +15,8 @@ from pathlib import PureWindowsPath
 
 import numpy as np
 
-from codegen.author.points import finite_numbers
 from codegen.errors import PointsError
+from codegen.problem.points import finite_numbers
 from codegen.registration.formats.base import Format, Frames, Source, made, require_count, text_of
 from codegen.registration.pairs import LandmarkPairs, PointArray
 

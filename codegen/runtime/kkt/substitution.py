@@ -7,13 +7,7 @@ back, as if it belonged to one more unknown, with the value -1.
 from numba import njit
 
 from codegen.runtime.kkt.shape import block_size, last_size, padded, row_count, tail_of
-from codegen.runtime.kkt.symmetric import (
-    backward_once,
-    forward_once,
-    solve_backward,
-    solve_forward,
-    solve_pivots,
-)
+from codegen.runtime.kkt.symmetric import backward_once, forward_once, solve_backward, solve_forward, solve_pivots
 from codegen.runtime.kkt.tables import FIRST, FIRST_PINNED, LAST_PINNED, count_of, place_of
 
 

@@ -5,13 +5,7 @@ import numpy as np
 from codegen.runtime.record import phrase
 from codegen.runtime.search.bounds import at_bounds, bounds_of, contradictory_bounds, prescribed_beyond, units_of
 from codegen.runtime.search.callbacks import hessian, jacobian
-from codegen.runtime.search.grid import (
-    least_duration,
-    multiplier_unknowns,
-    node_times,
-    plain_grid,
-    primal_unknowns,
-)
+from codegen.runtime.search.grid import least_duration, multiplier_unknowns, node_times, plain_grid, primal_unknowns
 from codegen.runtime.search.parts import interval_parts
 from codegen.runtime.search.saddle_points import negative_curvature_direction
 from codegen.runtime.search.slacks import with_violations

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from codegen.compiler import build
-from codegen.loading import load
-from codegen.machine_code.ahead_of_time import prepare
-from codegen.machine_code.processes import compilers
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
+from codegen.solving.machine_code.ahead_of_time import prepare
+from codegen.solving.machine_code.processes import compilers
 
 from .casadi_gallery import Array, PreparedGallery
 

@@ -6,13 +6,13 @@ from typing import Any
 import cyipopt
 import numpy as np
 
-from codegen.compiler import build
-from codegen.drivers.ipopt import _Callbacks
-from codegen.drivers.shared import quiet_single_thread
-from codegen.loading import load
-from codegen.machine_code.ahead_of_time import prepare
-from codegen.machine_code.processes import compilers
 from codegen.runtime.search import callbacks
+from codegen.solving.compiler import build
+from codegen.solving.drivers.ipopt import _Callbacks
+from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.loading import load
+from codegen.solving.machine_code.ahead_of_time import prepare
+from codegen.solving.machine_code.processes import compilers
 
 from .casadi_gallery import Array
 from .gallery_bridge import PROBLEMS, perturbed

@@ -1,0 +1,1 @@
+"""Many solves: cases, executors, stores."""

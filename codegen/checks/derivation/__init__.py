@@ -1,1 +1,0 @@
-"""Evidence that the derived equations are right."""

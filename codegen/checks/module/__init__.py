@@ -1,1 +1,0 @@
-"""Evidence that the emitted module says what was derived."""

@@ -1,1 +1,0 @@
-"""Evidence that what the module finds is a solution."""

@@ -1,0 +1,25 @@
+"""The table of kinds of conditions, in the order in which they are read and told."""
+
+from __future__ import annotations
+
+from codegen.discretise.conditions.base import ConditionKind
+from codegen.discretise.conditions.ends import AtEnd, AtStart
+from codegen.discretise.conditions.holonomic import Holonomic
+from codegen.discretise.conditions.inner_times import AtTimes, Waypoints
+from codegen.discretise.conditions.integral import Integrals
+from codegen.discretise.conditions.measurements import Observations
+from codegen.discretise.conditions.path import Path
+from codegen.discretise.conditions.periodic import PeriodicKind
+
+CONDITIONS: tuple[ConditionKind, ...] = (
+    Path(),
+    Holonomic(),
+    Integrals(),
+    AtTimes(),
+    Waypoints(),
+    AtStart(),
+    AtEnd(),
+    PeriodicKind(),
+    Observations(),
+)
+"""What holds for a motion, each kind by the argument of `Control` that gives it."""

@@ -1,0 +1,168 @@
+"""Holonomic constraints c(q, t) = 0 of Lagrangian systems; `transcribe.conditions.holonomic` imposes them.
+
+Holonomic constraints c(q, t) = 0 by discrete multipliers, in the augmented form.
+
+The discrete Lagrangian gains h/2 (kappa_k . c(q_k) + kappa_k1 . c(q_k1)), so that with G = dc/dq the equations of
+motion of an inner node read
+
+    D2 Ld(q_{k-1}, q_k) + D1 Ld(q_k, q_{k+1}) + f+_{k-1} + f-_k + h G(q_k)^T kappa_k = 0,    c(q_k) = 0:
+
++G^T kappa is the force of the constraint. kappa_k is a primal unknown of the optimisation problem, eta_k the
+multiplier of c(q_k) = 0. The ends have half the force. Source: Wendlandt and Marsden (1997), section 4; Marsden and
+West (2001), section 3.4; Leyendecker, Ober-Bloebaum, Marsden and Ortiz (2010), Discrete mechanics and optimal control
+for constrained systems (DMOCC), section 3.
+
+The count at an end. Momenta that are matched there determine its kappa along the normals of the constraint, so
+prescribing a full velocity does not over-determine; where no momentum is matched kappa has no meaning and is zero.
+When some velocities of a constraint's coordinates are prescribed and others are not, the others are unknowns of the
+end, all their momenta are matched, and the velocity is tangential, G v + dc/dt = 0 (the partial derivative by time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar
+
+import sympy
+from sympy import Expr, S, Symbol
+
+from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Scope, dependent, is_constant, listed
+from codegen.discretise.conditions.path import NodalTerms, nodal_equalities
+from codegen.discretise.interval import STEP, at_nodes
+from codegen.discretise.model.definitions import Boundary, Condition, Model
+from codegen.discretise.model.relations import Entry, text
+from codegen.discretise.program import Names, Unknown, occurring, symbols
+from codegen.errors import ArgumentError, DegenerateError, ExpressionError
+from codegen.problem.problem import Control
+from codegen.problem.symbols import Coordinate, Parameter, Time
+from codegen.runtime.record import Kind, Meaning
+
+_COORDINATES = "use generalised coordinates in problems of phases"
+
+
+class Holonomic(ConditionKind):
+    """Equations between coordinates and time, which forces along their normals enforce."""
+
+    argument, field, words = "constraint", "holonomic", "holonomic constraints"
+    scope: ClassVar[Scope] = {"constraint": (Coordinate, Time, Parameter)}
+    not_in_phases = ExpressionError, "it has a holonomic constraint", _COORDINATES
+    check = "holonomic drift"
+
+    def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
+        if form != "lagrangian":
+            raise ExpressionError(f"{entry.what} beside {form}", "give a Lagrangian, or write the condition in path")
+        if not entry.equality:
+            raise ExpressionError(f"{entry.what} is an inequality", "write it in path")
+
+    def conditions(self, entries: Sequence[Entry]) -> tuple[Expr, ...]:
+        return tuple(condition.expression for condition in super().conditions(entries))
+
+    def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
+        yield from ((f"constraint {text(c)}", c) for c in model.holonomic)
+
+    def at(self, model: Model, end: str) -> Iterator[Condition]:
+        """The constraints, and that their rates of change vanish, which follows from them."""
+        for c in model.holonomic:
+            yield Condition(f"constraint {text(c)} = 0", c)
+            rate = sympy.Add(*(sympy.diff(c, q) * v for q, v in zip(model.coordinates, model.rates, strict=True)))
+            yield Condition(f"the rate of constraint {text(c)} = 0", rate + sympy.diff(c, model.time))
+
+    def require_regular(self, model: Model, points: Points) -> None:
+        """Refuse constraints that depend on each other, or leave nothing to move."""
+        named = [Condition(f"{text(c)} = 0", c) for c in model.holonomic]
+        for condition in named:
+            if is_constant(condition, model.coordinates, points):
+                raise DegenerateError(f"constraint {condition} depends on no coordinate", "leave it out")
+        names = dependent(named, model.coordinates, points)
+        if names:
+            raise DegenerateError(f"the constraints {names} depend on each other", "leave out one of them")
+        if len(named) >= len(model.coordinates) > 0 and named:
+            raise DegenerateError(
+                f"{len(named)} constraints on {len(model.coordinates)} coordinates leave nothing to move",
+                "leave out a constraint",
+            )
+
+    def sentences(self, model: Model) -> list[str]:
+        return [f"{sympy.sstr(constraint)} = 0 at the nodes" for constraint in model.holonomic]
+
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        if model.holonomic:
+            yield "Holonomic constraints", tuple(("0", constraint) for constraint in model.holonomic)
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        for constraint in listed(control.constraint):
+            yield rf"0 &= {latex(constraint)}\quad\text{{(holonomic)}}"
+
+
+class Constraints:
+    """The constraints of a model with their unknowns kappa and eta at the nodes."""
+
+    def __init__(self, model: Model, names: Names) -> None:
+        """Name the unknowns; `touched` lists for each constraint the indices of its coordinates."""
+        self.model = model
+        self.touched = tuple(occurring(model.coordinates, c) for c in model.holonomic)
+        self.kappa = tuple(
+            Unknown(names.numbered("kappa"), Meaning(Kind.NORMAL_FORCE, str(c))) for c in model.holonomic
+        )
+        conditions = [Condition(str(c), c) for c in model.holonomic]
+        self.eta = nodal_equalities(model, conditions, "eta", names, Kind.CONSTRAINT)
+
+    def force(self, suffix: str) -> list[Expr]:
+        """The impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""
+        substitution = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
+        if suffix == "_k1":
+            substitution[self.model.time] = self.model.time + STEP
+        kappa = symbols([unknown.name for unknown in self.kappa], suffix)
+        potential = sum((k * c for k, c in zip(kappa, self.model.holonomic, strict=True)), S.Zero)
+        return [(STEP * sympy.diff(potential, q) / 2).xreplace(substitution) for q in self.model.coordinates]
+
+    def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]]) -> NodalTerms:
+        """Unknowns and pins: a kappa is zero at an end where no momentum of its coordinates is matched.
+
+        Where both ends match the same unknown momenta, at the indices `by_pi` of the start and the end, only the sum of
+        both kappa acts, and that of the end is zero.
+        """
+        pairs = list(zip(self.kappa, self.touched, strict=True))
+        return NodalTerms(
+            unknowns=(*self.kappa, *self.eta.unknowns),
+            element=self.eta.element,
+            start_pins=(*self.eta.start_pins, *(k.name for k, t in pairs if not t & (matched[0] | by_pi[0]))),
+            end_pins=(*self.eta.end_pins, *(k.name for k, t in pairs if not t & matched[1] or t & by_pi[1])),
+            equations=self.eta.equations,
+        )
+
+    def tangency(self, boundary: Boundary, matched: set[int], literal: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
+        """The conditions dc/dt = 0 at an end, for constraints with a matched velocity, unless its data say it already.
+
+        `literal` gives the numbers behind the symbols of boundary values; a velocity of zero is always tangential.
+        """
+        conditions, time = [], self.model.time
+        for constraint, touched in zip(self.model.holonomic, self.touched, strict=True):
+            if not touched & matched:
+                continue
+            given = all(boundary.rates[i] is not None for i in touched)
+            placed = self._placed(boundary, touched)
+            at_rest = given and not constraint.has(time) and all(literal.get(boundary.rates[i]) == 0 for i in touched)
+            if (given and placed) or at_rest:
+                continue
+            row = sum(
+                (sympy.diff(constraint, self.model.coordinates[i]) * self.model.rates[i] for i in sorted(touched)),
+                sympy.diff(constraint, time),
+            )
+            conditions.append(Condition(f"velocity along the constraint {constraint}", row))
+        return tuple(conditions)
+
+    def _placed(self, boundary: Boundary, touched: set[int]) -> bool:
+        """Whether an end gives the coordinates of a constraint, or as many that constraints determine the others."""
+        free = {i for i in touched if boundary.positions[i] is None}
+        others = [{i for i in t if boundary.positions[i] is None} for t in self.touched]
+        return len(free) <= sum(bool(other) and other <= free for other in others)
+
+
+def refuse(model: Model, method: str) -> None:
+    """Refuse holonomic constraints for a method that has no discrete constraint forces."""
+    if model.holonomic:
+        raise ArgumentError(
+            f"the {method} method has no holonomic constraints, and {model.holonomic[0]} = 0 is one",
+            "use --method variational, or generalised coordinates",
+        )

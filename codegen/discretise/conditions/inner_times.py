@@ -1,0 +1,426 @@
+"""Conditions at times between start and end, given or free; imposed by `transcribe.conditions.inner_times`.
+
+Conditions at inner times, imposed at the nodes there, all on one chain of intervals.
+
+A condition g = 0 has a multiplier y on the node, and g <= 0 a slack s >= 0 beside it. Which nodes are at inner times is
+known when the module is run: every node has these unknowns, and numbers m, which are one where they mean something,
+
+    l gains m y g + (1 - m) y^2/2    or    m y (g + s) + (1 - m) (y^2 + s^2)/2
+
+at the left node of each interval, so that they vanish at other nodes. Conditions that differ in numbers alone are one
+expression, whose numbers belong to the node as m does, and different ones at different times share their multiplier.
+Neither the code nor the time of a build grows with the number of times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+from sympy import Expr, Integer, Rational, S, Symbol
+
+from codegen.discretise.conditions.base import (
+    ConditionKind,
+    Latex,
+    Points,
+    Remedies,
+    Scope,
+    dependent,
+    is_constant,
+    listed,
+)
+from codegen.discretise.conditions.common_forms import Form, common_forms
+from codegen.discretise.conditions.free_times import Clock, with_given_times
+from codegen.discretise.conditions.path import NodalTerms, nodal_conditions
+from codegen.discretise.model.definitions import Condition, InnerCondition, InnerTime, Model
+from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
+from codegen.discretise.program import InnerTimes, Names, Unknown, symbols
+from codegen.errors import BoundaryError, ExpressionError
+from codegen.problem.problem import Control, Waypoint
+from codegen.problem.symbols import ControlInput, Parameter, Time
+from codegen.runtime.record import Kind, Meaning
+from codegen.symbolic import checks
+from codegen.symbolic import checks as expressions
+
+_SAME = 1e-9
+"""Parts of the duration by which two times differ at least."""
+_ORDER = "let each be before the next, and all before the end"
+
+
+class AtTimes(ConditionKind):
+    """Equations and inequalities at given times, which become nodes."""
+
+    argument, field, words = "at", "inner_conditions", "conditions at inner times"
+    check = "inner times"
+    scope: ClassVar[Scope] = {"at": (*MOVING, Time, *STATIC), "inner time": (Parameter,)}
+    remedies: ClassVar[Remedies] = {ControlInput: "limit controls by bounds or path, or make the control a state"}
+    not_in_phases = BoundaryError, "it has conditions at inner times", "end a phase there, with end_conditions"
+
+    def written(self, control: Control) -> Iterator[Entry]:
+        """Each time, followed by the conditions there."""
+        if not isinstance(control.at, Mapping):
+            finding = f"at is a {type(control.at).__name__}"
+            raise ExpressionError(finding, "write at as {time: [relation, ...], ...}, as in {2: [x >= 1]}")
+        if control.at and control.waypoints:
+            raise BoundaryError("at beside waypoints", "write Waypoint([...], window=(time, time)) for a given time")
+        for time, relations in control.at.items():
+            entry = entry_of("inner time", "a time of at", time)
+            name = text(entry.expression)
+            yield replace(entry, what=f"the time {name} of at")
+            yield from _conditions(self.argument, f"at[{name}]", name, relations)
+
+    def of_model(self, model: Model) -> tuple[Any, ...]:
+        return () if any(inner.time is None for inner in model.inner_times) else model.inner_conditions
+
+    def added(self, model: Model, entries: Sequence[Entry]) -> Model:
+        """The times in their order at the default parameters, as far as they have numbers, and what holds there."""
+        times = [entry.expression for entry in entries if entry.role == "inner time"]
+        numbers = [expressions.rounded_at(time, model.default_values) or 0.0 for time in times]
+        order = sorted(range(len(times)), key=numbers.__getitem__)
+        return replace(
+            model,
+            inner_times=(*model.inner_times, *(InnerTime(times[i]) for i in order)),
+            inner_conditions=(*model.inner_conditions, *_numbered(self.argument, "inner time", entries, order)),
+        )
+
+    def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
+        yield from ((condition.name, condition.expression) for condition in model.inner_conditions)
+
+    def numbers(self, model: Model) -> Iterator[tuple[str, Expr]]:
+        for inner in model.inner_times:
+            limits = inner.time, inner.earliest, inner.latest
+            yield from ((f"the inner time {text(time)}", time) for time in limits if time is not None)
+
+    def require_regular(self, model: Model, points: Points) -> None:
+        """Refuse times that are not between start and end or not in order, and conditions that say nothing new."""
+        _require_order(model)
+        symbols = (*model.coordinates, *model.rates, *(free.symbol for free in model.free_parameters))
+        always = [*nodal_conditions(model, equality=True), *(Condition(f"{text(c)} = 0", c) for c in model.holonomic)]
+        for condition in model.inner_conditions:
+            if is_constant(condition, (*model.coordinates, *model.rates), points):
+                raise ExpressionError(f"the condition {condition} depends on nothing that moves", "leave it out")
+        for number in range(len(model.inner_times)):
+            there = [c for c in model.inner_conditions if c.number == number and c.equality]
+            names = dependent([*always, *there], symbols, points) if there else ""
+            if names:
+                raise BoundaryError(f"the conditions {names} depend on each other", "leave out one of them")
+
+    def sentences(self, model: Model) -> list[str]:
+        return [*(condition.name for condition in model.inner_conditions), *filter(None, _windows(model))]
+
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        for number, inner in enumerate(model.inner_times):
+            there = [c for c in model.inner_conditions if c.number == number]
+            where = f"waypoint {number + 1}" if inner.time is None else f"the inner time {text(inner.time)}"
+            limits = (("earliest", inner.earliest), ("latest", inner.latest))
+            if equations := tuple(("0", c.expression) for c in there if c.equality):
+                yield f"At {where}", equations
+            if inequalities := tuple((f"g_{i}", c.expression) for i, c in enumerate(there, 1) if not c.equality):
+                yield f"At {where}, not positive", inequalities
+            if window := tuple((name, limit) for name, limit in limits if limit is not None):
+                yield f"The time of {where}", window
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        for time, relations in control.at.items() if isinstance(control.at, Mapping) else ():
+            where = rf"\quad\text{{at }} t = {latex(time)}"
+            yield from (f"&{latex.relation(relation)}{where}" for relation in listed(relations))
+
+
+class Waypoints(ConditionKind):
+    """Equations and inequalities at times that are free, but in order; with given ones they are one field."""
+
+    argument, field, words = "waypoints", "inner_conditions", "waypoints"
+    check = AtTimes.check
+    scope: ClassVar[Scope] = {
+        "waypoints": (*MOVING, Time, *STATIC),
+        "waypoint": (),
+        "earliest": (Parameter,),
+        "latest": (Parameter,),
+    }
+    remedies: ClassVar[Remedies] = AtTimes.remedies
+    not_in_phases = BoundaryError, "it has waypoints", "end a phase at each of them, with end_conditions"
+
+    def written(self, control: Control) -> Iterator[Entry]:
+        """The number of each, followed by its window and the conditions there."""
+        if control.waypoints and control.bodies != 1:
+            raise BoundaryError("waypoints beside bodies", "give times, as in at={time: [...]}, or use together(...)")
+        for number, given in enumerate(checked_sequence(self.argument, control.waypoints, "[relation, ...]")):
+            waypoint = given if isinstance(given, Waypoint) else Waypoint(given)
+            yield entry_of("waypoint", f"waypoint {number + 1}", Integer(number))
+            yield from _window(f"waypoints[{number}]", waypoint.window)
+            yield from _conditions(self.argument, f"waypoints[{number}]", f"waypoint {number + 1}", waypoint.conditions)
+
+    def of_model(self, model: Model) -> tuple[Any, ...]:
+        return model.inner_conditions if any(inner.time is None for inner in model.inner_times) else ()
+
+    def added(self, model: Model, entries: Sequence[Entry]) -> Model:
+        times = list[InnerTime]()
+        for entry in entries:
+            if entry.role == "waypoint":
+                times.append(InnerTime(None))
+            elif entry.role in ("earliest", "latest"):
+                limit: dict[str, Any] = {entry.role: entry.expression}
+                times[-1] = replace(times[-1], **limit)
+        return replace(
+            model,
+            inner_times=(*model.inner_times, *times),
+            inner_conditions=(
+                *model.inner_conditions,
+                *_numbered(self.argument, "waypoint", entries, range(len(times))),
+            ),
+        )
+
+    def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
+        yield from ()
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        """What holds at times that are to be found, which have numbers, and their order."""
+        times = [f"t_{{{number}}}" for number in range(1, len(control.waypoints) + 1)]
+        for given, time in zip(control.waypoints, times, strict=True):
+            waypoint = given if isinstance(given, Waypoint) else Waypoint(given)
+            conditions = r",\; ".join(map(latex.relation, listed(waypoint.conditions)))
+            yield rf"&{conditions}\quad\text{{at }} t = {time}"
+            if waypoint.window != (None, None):
+                yield f"&{latex.between(time, waypoint.window)}"
+        if times:
+            yield "&" + " < ".join([latex.first, *times, latex.last])
+
+
+def _conditions(role: str, what: str, where: str, relations: Any) -> Iterator[Entry]:
+    """What holds at one inner time; ExpressionError where that is nothing."""
+    found = list(relation_entries(what, relations))
+    if not found:
+        raise ExpressionError(f"{what} has no condition", "write what holds then, or leave it out")
+    yield from (replace(entry, role=role, name=f"{entry.name} at {where}") for entry in found)
+
+
+def _window(what: str, window: Any) -> Iterator[Entry]:
+    if not isinstance(window, (tuple, list)) or len(window) != 2:
+        raise ExpressionError(f"the window of {what} is {window!r}", "write window=(earliest, latest)")
+    for role, limit in zip(("earliest", "latest"), window, strict=True):
+        if limit is not None:
+            yield entry_of(role, f"the {role} time of {what}", limit)
+
+
+def _numbered(role: str, time: str, entries: Sequence[Entry], order: Sequence[int]) -> list[InnerCondition]:
+    """The conditions of a role, each of which follows the entry of its time, by times in their order."""
+    found, number = list[InnerCondition](), -1
+    for entry in entries:
+        if entry.role == time:
+            number += 1
+        elif entry.role == role:
+            found.append(InnerCondition(entry.name, entry.expression, entry.equality, list(order).index(number)))
+    return sorted(found, key=lambda condition: condition.number)
+
+
+def _windows(model: Model) -> Iterator[str]:
+    """What windows say of times."""
+    for number, inner in enumerate(model.inner_times, start=1):
+        limits = [f">= {text(inner.earliest)}"] if inner.earliest is not None else []
+        limits += [f"<= {text(inner.latest)}"] if inner.latest is not None else []
+        yield f"the time of waypoint {number} {' and '.join(limits)}" if limits else ""
+
+
+def _require_order(model: Model) -> None:
+    """Refuse times that are not in order between start and end, and windows that leave none, at the defaults."""
+    if not model.inner_times:
+        return
+    values = model.default_values
+    values |= {f.symbol: expressions.rounded_at(f.guess, values) or 0.0 for f in model.free_parameters}
+    duration = expressions.rounded_at(model.duration, values) or 0.0
+    is_free = bool(model.duration.free_symbols & {f.symbol for f in model.free_parameters})
+
+    def number(time: Expr | None) -> float | None:
+        return None if time is None else expressions.rounded_at(time, values)
+
+    given = [(text(inner.time), number(inner.time) or 0.0) for inner in model.inner_times if inner.time is not None]
+    for name, time in given:
+        if time <= _SAME * duration:
+            raise BoundaryError(
+                f"the time {name} of at is {time:g}, not after the start", "write it into start or start_conditions"
+            )
+        if time >= (1 - _SAME) * duration and not is_free:
+            raise BoundaryError(
+                f"the time {name} of at is {time:g}, not before the end, {duration:g}",
+                "write it into end or end_conditions",
+            )
+    for (first, one), (second, other) in pairwise(given):
+        if other - one <= _SAME * duration:
+            finding = f"the times {first} and {second} of at are the same"
+            raise BoundaryError(finding, "write the conditions there into one list")
+    soonest = 0.0
+    for index, inner in enumerate(model.inner_times, start=1):
+        earliest, latest = number(inner.earliest), number(inner.latest)
+        if earliest is not None and latest is not None and earliest > latest:
+            raise BoundaryError(f"the window of waypoint {index} ends before it begins", "exchange the two times")
+        soonest = max(soonest, earliest or 0.0)
+        if latest is not None and latest <= (soonest if earliest is None or soonest > earliest else 0.0):
+            before = f"an earlier one at {soonest:g} or later" if soonest > 0.0 else "the start at 0"
+            raise BoundaryError(f"waypoint {index} is to be at {latest:g} or before, and {before}", _ORDER)
+        if earliest is not None and earliest >= duration and not is_free:
+            raise BoundaryError(f"waypoint {index} is to be at {earliest:g} or later, after the end", _ORDER)
+
+
+_TRIALS = 30
+"""Points of each size at which an expression is tried."""
+
+
+@dataclass(frozen=True)
+class InnerTerms:
+    """The unknowns of nodes with their share of l; and the times, where indices count these unknowns from zero."""
+
+    nodal: NodalTerms
+    times: InnerTimes
+
+
+def inner_terms(
+    original: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None = None
+) -> InnerTerms:
+    """Impose the conditions of a model; `at_left` writes an expression in the symbols of an interval's left node.
+
+    With a `clock` the times are free.
+    """
+    if not original.inner_conditions:
+        return InnerTerms(NodalTerms(), InnerTimes())
+    model = with_given_times(original, clock)
+    lanes = _lanes(model.inner_conditions)
+    table = _Table(model, names, clock)
+    unknowns, element = list[Unknown](), S.Zero if clock is None else clock.share(table.is_inner)
+    found, multipliers = dict[int, list[int]](), list[tuple[str, int, int]]()
+    for lane in lanes:
+        first = len(unknowns)
+        unknowns.append(Unknown(names.numbered("nu"), Meaning(Kind.INNER_CONDITION)))
+        slack = S.Zero
+        if any(not c.equality for c in lane):
+            unknowns.append(Unknown(names.numbered("s"), Meaning(Kind.INNER_SLACK), lower=S.Zero))
+            (slack,) = symbols([unknowns[-1].name], "_k")
+        (multiplier,) = symbols([unknowns[first].name], "_k")
+        element += table.share(lane, multiplier, slack, at_left)
+        for c in lane:
+            found.setdefault(c.number, []).extend([first] if c.equality else [first, first + 1])
+            multipliers.append((c.name, c.number, first))
+    pins = tuple(unknown.name for unknown in unknowns)
+    times = range(len(model.inner_times))
+    return InnerTerms(
+        NodalTerms(tuple(unknowns), element, pins, pins),
+        InnerTimes(
+            times=_times(model, clock),
+            symbols=tuple(table.rows),
+            numbers=tuple(tuple(row.get(time, S.Zero) for time in times) for row in table.rows.values()),
+            unknowns=tuple(range(len(unknowns))),
+            present=tuple(tuple(i in found.get(time, []) for i in range(len(unknowns))) for time in times),
+            multipliers=tuple(sorted(multipliers, key=lambda entry: entry[1:])),
+            windows=tuple(
+                (number, inner.earliest, inner.latest)
+                for number, inner in enumerate(model.inner_times)
+                if inner.earliest is not None or inner.latest is not None
+            ),
+            scales=() if clock is None else clock.scales,
+        ),
+    )
+
+
+def _times(model: Model, clock: Clock | None) -> tuple[Expr, ...]:
+    """Where inner times are: times, or where these are free parts of the chain, as many intervals between any two."""
+    count = len(model.inner_times) + 1
+    if clock is not None:
+        return tuple(Rational(i, count) for i in range(1, count))
+    return tuple(inner.time for inner in model.inner_times if inner.time is not None)
+
+
+def _lanes(conditions: Sequence[InnerCondition]) -> list[list[InnerCondition]]:
+    """The conditions in groups that share a multiplier, at most one of each time, so that few have slacks."""
+    at: dict[int, list[InnerCondition]] = {}
+    for condition in conditions:
+        at.setdefault(condition.number, []).append(condition)
+    count = max(map(len, at.values()))
+    lanes: list[list[InnerCondition]] = [[] for _ in range(count)]
+    for there in at.values():
+        equations = [c for c in there if c.equality]
+        for lane, condition in zip(lanes, equations, strict=False):
+            lane.append(condition)
+        for lane, condition in zip(reversed(lanes), (c for c in there if not c.equality), strict=False):
+            lane.append(condition)
+    return lanes
+
+
+def _regular_point(expression: Expr, moving: Sequence[Symbol], values: Mapping[Symbol, float]) -> dict[Symbol, Expr]:
+    """Values of the moving symbols at which an expression and its first two derivatives have values; or none at all."""
+    slopes = [sympy.diff(expression, x) for x in moving]
+    wanted = [expression, *slopes, *(sympy.diff(slope, x) for slope in slopes for x in moving)]
+    generator = np.random.default_rng(7)
+    for size in np.repeat((1.0, 10.0, 0.1, 100.0), _TRIALS):
+        drawn = size * generator.uniform(-0.3, 1.0, len(moving))
+        point = {x: Rational(str(round(float(number), 3))) for x, number in zip(moving, drawn, strict=True)}
+        at = {**values, **{x: float(number) for x, number in point.items()}}
+        if all(checks.rounded_at(value, at) is not None for value in wanted):
+            return point
+    return {}
+
+
+class _Table:
+    """The numbers that nodes have, a row for each of their symbols: the number of a time, and its value there."""
+
+    def __init__(self, model: Model, names: Names, clock: Clock | None) -> None:
+        self._model, self._names = model, names
+        self._moving = {*model.coordinates, *model.rates, *(free.symbol for free in model.free_parameters)}
+        self._at_node: dict[Symbol, Expr] = {}
+        if clock is not None:
+            self._moving.add(clock.symbol)
+            self._at_node = {clock.symbol: symbols([clock.time], "_k")[0]}
+        self.rows: dict[Symbol, dict[int, Expr]] = {}
+
+    @property
+    def is_inner(self) -> Symbol:
+        """One at a node at an inner time, and zero elsewhere."""
+        return self._symbol(dict.fromkeys(range(len(self._model.inner_times)), S.One))
+
+    def share(
+        self, lane: Sequence[InnerCondition], multiplier: Symbol, slack: Expr, at_left: Callable[[Expr], Expr]
+    ) -> Expr:
+        """What l gains by conditions that have their multiplier, and perhaps a slack, in common."""
+        element, present, slacked = S.Zero, S.Zero, S.Zero
+        for equality in (True, False):
+            alike = [c for c in lane if c.equality == equality]
+            for form in common_forms([self._at_its_time(c) for c in alike], self._moving):
+                members = {alike[i].number: values for i, values in form.members.items()}
+                here = self._symbol(dict.fromkeys(members, S.One))
+                columns = [{time: values[i] for time, values in members.items()} for i in range(len(form.places))]
+                numbers = dict(zip(form.places, (self._symbol(column) for column in columns), strict=True))
+                value = self._defined_everywhere(form, numbers, here)
+                element += here * multiplier * (at_left(value).xreplace(self._at_node) + (0 if equality else slack))
+                present, slacked = present + here, slacked + (0 if equality else here)
+        absent = multiplier**2 + slack**2 - present * multiplier**2 - slacked * slack**2
+        return element + sympy.expand(absent / 2)
+
+    def _defined_everywhere(self, form: Form, numbers: Mapping[Symbol, Symbol], here: Symbol) -> Expr:
+        """The expression of a form in numbers of the node, with slopes at other nodes as well, where it has no meaning.
+
+        A distance has none at zero, a root none below it; there it is taken at a point where it has: zero times what is
+        infinite is no number.
+        """
+        moving = sorted(form.expression.free_symbols & self._moving, key=str)
+        if form.expression.is_polynomial(*moving, *numbers):
+            return form.expression.xreplace(numbers)
+        first = dict(zip(numbers, next(iter(form.members.values())), strict=True))
+        point = _regular_point(form.expression.xreplace(first), moving, self._model.default_values)
+        elsewhere = {x: here * x + (1 - here) * value for x, value in point.items()}
+        elsewhere |= {place: symbol + (1 - here) * first[place] for place, symbol in numbers.items()}
+        return form.expression.xreplace(elsewhere)
+
+    def _at_its_time(self, condition: InnerCondition) -> Expr:
+        time = self._model.inner_times[condition.number].time
+        return condition.expression if time is None else condition.expression.xreplace({self._model.time: time})
+
+    def _symbol(self, row: Mapping[int, Expr]) -> Symbol:
+        """A new symbol for a number of nodes, or the one that has these numbers already."""
+        for symbol, known in self.rows.items():
+            if known == row:
+                return symbol
+        symbol = Symbol(self._names.numbered("at"), real=True)
+        self.rows[symbol] = dict(row)
+        return symbol

@@ -1,0 +1,141 @@
+"""Conditions on integrals over the whole duration, such as a length; `transcribe.conditions.integrals` imposes them.
+
+Conditions on integrals over the whole duration, such as a length or an amount of fuel.
+
+With the scheme's own quadrature Gd of the integrand over an interval, as for the cost, the sum of all Gd equals a value
+c, or stays below it. Neither a node nor an interval owns that equation: its multiplier is a shared unknown zeta, and
+with it, for an inequality, a slack s >= 0. Every interval's l gains zeta Gd, and the end's share zeta (s - c).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from sympy import Add, Expr, S, Symbol, sstr
+
+from codegen.discretise.conditions.base import ConditionKind, Latex, Scope
+from codegen.discretise.conditions.ends import End
+from codegen.discretise.conditions.periodic import Own
+from codegen.discretise.model.definitions import Integral, Model
+from codegen.discretise.model.relations import MOVING, STATIC, Entry, named_relations, sides
+from codegen.discretise.program import ControlProgram, IntegralEquation, Names, Unknown
+from codegen.errors import ExpressionError
+from codegen.problem.problem import Control
+from codegen.problem.symbols import ControlInput, Delayed, Time
+from codegen.runtime.record import Kind, Meaning
+from codegen.symbolic import checks as expressions
+
+
+class Integrals(ConditionKind):
+    """Relations between an integrand and the value of its integral."""
+
+    argument, field, words = "integral", "integrals", "conditions on integrals"
+    check = "integrals"
+    scope: ClassVar[Scope] = {"integral": (*MOVING, Delayed, ControlInput, Time, *STATIC), "integral value": STATIC}
+
+    def written(self, control: Control) -> Iterator[Entry]:
+        """Each as an integrand and as the value that its integral has or does not exceed."""
+        given = named_relations(self.argument, getattr(control, self.argument))
+        for entry, (_, written) in zip(super().written(control), given, strict=True):
+            integrand, limit = _sides(written, entry.what)
+            yield replace(entry, expression=integrand)
+            yield replace(entry, role=f"{self.argument} value", what=f"value of {entry.what}", expression=limit)
+
+    def conditions(self, entries: Sequence[Entry]) -> tuple[Integral, ...]:
+        integrands, limits = ([e for e in entries if e.role == role] for role in self.scope)
+        return tuple(
+            Integral(entry.name, entry.expression, entry.equality, limit.expression)
+            for entry, limit in zip(integrands, limits, strict=True)
+        )
+
+    def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
+        for i in model.integrals:
+            yield from ((f"the integrand of {i}", i.expression), (f"the value of {i}", i.value))
+
+    def sentences(self, model: Model) -> list[str]:
+        return [
+            f"sum of Gd_{number} {'=' if i.equality else '<='} {sstr(i.value)} ({i})"
+            for number, i in enumerate(model.integrals, start=1)
+        ]
+
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        for number, i in enumerate(model.integrals, start=1):
+            heading = f"Integral over [0, T] that {'equals' if i.equality else 'is at most'} c_{number}"
+            yield heading, ((f"rate G_{number}", i.expression), (f"c_{number}", i.value))
+
+    def when(self, latex: Latex) -> str:
+        return rf"\text{{for the integral over }} [{latex.first}, {latex.last}]"
+
+
+def _sides(value: Any, what: str) -> tuple[Expr, Expr]:
+    """The integrand, and what its integral equals or does not exceed, with the signs that say so.
+
+    The integrand is the side that moves. ExpressionError unless that is one side alone.
+    """
+    left, right, sign = sides(value)
+    left, right = (expressions.checked(side, what) for side in (left, right))
+    moves = [any(isinstance(s, (*MOVING, ControlInput, Time)) for s in side.free_symbols) for side in (left, right)]
+    if all(moves):
+        raise ExpressionError(
+            f"both sides of {what} move", "write the integrand on one side, its integral's value on the other"
+        )
+    if not any(moves):
+        raise ExpressionError(
+            f"{what} has no integrand, since nothing in it moves", "write Eq(integrand, value), or leave it out"
+        )
+    integrand, limit = (left, right) if moves[0] else (right, left)
+    at_least = (sign == ">=") == moves[0] and sign != "="
+    return (-integrand, -limit) if at_least else (integrand, limit)
+
+
+def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ...]:
+    """The equations of the conditions on integrals, with names for their unknowns."""
+    equations = []
+    for condition in model.integrals:
+        multiplier = Symbol(names.numbered("zeta"), real=True)
+        slack = None if condition.equality else Symbol(names.numbered("s"), real=True)
+        equations.append(IntegralEquation(condition, multiplier, slack))
+    return tuple(equations)
+
+
+def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
+    """The multipliers and slacks, of which every body has its own."""
+    own = list[Own]()
+    for equation in equations:
+        name, symbol = equation.condition.name, equation.multiplier
+        own.append(Own(Unknown(symbol.name, Meaning(Kind.INTEGRAL, name)), symbol, S.Zero))
+        if (slack := equation.slack) is not None:
+            own.append(Own(Unknown(slack.name, Meaning(Kind.INTEGRAL_SLACK, name), lower=S.Zero), slack, S.Zero))
+    return tuple(own)
+
+
+def interval_share(equations: Sequence[IntegralEquation], quadratures: Sequence[Expr]) -> Expr:
+    """What an interval's l gains."""
+    return Add(*(equation.multiplier * value for equation, value in zip(equations, quadratures, strict=True)))
+
+
+def end_share(equations: Sequence[IntegralEquation]) -> End:
+    """What the end gains."""
+    return End(element=Add(*(equation.multiplier * equation.excess for equation in equations)))
+
+
+def with_distinct_integral_names(programs: Sequence[ControlProgram], names: Names) -> list[ControlProgram]:
+    """The programs of all phases, in which no two conditions on integrals have unknowns of one name."""
+    return [_renamed(program, names) for program in programs]
+
+
+def _renamed(program: ControlProgram, names: Names) -> ControlProgram:
+    old = [own.symbol for own in own_unknowns(program.integrals)]
+    new = {symbol: Symbol(names.numbered(symbol.name.rpartition("_")[0]), real=True) for symbol in old}
+
+    def equation(found: IntegralEquation) -> IntegralEquation:
+        return replace(found, multiplier=new[found.multiplier], slack=found.slack and new[found.slack])
+
+    return replace(
+        program,
+        element=program.element.xreplace(new),
+        end=replace(program.end, element=program.end.element.xreplace(new)),
+        integrals=tuple(map(equation, program.integrals)),
+    )

@@ -1,0 +1,158 @@
+"""Measurements that a motion is to fit; `transcribe.conditions.samples` adds them to the cost.
+
+What a sample of measurements adds to the cost: how far the motion inside its interval is from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from sympy import Add, Expr, Piecewise, Symbol, sqrt, sstr
+
+from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Remedies, Scope
+from codegen.discretise.guesses import measured_guess
+from codegen.discretise.interval import FRACTION
+from codegen.discretise.model.definitions import Model, Observed
+from codegen.discretise.model.relations import MOVING, STATIC, Entry, entry_of
+from codegen.discretise.program import Names, SampleElement
+from codegen.errors import ExpressionError, TableError
+from codegen.problem.problem import Control
+from codegen.problem.symbols import ControlInput, FreeParameter, Time
+from codegen.problem.tables import Measurements
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.latex import in_latex
+from codegen.symbolic.measurements import LOSSES, require_within
+
+_LISTED = 6
+"""Files that a module names in its docstring."""
+
+
+class Observations(ConditionKind):
+    """Expressions of the motion whose values were measured."""
+
+    argument, field, words = "observations", "observed", "measurements"
+    check = "measurements"
+    scope: ClassVar[Scope] = {"observations": (*MOVING, Time, *STATIC)}
+    remedies: ClassVar[Remedies] = {ControlInput: "measure what moves; a control is constant on an interval"}
+    not_in_phases = ExpressionError, "it has observations", "give measurements to problems of one phase"
+
+    def written(self, control: Control) -> Iterator[Entry]:
+        given = measurements_of(control)
+        for expression, column in given[0].values.items() if given else ():
+            yield replace(entry_of(self.argument, f"what {column} measures", expression), name=column)
+
+    def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
+        for what in ("maximise", "terminal_maximise"):
+            if expressions.checked(getattr(control, what), what) != 0:
+                raise ExpressionError(f"observations beside {what}", "write the cost negated, as what is to be least")
+        if any(isinstance(s, FreeParameter) for s in expressions.checked(control.duration, "duration").free_symbols):
+            raise ExpressionError("observations in a motion of free duration", "let it last until the last sample")
+
+    def conditions(self, entries: Sequence[Entry]) -> tuple[Observed, ...]:
+        return tuple(Observed(entry.name, entry.expression) for entry in entries if entry.role == self.argument)
+
+    def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
+        yield from ((f"what {observed.name} measures", observed.expression) for observed in model.observed)
+
+    def require_regular(self, model: Model, points: Points) -> None:
+        """Refuse times outside the motion, and columns that measure nothing which moves."""
+        for observed in model.observed:
+            if not observed.expression.has(*model.coordinates, *model.rates):
+                raise ExpressionError(
+                    f"what {observed.name} measures is {sstr(observed.expression)}, which does not move",
+                    "measure states, or expressions of them",
+                )
+        duration = expressions.number_at(model.duration, model.default_values)
+        assert duration is not None or not model.measurements, "a duration that is free was refused"
+        for data in model.measurements:
+            require_within(data, duration or 0.0)
+
+    def sentences(self, model: Model) -> list[str]:
+        if not model.observed:
+            return []
+        return [
+            f"to the cost is added {LOSSES[model.loss]} of {_errors(model)}",
+            *(f"    {data.summary}" for data in model.measurements[:_LISTED]),
+            *([f"    and {len(model.measurements) - _LISTED} files more"] if model.measurements[_LISTED:] else []),
+        ]
+
+    def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
+        if model.observed:
+            heading = f"Measurements, of whose errors e {LOSSES[model.loss]} is added to the cost"
+            yield heading, tuple((observed.name.replace(" ", ""), observed.expression) for observed in model.observed)
+
+    def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
+        yield from ()
+
+    def costs(self, control: Control, latex: Latex) -> Iterator[str]:
+        """The sums over measured values, which are called as their columns are."""
+        given = control.observations
+        for measured in [given] if isinstance(given, Measurements) else given:
+            form = r"\left({}\right)^2" if measured.loss == "squares" else rf"\text{{{measured.loss}}}\left({{}}\right)"
+            for (value, column), sigma in zip(measured.values.items(), measured.data.layout.sigmas, strict=True):
+                name = in_latex(f"{column}_i") if column.isidentifier() else r"\text{measured}_i"
+                error = f"{latex.at(value, 't_i')} - {name}"
+                error = rf"\frac{{{error}}}{{\sigma_i}}" if sigma is not None else error
+                yield rf"\sum_i {form.replace('{}', error)}"
+
+
+def _errors(model: Model) -> str:
+    sigmas = model.measurements[0].layout.sigmas
+    errors = []
+    for observed, sigma in zip(model.observed, sigmas, strict=True):
+        error = f"{sstr(observed.expression)} - {observed.name}"
+        errors.append(f"e = {error}" if sigma is None else f"e = ({error})/{sigma}")
+    return ", ".join(errors)
+
+
+def measurements_of(control: Control) -> tuple[Measurements, ...]:
+    """The measurements of a problem, of each body; TableError for what is none, or does not fit together."""
+    given: Any = control.observations
+    listed = (given,) if isinstance(given, Measurements) else given
+    if not isinstance(listed, (list, tuple)) or not all(isinstance(one, Measurements) for one in listed):
+        raise TableError(f"observations are {given!r}", 'write observations=Measurements("data.csv", values={x: "z"})')
+    if listed and len(listed) != control.bodies:
+        raise TableError(
+            f"there are {len(listed)} measurements and {control.bodies} bodies",
+            "give one for each body, in their order",
+        )
+    for one in listed:
+        if (one.values, one.loss, one.data.layout) != (listed[0].values, listed[0].loss, listed[0].data.layout):
+            raise TableError(
+                f"measurements {one.data.source} have other columns, or another sigma or loss, than "
+                f"{listed[0].data.source}",
+                "let all measure the same in the same way",
+            )
+    return tuple(listed)
+
+
+def sample_element(model: Model, observed: Sequence[Expr], names: Names) -> SampleElement | None:
+    """The share of one sample, where there are measurements; `observed` are its values by the motion."""
+    if not observed:
+        return None
+    fraction = Symbol(names.numbered("fraction"), nonnegative=True)
+    values = tuple(Symbol(names.numbered("measured"), real=True) for _ in observed)
+    weights = tuple(Symbol(names.numbered("weight"), nonnegative=True) for _ in observed)
+    inside = [value.xreplace({FRACTION: fraction}) for value in observed]
+    errors = (w * (x - z) for w, x, z in zip(weights, inside, values, strict=True))
+    loss = Add(*map(_LOSSES[model.loss], errors))
+    return SampleElement(loss, tuple(inside), fraction, values, weights, measured_guess(model))
+
+
+def _square(error: Expr) -> Expr:
+    return error**2
+
+
+def _huber(error: Expr) -> Expr:
+    """Source: Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35."""
+    return Piecewise((2 * error - 1, error > 1), (-2 * error - 1, error < -1), (error**2, True))
+
+
+def _soft_absolute(error: Expr) -> Expr:
+    """2 (sqrt(1 + e^2) - 1), of which no digits cancel."""
+    return 2 * error**2 / (1 + sqrt(1 + error**2))
+
+
+_LOSSES: dict[str, Callable[[Expr], Expr]] = {"squares": _square, "huber": _huber, "soft-l1": _soft_absolute}

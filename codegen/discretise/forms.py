@@ -1,0 +1,89 @@
+"""A model in the quantities in which it is transcribed: velocities, momenta or states, and nothing else.
+
+The Legendre transforms rewrite dynamics, force, cost and boundary values. Here path, end conditions and terminal cost
+follow, and what no longer is a number for one unknown becomes a condition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.model import legendre
+from codegen.discretise.model.definitions import Boundary, Bounds, Condition, Model
+from codegen.errors import ExpressionError
+from codegen.problem.symbols import Velocity
+
+
+def in_velocities(model: Model) -> Model:
+    """The model in Lagrangian form, its conditions too; raises what the Legendre transform raises.
+
+    Bounds on momenta, which are no unknowns there, become path conditions.
+    """
+    model = _momentum_bounds_as_conditions(model)
+    return _rates_as_conditions(rewritten(model, legendre.lagrangian_form(model)))
+
+
+def in_momenta(model: Model) -> Model:
+    """The model in Hamiltonian form without its boundary values, which may be velocities; its conditions too."""
+    return rewritten(model, legendre.hamiltonian_form(model.with_free_ends))
+
+
+def rewritten(original: Model, transformed: Model) -> Model:
+    """Write path, end conditions and terminal cost of the original in the rates of the transformed model."""
+    if original.form == transformed.form:
+        return transformed
+    kinds = [kind for kind in CONDITIONS if Velocity in kind.scope[kind.argument]]
+    expressions = (original.terminal_cost, *(c.expression for kind in kinds for c in getattr(original, kind.field)))
+    if not any(expression.has(*original.rates) for expression in expressions):
+        return transformed
+    rates = legendre.velocity_of_momentum if original.form == "lagrangian" else legendre.momentum_of_velocity
+    values = dict(zip(original.rates, rates(original), strict=True))
+
+    written: dict[str, Any] = {
+        kind.field: tuple(replace(c, expression=c.expression.xreplace(values)) for c in getattr(original, kind.field))
+        for kind in kinds
+    }
+    return replace(transformed, **written, terminal_cost=original.terminal_cost.xreplace(values))
+
+
+def _rates_as_conditions(model: Model) -> Model:
+    """Turn velocities at the ends that depend on free parameters, as p/m does, into end conditions."""
+    free = {parameter.symbol for parameter in model.free_parameters}
+    if not free or model.end is None:
+        return model
+
+    def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
+        pairs = list(zip(model.rates, boundary.rates, strict=True))
+        moved = [(v, value) for v, value in pairs if value is not None and value.free_symbols & free]
+        kept = tuple(None if (v, value) in moved else value for v, value in pairs)
+        conditions = tuple(Condition(f"{v} = {value}", v - value) for v, value in moved)
+        return replace(boundary, rates=kept), conditions
+
+    (start, at_start), (end, at_end) = split(model.start), split(model.end)
+    return replace(
+        model,
+        start=start,
+        end=end,
+        start_conditions=(*model.start_conditions, *at_start),
+        end_conditions=(*model.end_conditions, *at_end),
+    )
+
+
+def _momentum_bounds_as_conditions(model: Model) -> Model:
+    """Turn bounds on rates into path conditions; ExpressionError when they differ from body to body."""
+    kept, conditions = list[Bounds](), list[Condition]()
+    for bounds in model.bounds:
+        if bounds.symbol not in model.rates:
+            kept.append(bounds)
+            continue
+        for condition in bounds.conditions:
+            if model.body is not None and condition.expression.has(model.body):
+                raise ExpressionError(
+                    f"a bound on {bounds.symbol} depends on the body's number, and no unknown of the variational "
+                    "method has it",
+                    "give every body the same bound, or use --method hamiltonian",
+                )
+            conditions.append(condition)
+    return replace(model, bounds=tuple(kept), path=(*model.path, *conditions)) if conditions else model

@@ -1,0 +1,292 @@
+"""The continuous Legendre transform between the Lagrangian and the Hamiltonian form of a model.
+
+With p = dL/dv and H(q, p, t) = p.v - L(q, v, t) the transform is an involution: v = dH/dp and L = p.v - H. One routine
+therefore serves both directions. Source: Marsden and West, Discrete mechanics and variational integrators (2001),
+section 1.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import sympy
+from sympy.functions.elementary.trigonometric import TrigonometricFunction
+from sympy.simplify.fu import TR8
+
+from codegen.discretise.model.definitions import Boundary, Model
+from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.derivatives import gradient
+from codegen.symbolic.zeros import identically_zero
+
+_ADJUGATE_LIMIT = 3
+"""Up to this size the adjugate over the determinant is shorter than the nested fractions of an elimination."""
+_SIMPLIFY_LIMIT = 150
+"""Operation count up to which sympy's simplifications are affordable."""
+_TRIGSIMP_LIMIT = 40
+"""The same for all of its trigonometric rules, of which otherwise one is used: products as sums of cosines."""
+_WRITTEN_LIMIT = 100_000
+"""Operations of an inverse matrix up to which it is written out."""
+
+
+def hamiltonian_form(model: Model) -> Model:
+    """Return the model with H(q, p, t) in place of L(q, v, t); force, cost and boundary are rewritten in (q, p, u, t).
+
+    The momenta are called `p_<coordinate>`. What has no Lagrangian is returned as it is. Raises SymbolError when such a
+    name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError when a fixed end velocity
+    does not determine its momentum.
+    """
+    return _transformed(model, "hamiltonian") if model.form == "lagrangian" else model
+
+
+def lagrangian_form(model: Model) -> Model:
+    """Return the model with L(q, v, t) in place of H(q, p, t); force, cost and boundary are rewritten in (q, v, u, t).
+
+    The velocities are called `d<coordinate>`. A model that has the form already is returned as it is. Raises
+    SymbolError when such a name is taken, DegenerateError when v = dH/dp has no unique solution, and BoundaryError
+    when a fixed end momentum does not determine its velocity.
+    """
+    return model if model.form == "lagrangian" else _transformed(model, "lagrangian")
+
+
+def in_phase_space(model: Model) -> Model:
+    """Return a Lagrangian model with momenta as its rates and with its ends in them, but with no function of these.
+
+    This is all of the Hamiltonian form that does not want p = dL/dv to be solved for v. Raises SymbolError and
+    BoundaryError as `hamiltonian_form` does.
+    """
+    conjugates, slopes = conjugate_symbols(model), gradient(model.function, model.rates)
+    return replace(
+        model,
+        form="hamiltonian",
+        rates=conjugates,
+        function=sympy.S.Zero,
+        start=_boundary(model, "start", model.start, sympy.S.Zero, slopes, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, slopes, conjugates),
+    )
+
+
+def momentum_of_velocity(model: Model) -> tuple[sympy.Expr, ...]:
+    """Return p(q, v, t), one expression for each coordinate: dL/dv, or v = dH/dp solved for p.
+
+    Symbols are the model's own and, for a Hamiltonian, the velocities `d<coordinate>`. Raises as the transforms do.
+    """
+    if model.form == "lagrangian":
+        return gradient(model.function, model.rates)
+    return _dual(model, conjugate_symbols(model))[1]
+
+
+def velocity_of_momentum(model: Model) -> tuple[sympy.Expr, ...]:
+    """Return v(q, p, t), one expression for each coordinate: dH/dp, or p = dL/dv solved for v.
+
+    Symbols are the model's own and, for a Lagrangian, the momenta `p_<coordinate>`. Raises as the transforms do.
+    """
+    if model.form == "hamiltonian":
+        return gradient(model.function, model.rates)
+    return _dual(model, conjugate_symbols(model))[1]
+
+
+def conjugate_symbols(model: Model) -> tuple[sympy.Symbol, ...]:
+    """Return the symbols of the other form: momenta `p_<q>` of a Lagrangian, velocities `d<q>` of a Hamiltonian.
+
+    Raises SymbolError when another symbol of the model has such a name.
+    """
+    prefix = "p_" if model.form == "lagrangian" else "d"
+    return new_symbols(model, prefix, model.coordinates)
+
+
+def new_symbols(model: Model, prefix: str, of: Sequence[sympy.Symbol]) -> tuple[sympy.Symbol, ...]:
+    """Make one real symbol `<prefix><name>` for each symbol; SymbolError when the model uses that name already."""
+    groups = (model.coordinates, model.rates, model.controls, model.parameters, (model.time,))
+    taken = {symbol.name for group in groups for symbol in group}
+    for symbol in of:
+        if prefix + symbol.name in taken:
+            raise SymbolError(
+                f"{prefix}{symbol} is declared, but the name is needed for the partner of {symbol}",
+                "give the declared symbol another name",
+            )
+    return tuple(sympy.Symbol(prefix + symbol.name, real=True) for symbol in of)
+
+
+def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+    """Solve a regular square symbolic system, one connected block of the matrix at a time.
+
+    A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and
+    the expressions stay small. Entries are simplified first, because a zero that is not seen joins two blocks.
+    Raises DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
+    """
+    _require_affordable(matrix)
+    matrix = matrix.applyfunc(_simplified_entry)
+    solution = [sympy.S.Zero] * len(right)
+    for block in matrix.connected_components():
+        rows = sorted(block)
+        part = matrix.extract(rows, rows)
+        values = sympy.Matrix([right[row] for row in rows])
+        if len(rows) <= _ADJUGATE_LIMIT:
+            determinant = _simplified_entry(part.det(method="berkowitz"))
+            if identically_zero(determinant):
+                raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
+            found = part.adjugate() * values / determinant
+        else:
+            found = part.LUsolve(values, iszerofunc=identically_zero)
+        for row, value in zip(rows, found, strict=True):
+            solution[row] = value
+    return tuple(solution)
+
+
+def _require_affordable(matrix: sympy.Matrix) -> None:
+    """Refuse an inverse that would be too long when it is written out, before hours go into it."""
+    if _written_out(matrix) <= _WRITTEN_LIMIT:
+        return
+    matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
+    for block in matrix.connected_components():
+        rows = sorted(block)
+        operations = _written_out(matrix.extract(rows, rows))
+        if operations > _WRITTEN_LIMIT:
+            quantities = ", ".join(sorted(map(str, matrix.free_symbols)))
+            raise SizeError(
+                f"the inverse of a matrix that couples {len(rows)} coordinates would have about {operations:.0e} "
+                f"operations in {quantities}",
+                "use --method variational, which needs no inverse, or coordinates that the kinetic energy couples less",
+            )
+
+
+def _written_out(matrix: sympy.Matrix) -> float:
+    """About how many operations an inverse has, of which every row of an elimination quadruples the terms."""
+    if matrix.rows <= _ADJUGATE_LIMIT:
+        return 0.0
+    return float(4**matrix.rows * sum(int(entry.count_ops()) for entry in matrix) / matrix.rows**2)
+
+
+def _simplified_entry(entry: sympy.Expr) -> sympy.Expr:
+    """Expand a matrix entry, and use cos^2 + sin^2 = 1 where it occurs; a cheap step that exposes zeros."""
+    if entry.count_ops() > _SIMPLIFY_LIMIT:
+        return entry
+    expanded = sympy.expand(entry)
+    candidates = [entry, expanded]
+    if expanded.has(TrigonometricFunction) and expanded.count_ops() < _SIMPLIFY_LIMIT:
+        candidates.append(sympy.trigsimp(expanded) if expanded.count_ops() < _TRIGSIMP_LIMIT else TR8(expanded))
+    return min(candidates, key=lambda candidate: candidate.count_ops())
+
+
+def _transformed(model: Model, form: str) -> Model:
+    conjugates = conjugate_symbols(model)
+    function, old_rates = _dual(model, conjugates)
+    substitution = dict(zip(model.rates, old_rates, strict=True))
+    slopes = gradient(model.function, model.rates)
+    return replace(
+        model,
+        form=form,
+        rates=conjugates,
+        function=function,
+        force=tuple(component.xreplace(substitution) for component in model.force),
+        cost=None if model.cost is None else model.cost.xreplace(substitution),
+        start=_boundary(model, "start", model.start, sympy.S.Zero, slopes, conjugates),
+        end=model.end and _boundary(model, "end", model.end, model.duration, slopes, conjugates),
+    )
+
+
+def _dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    """Return y.x - f(x) and x(y), where f is the model's function, x its rates, and y = df/dx the `conjugates`."""
+    function, rates = model.function, model.rates
+    hessian = sympy.hessian(function, rates)
+    null = expressions.null_direction(expressions.values_at(hessian, point) for point in _trial_points(model))
+    if null is not None:
+        names = " ".join(str(y) for y, weight in zip(conjugates, null, strict=True) if abs(weight) > 1e-6)
+        raise DegenerateError(
+            f"{names} does not determine {' '.join(map(str, rates))}: the Legendre transform is degenerate",
+            "make the kinetic energy depend on every velocity (or momentum) quadratically",
+        )
+    if hessian.has(*rates):
+        hessian = hessian.applyfunc(sympy.expand)
+    if hessian.has(*rates):
+        return _nonlinear_dual(model, conjugates)
+    at_rest = dict.fromkeys(rates, sympy.S.Zero)
+    shifted = tuple(y - slope.xreplace(at_rest) for y, slope in zip(conjugates, gradient(function, rates), strict=True))
+    solved = solve_blocks(hessian, shifted)
+    # f = x.Mx/2 + b.x - V gives y.x - f = (y - b).M^-1 (y - b)/2 + V, without the products that would cancel.
+    half = sum((s * x for s, x in zip(shifted, solved, strict=True)), sympy.S.Zero) / 2
+    return sympy.expand_mul(half, deep=False) - function.xreplace(at_rest), solved
+
+
+def _trial_points(model: Model) -> Iterator[dict[sympy.Symbol, float]]:
+    return expressions.sample_points([*model.coordinates, *model.rates, model.time], model.default_values, {})
+
+
+def _nonlinear_dual(model: Model, conjugates: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    function, rates = model.function, model.rates
+    slopes = gradient(function, rates)
+    try:
+        candidates = sympy.solve(
+            [slope - y for slope, y in zip(slopes, conjugates, strict=True)], list(rates), dict=True
+        )
+    except NotImplementedError:
+        candidates = []
+    inverses = [
+        tuple(candidate[x] for x in rates)
+        for candidate in candidates
+        if set(candidate) == set(rates) and _inverts(model, candidate, slopes, conjugates)
+    ]
+    if len(inverses) != 1:
+        names = " ".join(map(str, conjugates))
+        raise DegenerateError(
+            f"{names} = {', '.join(map(str, slopes))} has {len(inverses) or 'no'} closed solutions for "
+            f"{' '.join(map(str, rates))}",
+            "write the problem in the other form",
+        )
+    solved = inverses[0]
+    substitution = dict(zip(rates, solved, strict=True))
+    dual = sum((x * y for x, y in zip(solved, conjugates, strict=True)), sympy.S.Zero) - function.xreplace(substitution)
+    return (sympy.simplify(dual) if dual.count_ops() < _SIMPLIFY_LIMIT else dual), solved
+
+
+def _inverts(
+    model: Model,
+    candidate: dict[sympy.Symbol, sympy.Expr],
+    slopes: Sequence[sympy.Expr],
+    conjugates: Sequence[sympy.Symbol],
+) -> bool:
+    """Whether a candidate x(y) gives back x at trial points of both signs; sympy may return spurious branches."""
+    tried = False
+    for point in _trial_points(model):
+        image = [expressions.number_at(slope, point) for slope in slopes]
+        known = [value for value in image if value is not None]
+        if len(known) < len(image):
+            continue  # outside the domain of the function, as above the speed of light
+        tried = True
+        inverse_point = point | dict(zip(conjugates, known, strict=True))
+        for x in model.rates:
+            value = expressions.number_at(candidate[x], inverse_point)
+            if value is None or abs(value - point[x]) > 1e-6 * (1.0 + abs(point[x])):
+                return False
+    return tried
+
+
+def _boundary(
+    model: Model,
+    where: str,
+    boundary: Boundary,
+    instant: sympy.Expr,
+    slopes: Sequence[sympy.Expr],
+    conjugates: Sequence[sympy.Symbol],
+) -> Boundary:
+    """Rewrite the fixed rates at one end; a free rate leaves its conjugate free."""
+    symbols = [*model.coordinates, *model.rates]
+    values = [*boundary.positions, *boundary.rates]
+    fixed = {symbol: value for symbol, value in zip(symbols, values, strict=True) if value is not None}
+    fixed[model.time] = instant
+    rates: list[sympy.Expr | None] = []
+    for rate, slope, y, value in zip(model.rates, slopes, conjugates, boundary.rates, strict=True):
+        if value is None:
+            rates.append(None)
+            continue
+        determined = slope.xreplace(fixed)
+        unknown = sorted(determined.free_symbols & set(symbols), key=str)
+        if unknown:
+            raise BoundaryError(
+                f"{where} fixes {rate} but leaves {' '.join(map(str, unknown))} free, so it does not determine {y}",
+                "fix these too, or use the variational method",
+            )
+        rates.append(determined)
+    return Boundary(boundary.positions, tuple(rates))

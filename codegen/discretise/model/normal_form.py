@@ -1,0 +1,307 @@
+"""From what an author wrote to the canonical form: collect, check what may be where, build, check with numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from numbers import Integral
+from typing import Any
+
+import sympy
+
+from codegen import identifiers
+from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.conditions.measurements import measurements_of
+from codegen.discretise.model import delays, drawings, smoothness, values
+from codegen.discretise.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
+from codegen.discretise.model.relations import Entry, text
+from codegen.discretise.model.scope import Kinds, kinds_of, require_keys, require_scope
+from codegen.discretise.model.segments import in_segments
+from codegen.discretise.model.smoothness import with_regular_guesses
+from codegen.discretise.model.units import units_of
+from codegen.discretise.model.written import maximises, used_quantities, written_costs, written_entries
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.problem import symbols
+from codegen.problem.bodies import require_body
+from codegen.problem.problem import FORMS, Control, Problem, Simulate, form_of
+from codegen.problem.symbols import Quantity
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.terms import value_counts
+
+
+def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
+    """Check an author's problem and bring it into canonical form.
+
+    `declared` are the quantities that were declared while the problem was made; the model names those that are not
+    used. Raises a kind of CodegenError that names the symbol or expression and the remedy.
+    """
+    if not isinstance(problem, (Simulate, Control)):
+        raise ProblemFileError(
+            f"problem() returned {type(problem).__name__}", "return codegen.Simulate(...) or codegen.Control(...)"
+        )
+    form = form_of(problem)
+    if form == "dynamics" and isinstance(problem, Simulate):
+        remedy = "simulate takes a Lagrangian or a Hamiltonian, a Control(...) without cost takes dynamics"
+        raise ExpressionError("the simulation is given by dynamics", remedy)
+    entries = written_entries(problem, form)
+    used = used_quantities(entries)
+    drawing = drawings.checked_drawing(problem)
+    drawings.require_derived(drawing, used)
+    require_unique_names([*used, *declared])
+    unused = unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
+    kinds = kinds_of(used, form)
+    if isinstance(problem, Control):
+        require_cost([problem], kinds)
+    plain = plain_symbols(used, problem.task)
+    model = checked_model(problem, entries, kinds, plain, name, title)
+    values.require_agreement(model)
+    model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
+    return in_segments(with_regular_guesses(drawings.with_drawing(model, drawing, plain)))
+
+
+def with_positive_durations(model: Model) -> Model:
+    """The model in which a free parameter that is the duration, and has no lower bound, is at least zero.
+
+    Periodic motions are left alone: with a bound the search may end in one that takes no time.
+    """
+    durations = {phase.duration for phase in model.phases or (model,) if not phase.periodic}
+    free = tuple(
+        replace(each, lower=sympy.S.Zero) if each.lower is None and each.symbol in durations else each
+        for each in model.free_parameters
+    )
+    phases = tuple(replace(phase, free_parameters=free) for phase in model.phases)
+    return replace(model, free_parameters=free, phases=phases)
+
+
+def checked_model(
+    problem: Simulate | Control,
+    entries: Sequence[Entry],
+    kinds: Kinds,
+    plain: Mapping[Quantity, sympy.Symbol],
+    name: str = "",
+    title: str = "",
+    elsewhere: Mapping[sympy.Symbol, float] | None = None,
+) -> Model:
+    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen.
+
+    `elsewhere` has values of states that the problem leaves open, from the phases before it.
+    """
+    form = form_of(problem)
+    _require_fitting(problem, form, entries, kinds)
+    require_keys(entries, kinds)
+    require_scope(entries, kinds, form, isinstance(problem, Control))
+    delays.require_history(entries, kinds.delayed)
+    used = [plain[symbol] for symbol in used_quantities(entries)]
+    entries = [in_plain_symbols(entry, plain) for entry in entries]
+    model = _built(problem, form, entries, kinds, plain, name, title)
+    values.require_values(model, _bounds_of(entries, used), smoothness.sample_points(model, elsewhere))
+    points = smoothness.sample_points(model)
+    values.require_regular_lagrangian(model, points)
+    for kind in CONDITIONS:
+        kind.require_regular(model, points)
+    return model
+
+
+def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.Symbol]:
+    """The symbols of a model that stand for the author's quantities; names that generated code needs have a mark."""
+    names = {symbol.name for symbol in used if not isinstance(symbol, symbols.EndValue)}
+    plain: dict[Quantity, sympy.Symbol] = {}
+    for symbol in used:
+        moving = not isinstance(symbol, (symbols.Parameter, symbols.FreeParameter, symbols.EndValue))
+        name = identifiers.marked(symbol.name, task, names, moving=moving)
+        if isinstance(symbol, (symbols.Time, symbols.BodyNumber)):
+            name = "t" if isinstance(symbol, symbols.Time) else "body"
+        elif isinstance(symbol, symbols.EndValue) and symbol.name in names:
+            name = symbol.name + identifiers.MARK
+        elif isinstance(symbol, symbols.Delayed):
+            name = delays.past_name(symbol, plain[symbol.partner].name)
+        plain[symbol] = sympy.Symbol(name, real=True)
+    return plain
+
+
+def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
+    """Refuse controls of which nothing says how they are best, in any of the problems."""
+    limits = [kind.argument for kind in CONDITIONS if symbols.ControlInput in kind.scope[kind.argument]]
+    if not kinds.controls or any(getattr(problem, argument) for problem in problems for argument in limits):
+        return
+    if any(entry.expression != 0 for problem in problems for entry in written_costs(problem)):
+        return
+    roles = ("cost", "terminal_cost", "maximise", "terminal_maximise")
+    if any(isinstance(getattr(problem, role), sympy.Expr) for problem in problems for role in roles):
+        raise ExpressionError(
+            "the cost is zero, whatever moves",
+            "say what is to be least, as in cost=u**2; the rate of a control can be weighed where the control is a"
+            " state and its rate a control",
+        )
+    raise ExpressionError("neither cost nor terminal_cost is given", "say what is to be least, as in cost=u**2")
+
+
+def require_unique_names(quantities: Sequence[Quantity]) -> None:
+    """Refuse two quantities of one name."""
+    seen: dict[str, Quantity] = {}
+    for symbol in quantities:
+        if isinstance(symbol, symbols.EndValue):
+            continue  # it has a name that nobody chose
+        if seen.setdefault(symbol.name, symbol) != symbol:
+            raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
+
+
+def unused_names(used: Sequence[Quantity], declared: Sequence[Quantity]) -> tuple[str, ...]:
+    """The names of quantities that were declared to no purpose."""
+    return tuple(symbol.name for symbol in declared if symbol not in used)
+
+
+def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
+    """Refuse arguments that contradict each other, whatever the numbers are."""
+    for what, number in [("steps", problem.steps), ("bodies", getattr(problem, "bodies", 1))]:
+        if isinstance(number, bool) or not isinstance(number, Integral) or number < 1:
+            raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
+    if isinstance(problem, Simulate):
+        missing = [str(s) for s in (*kinds.coordinates, *kinds.rates) if s not in problem.start]
+        if missing:
+            raise BoundaryError(f"start lacks {', '.join(missing)}", "a simulation needs the complete initial state")
+    if form == "dynamics":
+        missing = [str(x) for x in kinds.coordinates if x not in (problem.dynamics or {})]
+        if missing:
+            raise ExpressionError(f"dynamics lacks {', '.join(missing)}", "give the derivative of every state")
+        if problem.force:
+            raise ExpressionError("force beside dynamics", "add what acts on the system to its right-hand sides")
+    if isinstance(problem, Control):
+        _require_fitting_control(problem, form, entries, kinds)
+
+
+def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
+    for kind in CONDITIONS:
+        for entry in (entry for entry in entries if entry.role == kind.argument):
+            kind.require_fitting(entry, problem, form)
+    for entry in entries:
+        for count in value_counts(entry.expression) - {problem.bodies}:
+            raise ExpressionError(
+                f"{entry.what} has values of {count} bodies, and there are {problem.bodies}", "give one for each"
+            )
+    for value in kinds.end_values:
+        coordinate, where = value.partner, f"{value.partner}.of({value.body})"
+        require_body(value, problem.bodies)
+        if coordinate in problem.end:
+            finding = f"{where} is {coordinate} of body {value.body} at the end, and end fixes {coordinate}"
+            raise BoundaryError(finding, "leave out one of the two")
+
+
+def _built(
+    problem: Simulate | Control,
+    form: str,
+    entries: Sequence[Entry],
+    kinds: Kinds,
+    plain: Mapping[Quantity, sympy.Symbol],
+    name: str,
+    title: str,
+) -> Model:
+    coordinates, rates, controls, parameters, free = (
+        tuple(plain[symbol] for symbol in symbols)
+        for symbols in (kinds.coordinates, kinds.rates, kinds.controls, kinds.parameters, kinds.free)
+    )
+    start, tied_at_start = _boundary(entries, "start", coordinates, rates, free)
+    end, tied_at_end = _boundary(entries, "end", coordinates, rates, free)
+    time = plain[kinds.time] if kinds.time is not None else sympy.Symbol("t", real=True)
+    is_control = isinstance(problem, Control)
+    first_order = form == "dynamics"
+    # In Lagrangian form velocities are no unknowns of their own.
+    of_velocities = _bounds_of(entries, rates if form == "lagrangian" else ())
+    model = Model(
+        task=problem.task,
+        name=name,
+        title=title,
+        form=FORMS[form],
+        coordinates=coordinates,
+        rates=rates,
+        controls=controls,
+        parameters=parameters,
+        defaults=tuple(p.value for p in kinds.parameters),
+        time=time,
+        function=_value(entries, form) if not first_order else sympy.S.Zero,
+        force=_each(entries, "force", coordinates) if not first_order else (),
+        cost=_value(entries, "cost") if is_control else None,
+        duration=_value(entries, "duration"),
+        start=start,
+        end=end if is_control else None,
+        guess=_pairs(entries, "guess"),
+        steps=int(problem.steps),
+        delays=delays.delays_of(entries, kinds.delayed, plain, time),
+        dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
+        bounds=_bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
+        path=tuple(condition for bound in of_velocities for condition in bound.conditions),
+        start_conditions=tied_at_start,
+        end_conditions=tied_at_end,
+        terminal_cost=_value(entries, "terminal_cost"),
+        maximised=isinstance(problem, Control) and maximises(problem),
+        free_parameters=_free_parameters_of(entries, free),
+        bodies=int(getattr(problem, "bodies", 1)),
+        body=plain[kinds.body] if kinds.body is not None else None,
+        end_values=tuple(
+            EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values
+        ),
+        scales=_scales(entries),
+    )
+    for kind in CONDITIONS:
+        model = kind.added(model, entries)
+    given = measurements_of(problem) if isinstance(problem, Control) else ()
+    return replace(model, measurements=tuple(one.data for one in given), loss=given[0].loss) if given else model
+
+
+def _bounds_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[Bounds, ...]:
+    """Bounds of the given symbols, without those that have none."""
+    lower, upper = dict(_pairs(entries, "lower bound")), dict(_pairs(entries, "upper bound"))
+    return tuple(Bounds(s, lower.get(s), upper.get(s)) for s in symbols if s in lower or s in upper)
+
+
+def _free_parameters_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[FreeParameter, ...]:
+    """The given symbols with their first guesses and bounds."""
+    guess, lower, upper = (dict(_pairs(entries, role)) for role in ("first guess", "lower bound", "upper bound"))
+    return tuple(FreeParameter(s, guess[s], lower.get(s), upper.get(s)) for s in symbols)
+
+
+def _scales(entries: Sequence[Entry]) -> tuple[tuple[sympy.Symbol, float], ...]:
+    """The sizes that the author gives, which are positive numbers."""
+    found = []
+    for symbol, value in _pairs(entries, "scale"):
+        size = float(value)
+        if not 0.0 < size < math.inf:
+            raise ExpressionError(f"scale of {symbol} is {size:g}", "give its typical size, a positive number")
+        found.append((symbol, size))
+    return tuple(found)
+
+
+def in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> Entry:
+    """An entry in the symbols of a model, with decimal numbers as rationals."""
+    expression = expressions.tidied(entry.expression.xreplace(plain))
+    return replace(entry, expression=expression, key=plain[entry.key] if entry.key is not None else None)
+
+
+def _each(entries: Sequence[Entry], role: str, symbols: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, ...]:
+    given = dict(_pairs(entries, role))
+    return tuple(given.get(symbol, sympy.S.Zero) for symbol in symbols)
+
+
+def _value(entries: Sequence[Entry], role: str) -> sympy.Expr:
+    return next((entry.expression for entry in entries if entry.role == role), sympy.S.Zero)
+
+
+def _pairs(entries: Sequence[Entry], role: str) -> tuple[tuple[sympy.Symbol, sympy.Expr], ...]:
+    return tuple((entry.key, entry.expression) for entry in entries if entry.role == role and entry.key is not None)
+
+
+def _boundary(
+    entries: Sequence[Entry],
+    end: str,
+    coordinates: Sequence[sympy.Symbol],
+    rates: Sequence[sympy.Symbol],
+    free: Sequence[sympy.Symbol],
+) -> tuple[Boundary, tuple[Condition, ...]]:
+    """The values at one end, and as conditions those that depend on free parameters, which are no given numbers."""
+    values = dict(_pairs(entries, end))
+    tied = {symbol: value for symbol, value in values.items() if value.free_symbols & set(free)}
+    for symbol in tied:
+        del values[symbol]
+    conditions = tuple(Condition(f"{symbol} = {text(value)}", symbol - value) for symbol, value in tied.items())
+    return Boundary(tuple(map(values.get, coordinates)), tuple(map(values.get, rates))), conditions

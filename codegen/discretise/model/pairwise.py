@@ -1,0 +1,258 @@
+"""The canonical form of a pairwise problem: particles in plain symbols, both terms checked, limits taken."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sympy import Expr, Symbol
+
+from codegen import identifiers
+from codegen.discretise.model.normal_form import require_unique_names
+from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
+from codegen.problem.particles import Connect, Pairwise, Particle, ParticleQuantity
+from codegen.problem.problem import Simulate
+from codegen.problem.symbols import Parameter, Quantity
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.terms import Invariants
+
+FRACTION = Symbol("fraction", real=True)
+"""The fraction of the way from start to target."""
+
+
+@dataclass(frozen=True)
+class ParticleSymbols:
+    """The plain symbols of one of the two particles."""
+
+    q: tuple[Symbol, ...]
+    p: tuple[Symbol, ...]
+    own: tuple[Symbol, ...]
+
+    @property
+    def moving(self) -> tuple[Symbol, ...]:
+        """Coordinates, then momenta."""
+        return (*self.q, *self.p)
+
+
+@dataclass(frozen=True)
+class PairwiseModel:
+    """A pairwise Hamiltonian in canonical form: H = sum_i self_term(z_i) + sum_{i<j} pair_term(z_i, z_j).
+
+    `coordinates`, `momenta` and `own` are the names of a particle's quantities without the marks `_i` and `_j` that
+    tell the symbols of `first` and `second` apart. `domain` holds expressions in coordinates of `first` that are
+    positive where a particle may be. `limit` is the value to which the pair term tends where particles meet, None if
+    it has none there, and `smooth` says that its gradient tends to that of the limit.
+
+    A connect problem has `points`, the default file, and `path`, the guessed position after a FRACTION of the way, in
+    coordinates of `first` for the start and of `second` for the target, is `passive` if it carries points without
+    momenta, and `parallel` if threads share its gradient; a simulation has the arrays `start` of shape (2, n, d) and
+    `own_values` of shape (n, k).
+    """
+
+    task: str
+    name: str
+    title: str
+    coordinates: tuple[str, ...]
+    momenta: tuple[str, ...]
+    own: tuple[str, ...]
+    first: ParticleSymbols
+    second: ParticleSymbols
+    parameters: tuple[Symbol, ...]
+    defaults: tuple[float, ...]
+    self_term: Expr
+    pair_term: Expr
+    domain: tuple[Expr, ...]
+    limit: Expr | None
+    smooth: bool
+    duration: Expr
+    steps: int
+    points: str = ""
+    path: tuple[Expr, ...] = ()
+    passive: bool = False
+    parallel: bool = False
+    start: tuple[tuple[tuple[float, ...], ...], ...] = ()
+    own_values: tuple[tuple[float, ...], ...] = ()
+    unused: tuple[str, ...] = ()
+    drawing: tuple[()] = ()
+
+    @property
+    def connects(self) -> bool:
+        """Whether particles are connected with their targets, not followed."""
+        return self.task == "connect"
+
+
+def is_pairwise(problem: Any) -> bool:
+    """Whether an author's problem is about particles that interact in pairs."""
+    return isinstance(problem, Connect) or isinstance(getattr(problem, "hamiltonian", None), Pairwise)
+
+
+def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, title: str) -> PairwiseModel:
+    """Check an author's problem about particles and bring it into canonical form.
+
+    Raises a kind of CodegenError that names the symbol or expression and the remedy.
+    """
+    system = _pairwise_of(problem)
+    terms = _terms(system, problem.duration)
+    _require_symbols(terms, system.pair, declared)
+    inside = set().union(*(e.free_symbols for e in terms.values()))
+    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
+    plain = _plain_symbols(system.pair, parameters, problem.task)
+    first, second = (
+        ParticleSymbols(*(tuple(plain[s] for s in g) for g in (one.q, one.p, one.own))) for one in system.pair
+    )
+    pair = expressions.tidied(terms["pair_term"].xreplace(plain))
+    self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
+    _require_scope(pair, self_term, first, second)
+    limit, smooth = Invariants.of(pair, first.moving, second.moving).coincidence()
+    domain = tuple(expressions.tidied(terms[f"domain[{k}]"].xreplace(plain)) for k in range(len(system.domain)))
+    start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
+    return PairwiseModel(
+        task=problem.task,
+        name=name,
+        title=title,
+        coordinates=_names(first.q),
+        momenta=_names(first.p),
+        own=_names(first.own),
+        first=first,
+        second=second,
+        parameters=tuple(plain[s] for s in parameters),
+        defaults=tuple(s.value for s in parameters),
+        self_term=_half_limit(limit, first, second) if self_term is None else self_term,
+        pair_term=pair,
+        domain=domain,
+        limit=limit,
+        smooth=smooth,
+        duration=expressions.tidied(terms["duration"].xreplace(plain)),
+        steps=_count(problem.steps),
+        points=Path(problem.points).as_posix() if isinstance(problem, Connect) else "",
+        path=_guessed_path(problem, first, second) if isinstance(problem, Connect) else (),
+        passive=isinstance(problem, Connect) and problem.passive,
+        parallel=isinstance(problem, Connect) and problem.parallel,
+        start=start,
+        own_values=own_values,
+        unused=tuple(s.name for s in declared if isinstance(s, Parameter) and s not in inside),
+    )
+
+
+def _pairwise_of(problem: Any) -> Pairwise:
+    """The pairwise Hamiltonian of a problem; ProblemFileError where it has none, or cannot have one."""
+    if not isinstance(problem.hamiltonian, Pairwise):
+        raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
+    if not isinstance(problem, (Connect, Simulate)):
+        raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
+    return problem.hamiltonian
+
+
+def _terms(system: Pairwise, duration: Any) -> dict[str, Expr]:
+    """The expressions that an author gave, by what messages call them."""
+    terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
+    if system.self_term is not None:
+        terms["self_term"] = expressions.checked(system.self_term, "self_term")
+    terms |= {f"domain[{k}]": expressions.checked(value, f"domain[{k}]") for k, value in enumerate(system.domain)}
+    terms["duration"] = expressions.checked(duration, "duration")
+    for what, term in terms.items():
+        if tables := tables_of(term):
+            finding = f"{what} reads table {tables[0].shape.name}"
+            raise ExpressionError(finding, "write a formula; particles have no tables")
+    return terms
+
+
+def _half_limit(limit: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> Expr:
+    """What a particle has by itself, unless its author says so: half of what it has with another in its place."""
+    if limit is None:
+        raise ExpressionError("self_term is missing", "pair_term has no limit at coincidence that could replace it")
+    own = dict(zip(second.own, first.own, strict=True))
+    momenta = dict(zip(second.p, first.p, strict=True))
+    return limit.xreplace(own | momenta) / 2
+
+
+def _plain_symbols(
+    pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
+) -> dict[Quantity, Symbol]:
+    """The symbols of a model; names that generated code needs are marked, in front of a particle's own mark."""
+    task = "particles" if task == "simulate" else task
+    of_particles = [s for one in pair for s in (*one.q, *one.p, *one.own)]
+    names = {symbol.name[:-2] for symbol in of_particles} | {symbol.name for symbol in parameters}
+    plain: dict[Quantity, Symbol] = {
+        p: Symbol(identifiers.marked(p.name, task, names, moving=False), real=True) for p in parameters
+    }
+    for symbol in of_particles:
+        own = any(symbol in one.own for one in pair)
+        name = identifiers.marked(symbol.name[:-2], task, names, moving=not own)
+        plain[symbol] = Symbol(f"{name}{symbol.name[-2:]}", real=True)
+    return plain
+
+
+def _names(symbols: Sequence[Symbol]) -> tuple[str, ...]:
+    return tuple(symbol.name.removesuffix("_i") for symbol in symbols)
+
+
+def _count(number: Any) -> int:
+    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+        raise ExpressionError(f"steps is {number!r}", "give a positive integer")
+    return number
+
+
+def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle], declared: Sequence[Quantity]) -> None:
+    """Every symbol is a parameter or belongs to one of the two particles; names are unique."""
+    known = {s for one in pair for s in (*one.q, *one.p, *one.own)}
+    for what, expression in terms.items():
+        for symbol in sorted(expression.free_symbols, key=str):
+            if symbol not in known and not isinstance(symbol, Parameter):
+                raise SymbolError(
+                    f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
+                )
+    require_unique_names(declared)
+
+
+def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> None:
+    of_second = {*second.moving, *second.own}
+    if self_term is not None and self_term.free_symbols & of_second:
+        raise ExpressionError("self_term depends on the second particle", "write it in quantities of the first")
+    one, other = (*first.moving, *first.own), (*second.moving, *second.own)
+    swapped = pair.xreplace(dict(zip((*one, *other), (*other, *one), strict=True)))
+    points = expressions.sample_points(pair.free_symbols | swapped.free_symbols, {}, {})
+    for point in [next(points) for _ in range(4)]:
+        values = [expressions.number_at(e, point) for e in (pair, swapped)]
+        if None not in values and not np.isclose(values[0], values[1], rtol=1e-12):  # type: ignore[arg-type]
+            raise ExpressionError("pair_term changes when the two particles are exchanged", "write a symmetric term")
+
+
+def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymbols) -> tuple[Expr, ...]:
+    if problem.path is None:
+        return tuple(x + FRACTION * (y - x) for x, y in zip(first.q, second.q, strict=True))
+    positions = problem.path(first.q, second.q, FRACTION)
+    found = tuple(
+        expressions.tidied(expressions.checked(position, f"path[{axis}]")) for axis, position in enumerate(positions)
+    )
+    if len(found) != len(first.q):
+        raise ExpressionError(f"path gives {len(found)} coordinates", f"give {len(first.q)}")
+    return found
+
+
+def _particles_at_start(problem: Simulate, one: Particle) -> tuple[Any, Any]:
+    """The initial values of a simulation: arrays by quantity of the first particle, all of the same length."""
+    for key in problem.start:
+        if key not in (*one.q, *one.p, *one.own):
+            raise BoundaryError(f"start gives {key}", "give coordinates, momenta and own parameters of the first one")
+    columns = {}
+    for symbol in (*one.q, *one.p, *one.own):
+        if symbol not in problem.start:
+            raise BoundaryError(f"start lacks {symbol}", "a simulation needs the complete initial state")
+        column = np.atleast_1d(np.asarray(problem.start[symbol], dtype=float))
+        if column.ndim != 1 or not np.isfinite(column).all():
+            raise BoundaryError(f"start of {symbol} is no row of finite numbers", "give one number for each particle")
+        columns[symbol] = column
+    sizes = {column.size for column in columns.values()}
+    if len(sizes) > 1:
+        raise BoundaryError("start has different numbers of particles", "give as many values of each quantity")
+
+    def table(symbols: Sequence[ParticleQuantity]) -> tuple[tuple[float, ...], ...]:
+        rows = np.stack([columns[s] for s in symbols], axis=1) if symbols else np.empty((sizes.pop(), 0))
+        return tuple(tuple(map(float, row)) for row in rows)
+
+    return (table(one.q), table(one.p)), table(one.own)

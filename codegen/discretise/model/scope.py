@@ -1,0 +1,234 @@
+"""Which symbols may be what: where each kind of symbol may occur, and what may be fixed, bounded, guessed or forced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy
+
+from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.model.relations import MOVING, STATIC, Entry
+from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from codegen.problem.symbols import (
+    BodyNumber,
+    ControlInput,
+    Coordinate,
+    Delayed,
+    EndValue,
+    FreeParameter,
+    Momentum,
+    Parameter,
+    Quantity,
+    State,
+    Time,
+    Velocity,
+)
+from codegen.symbolic.table_functions import tables_of
+
+_ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
+    "lagrangian": (*MOVING, Time, *STATIC),
+    "hamiltonian": (*MOVING, Time, *STATIC),
+    "dynamics": (*MOVING, Delayed, ControlInput, Time, *STATIC),
+    "force": (*MOVING, Delayed, ControlInput, Time, *STATIC),
+    "cost": (*MOVING, Delayed, ControlInput, Time, *STATIC),
+    "terminal_cost": (*MOVING, *STATIC),
+    "duration": STATIC,
+    "start": (*STATIC, BodyNumber),
+    "end": (*STATIC, BodyNumber),
+    "history": (Time, *STATIC),
+    "guess": (Time, *STATIC, BodyNumber),
+    "lower bound": (Parameter, BodyNumber),
+    "upper bound": (Parameter, BodyNumber),
+    "first guess": (Parameter,),
+    "scale": (),
+    "jump": (*MOVING, *STATIC),
+    **{role: kinds for kind in CONDITIONS for role, kinds in kind.scope.items()},
+}
+
+_WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
+    ((Coordinate, State), "coordinates"),
+    ((Velocity, Momentum), "velocities or momenta"),
+    ((ControlInput,), "controls"),
+    ((Time,), "time"),
+    ((BodyNumber,), "the body's number"),
+    ((Parameter,), "parameters"),
+)
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """The quantities of a problem by kind, each in the order of declaration; rates are velocities or momenta."""
+
+    coordinates: tuple[Coordinate | State, ...]
+    rates: tuple[Velocity | Momentum, ...]
+    controls: tuple[ControlInput, ...]
+    parameters: tuple[Parameter, ...]
+    free: tuple[FreeParameter, ...]
+    end_values: tuple[EndValue, ...]
+    delayed: tuple[Delayed, ...]
+    time: Time | None
+    body: BodyNumber | None
+
+
+def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
+    """Sort the quantities that a problem uses; SymbolError for those that do not belong to its form."""
+    coordinates = _coordinates(used, form)
+    times = [symbol for symbol in used if isinstance(symbol, Time)]
+    if len(times) > 1:
+        raise SymbolError(f"two times are declared ({times[0]}, {times[1]})", "use one")
+    end_values = [symbol for symbol in used if isinstance(symbol, EndValue)]
+    return Kinds(
+        coordinates,
+        tuple(q.partner for q in coordinates if isinstance(q, Coordinate)),
+        tuple(symbol for symbol in used if isinstance(symbol, ControlInput)),
+        tuple(symbol for symbol in used if isinstance(symbol, Parameter)),
+        tuple(symbol for symbol in used if isinstance(symbol, FreeParameter)),
+        tuple(sorted(end_values, key=lambda symbol: (symbol.body, symbol.partner.declared))),
+        tuple(symbol for symbol in used if isinstance(symbol, Delayed)),
+        times[0] if times else None,
+        next((symbol for symbol in used if isinstance(symbol, BodyNumber)), None),
+    )
+
+
+def _coordinates(used: Sequence[Quantity], form: str) -> tuple[Coordinate | State, ...]:
+    own: dict[str, tuple[type[Quantity], ...]] = {
+        "lagrangian": (Coordinate, Velocity),
+        "hamiltonian": (Coordinate, Momentum),
+        "dynamics": (State,),
+    }
+    moving = [symbol for symbol in used if isinstance(symbol, MOVING)]
+    # Rates first: a coordinate does not tell whether it came with a velocity or with a momentum.
+    for symbol in sorted(moving, key=lambda symbol: (isinstance(symbol, Coordinate), symbol.name)):
+        if not isinstance(symbol, own[form]):
+            article = "" if form == "dynamics" else "a "
+            raise SymbolError(
+                f"{symbol} is a {type(symbol).__name__.lower()}, but the problem is given by {article}{form}",
+                "declare coordinates(...) for a Lagrangian, canonical_pairs(...) for a Hamiltonian, states(...) for "
+                "dynamics",
+            )
+    found = tuple(symbol for symbol in used if isinstance(symbol, (Coordinate, State)))
+    if not found:
+        if form == "dynamics":
+            raise ExpressionError("dynamics gives no state", "declare states(...) and write dynamics={x: ...}")
+        raise ExpressionError(f"the {form} has no coordinate", "declare coordinates(...) and use them")
+    return found
+
+
+def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control: bool) -> None:
+    """Each expression may hold only the kinds of symbols that make sense in it, and each control must act."""
+    if not is_control:
+        _require_simulation(entries)
+    for entry in entries:
+        for symbol in sorted(entry.expression.free_symbols, key=str):
+            if not isinstance(symbol, _ALLOWED[entry.role]):
+                raise _misplaced(symbol, entry, form)
+        _require_common(entry)
+        _require_tables(entry)
+    acting = {s for e in entries if e.role in ("force", "dynamics", "path") for s in e.expression.free_symbols}
+    acting |= {symbol.partner for symbol in acting if isinstance(symbol, Delayed)}
+    for u in kinds.controls:
+        if u not in acting:
+            where = "right-hand side of the dynamics" if form == "dynamics" else "force"
+            remedy = "add it to dynamics={...}" if form == "dynamics" else "add it to force={...}"
+            raise SymbolError(f"control {u} is in no {where}, so it moves nothing", f"{remedy}, or remove it")
+    inside = {s for e in entries for s in e.expression.free_symbols}
+    for free in kinds.free:
+        if free not in inside:
+            raise SymbolError(f"free parameter {free} occurs in no expression", "remove it, or use it")
+
+
+def _require_simulation(entries: Sequence[Entry]) -> None:
+    for entry in entries:
+        for symbol in sorted(entry.expression.free_symbols, key=str):
+            if isinstance(symbol, ControlInput):
+                raise SymbolError(f"control {symbol} in a simulation", "return codegen.Control, or make it a parameter")
+            if isinstance(symbol, FreeParameter):
+                raise SymbolError(
+                    f"free parameter {symbol} in a simulation", "return codegen.Control, or declare a parameter"
+                )
+            if isinstance(symbol, (BodyNumber, EndValue)):
+                raise SymbolError(f"{symbol} in a simulation, which has one body", "return codegen.Control")
+
+
+def _require_common(entry: Entry) -> None:
+    """What is common to all bodies cannot depend on a body's number."""
+    symbols = entry.expression.free_symbols
+    if not any(isinstance(symbol, BodyNumber) for symbol in symbols):
+        return
+    if isinstance(entry.key, (Velocity, FreeParameter)) and entry.role.endswith("bound"):
+        kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"
+        raise ExpressionError(f"{entry.what} depends on body", f"give a {kind} the same bounds for all bodies")
+    free = [str(symbol) for symbol in symbols if isinstance(symbol, FreeParameter)]
+    if free and entry.role != "guess":  # where it has its first guess
+        raise ExpressionError(
+            f"{entry.what} depends on body and on the free parameter {min(free)}", "let it depend on one of them"
+        )
+
+
+_NUMBERS = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic")
+"""Roles of what is a number before a solver has tables."""
+
+
+def _require_tables(entry: Entry) -> None:
+    """Tables belong into what kernels evaluate, and those of steps, which have no slope, into guesses."""
+    for table in tables_of(entry.expression):
+        name = table.shape.name
+        if entry.role in _NUMBERS:
+            raise ExpressionError(f"{entry.what} reads table {name}", "make it a number or a parameter")
+        if table.shape.kind == "steps" and entry.role != "guess":
+            remedy = "give the table another kind; steps, which have no slope, are for guesses"
+            raise ExpressionError(f"{entry.what} reads table {name} of steps", remedy)
+
+
+def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | ExpressionError:
+    if isinstance(symbol, ControlInput) and entry.role in ("lagrangian", "hamiltonian"):
+        return SymbolError(f"control {symbol} in the {form}", "let controls act through force={...}")
+    finding = f"{entry.what} depends on {symbol}"
+    if isinstance(symbol, Delayed):
+        where = "force, cost, path or integral" if form != "dynamics" else "dynamics, cost, path or integral"
+        return ExpressionError(finding, f"let values of the past act through {where}")
+    if isinstance(symbol, EndValue):
+        return ExpressionError(finding, f"use {symbol.partner}.of({symbol.body}) in end_conditions and path only")
+    if isinstance(symbol, FreeParameter):
+        return ExpressionError(finding, "a free parameter has no value there, use parameters and numbers only")
+    if isinstance(symbol, Time) and entry.role == "terminal_cost":
+        return ExpressionError(finding, "time is the duration there, so write its expression")
+    for kind in CONDITIONS:
+        if entry.role == kind.argument and type(symbol) in kind.remedies:
+            return ExpressionError(finding, kind.remedies[type(symbol)])
+    allowed = _ALLOWED[entry.role]
+    words = [word for kinds, word in _WORDS if any(kind in allowed for kind in kinds)]
+    return ExpressionError(finding, f"use {', '.join(words)} and numbers only")
+
+
+def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
+    """Only what moves may be fixed, bounded, guessed, forced or periodic, each in the places that make sense."""
+    rates = "momenta" if any(isinstance(v, Momentum) for v in kinds.rates) else "velocities"
+    moving = f"coordinates and {rates}" if kinds.rates else "states"
+    own = "coordinate" if kinds.rates else "state"
+    for entry in entries:
+        key = entry.key
+        is_position, is_rate = key in kinds.coordinates, key in kinds.rates
+        if entry.role == "force" and not is_position:
+            raise SymbolError(f"force acts on {key}, which is no {own}", "use a coordinate as key")
+        if entry.role == "dynamics" and not is_position:
+            raise SymbolError(f"dynamics gives {key}, which is no state", "use states as keys")
+        if entry.role == "guess" and not (is_position or key in kinds.controls):
+            raise SymbolError(f"guess gives {key}, which is no {own} or control", f"guess {own}s and controls")
+        if entry.role == "scale" and not (is_position or isinstance(key, (Momentum, ControlInput, FreeParameter))):
+            raise SymbolError(f"scale gives {key}, which is no unknown", f"scale {own}s, controls, free parameters")
+        if entry.role in ("start", "end") and not (is_position or is_rate):
+            raise BoundaryError(f"{entry.role} fixes {key}", f"fix {moving} only")
+        if entry.role == "history" and not (is_position or is_rate or key in kinds.controls):
+            raise SymbolError(f"history gives {key}, which does not move", f"give that of {moving} and controls")
+        if entry.role == "periodic" and not (is_position or is_rate):
+            raise BoundaryError(f"periodic lists {key}", f"list {moving} only")
+        if entry.role == "jump" and not (is_position or is_rate):
+            raise BoundaryError(f"{entry.what} at a switch", f"let {moving} jump only")
+        if entry.role.endswith("bound") and not (
+            is_position or is_rate or isinstance(key, (ControlInput, FreeParameter))
+        ):
+            raise SymbolError(
+                f"bounds gives {key}, which cannot be bounded", f"bound {moving}, controls, free parameters"
+            )

@@ -1,0 +1,109 @@
+"""The registry of schemes: names to data, by the method or the kind of system that they are for."""
+
+from __future__ import annotations
+
+import difflib
+
+from sympy import Rational
+
+from codegen.discretise.schemes import adaptive, compositions, discrete_lagrangians, one_step, runge_kutta
+from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, Scheme
+from codegen.errors import SchemeError
+
+__all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
+
+_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions, adaptive)
+"""Each has SCHEMES by method; those of a method are listed in this order."""
+_ALL: dict[str, dict[str, Scheme]] = {
+    method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}
+    for method in ("variational", "hamiltonian", FIRST_ORDER, PARTICLES)
+}
+METHODS = {method: _ALL[method] for method in ("variational", "hamiltonian")}
+"""Every scheme for mechanical systems by method and name; tests run over this table."""
+
+ALIASES = {
+    ("variational", "stormer-verlet"): "trapezoidal",
+    ("variational", "gauss-2"): "midpoint",
+    ("hamiltonian", "gauss-2"): "midpoint",
+    (FIRST_ORDER, "gauss-2"): "midpoint",
+    ("variational", "lobatto-2"): "trapezoidal",
+    ("hamiltonian", "lobatto-2"): "stormer-verlet",
+    ("hamiltonian", "forest-ruth"): "yoshida-4",
+}
+"""Other names of the same scheme."""
+
+
+def find(name: str, method: str) -> Scheme:
+    """The scheme of that name for that method; SchemeError tells which names there are.
+
+    `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family, and
+    `<composition>-of-<base>`, as in yoshida-4-of-midpoint, a composition of a symmetric scheme of order 2.
+    `<n>-steps-of-<base>`, as in 4-steps-of-rk4, is a base scheme with so many equal steps in one.
+    """
+    table = _ALL[method]
+    name = ALIASES.get((method, name), name)
+    if name in table:
+        return table[name]
+    if "-steps-of-" in name:
+        return _repeated(name, method)
+    if "-of-" in name:
+        return _composition(name, method)
+    if method == "hamiltonian" and name.startswith("alpha-"):
+        try:
+            value = Rational(name.removeprefix("alpha-"))
+        except (TypeError, ValueError, ZeroDivisionError):
+            value = Rational(-1)
+        if value.is_finite and 0 <= value <= 1:
+            return one_step.alpha(value)
+        raise SchemeError(f"scheme {name!r}", "give alpha-<a> with a between 0 and 1, as in alpha-0.25")
+    elsewhere = [other for other, schemes in METHODS.items() if name in schemes]
+    if method == FIRST_ORDER and (elsewhere or name.startswith("alpha-")):
+        raise SchemeError(f"scheme {name!r} needs positions and momenta", f"use one of {', '.join(table)}")
+    if elsewhere:
+        raise SchemeError(
+            f"scheme {name!r} does not belong to the {method} method",
+            f"use --method {elsewhere[0]}, or one of {', '.join(table)}",
+        )
+    offered = table if method == FIRST_ORDER else [n for names in METHODS.values() for n in names]
+    close = difflib.get_close_matches(name, offered, 1)
+    hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(table)}"
+    raise SchemeError(f"there is no scheme {name!r}", hint)
+
+
+def is_known(name: str, method: str) -> bool:
+    """Whether `find` finds it."""
+    try:
+        return bool(find(name, method))
+    except SchemeError:
+        return False
+
+
+def of_method(method: str) -> tuple[Scheme, ...]:
+    """Every scheme of a method by itself, without families and aliases."""
+    return tuple(_ALL[method].values())
+
+
+def _repeated(name: str, method: str) -> Scheme:
+    """The scheme `<n>-steps-of-<base>`."""
+    count, inner = name.split("-steps-of-", 1)
+    base = find(inner, method)
+    if base.parts or base.adaptive:
+        single = [n for n, scheme in _ALL[method].items() if not scheme.parts and not scheme.adaptive]
+        raise SchemeError(f"scheme {name!r} repeats {base.name}", f"repeat one of {', '.join(single)}")
+    if not count.isdecimal() or int(count) < 2:
+        raise SchemeError(f"scheme {name!r}", f"give a number of steps from 2 on, as in 4-steps-of-{inner}")
+    return compositions.repeated(int(count), base)
+
+
+def _composition(name: str, method: str) -> Scheme:
+    """The scheme `<composition>-of-<base>`."""
+    outer, inner = name.split("-of-", 1)
+    bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
+    base = bases.get(ALIASES.get((method, inner), inner))
+    found = compositions.composed(outer, base) if base else None
+    if found is None:
+        raise SchemeError(
+            f"there is no scheme {name!r} for the {method} method",
+            f"give one of {', '.join(compositions.NAMES)}, then -of-, then one of {', '.join(bases)}",
+        )
+    return found

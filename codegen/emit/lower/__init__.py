@@ -1,0 +1,28 @@
+"""Derivatives -> strings: rewriting for numerical stability, common subexpressions, printing, operation counts."""
+
+from __future__ import annotations
+
+from codegen.discretise.connect import PairwiseProgram
+from codegen.discretise.program import ControlProgram, StepProgram
+from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, StepDerivatives
+from codegen.emit.lower.control.module import lower_control
+from codegen.emit.lower.module import Module
+from codegen.emit.lower.particles.module import lower_connect, lower_particles
+from codegen.emit.lower.simulate import lower_step
+from codegen.emit.pairwise_derivatives import PairDerivatives
+
+
+def lower(
+    program: ControlProgram | StepProgram | PairwiseProgram,
+    derivatives: ControlDerivatives | StepDerivatives | PairDerivatives,
+    by_data: ControlSensitivities | None = None,
+) -> Module:
+    """Write a program and its derivatives as strings; with derivatives `by_data` the module makes sensitivities."""
+    if isinstance(program, PairwiseProgram):
+        assert isinstance(derivatives, PairDerivatives)
+        return (lower_connect if program.model.connects else lower_particles)(program, derivatives)
+    if isinstance(program, ControlProgram):
+        assert isinstance(derivatives, ControlDerivatives)
+        return lower_control(program, derivatives, by_data)
+    assert isinstance(derivatives, StepDerivatives)
+    return lower_step(program, derivatives)

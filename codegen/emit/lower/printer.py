@@ -1,0 +1,255 @@
+"""Sympy expressions as Python source: scalar code for numba kernels, array code for vectorised functions."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Any
+
+import sympy
+from sympy.codegen.rewriting import expm1_opt, log1p_opt, optimize
+from sympy.printing.pycode import PythonCodePrinter
+
+from codegen.errors import ExpressionError
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.tables import ORDERS
+
+_SHORT_DENOMINATORS = 64
+_STEEP = 16
+_READABLE = 1000
+"""Operations up to which an expression is written in a description."""
+
+
+_NUMPY_NAMES = dict(
+    zip(
+        "asin acos atan asinh acosh atanh atan2".split(),
+        "arcsin arccos arctan arcsinh arccosh arctanh arctan2".split(),
+        strict=True,
+    )
+)
+
+
+class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
+    """Prints with `math.` functions; integer and half-integer powers as products that numba unrolls."""
+
+    module = "math"
+
+    def __init__(self) -> None:
+        super().__init__({"fully_qualified_modules": True, "standard": "python3", "precision": 17})
+
+    def _print_Rational(self, expr: Any) -> str:
+        p, q = int(expr.p), int(expr.q)
+        if q <= _SHORT_DENOMINATORS and q & (q - 1) == 0:
+            return _decimal(expr)
+        if abs(p) < 10**9 and q < 10**9 and (p / q) * q == p:
+            decimal = repr(p / q)
+            return decimal if len(decimal) <= 8 else f"({p}/{q})"
+        return _decimal(expr)
+
+    def parenthesize(self, item: Any, level: int, strict: bool = False) -> str:
+        """A fraction has parentheses of its own."""
+        text = str(super().parenthesize(item, level, strict))
+        return text[1:-1] if text.startswith("((") and isinstance(item, sympy.Rational) else text
+
+    def _print_Integer(self, expr: Any) -> str:
+        return str(int(expr)) if abs(int(expr)) < 2**53 else _decimal(expr)
+
+    def _print_Float(self, expr: Any) -> str:
+        return _decimal(expr)
+
+    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        """Negative powers are quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
+        base, exponent = expr.base, expr.exp
+        if base == sympy.E:
+            return f"{self.module}.exp({self._print(exponent)})"
+        if exponent.is_Rational and exponent.is_negative and exponent.q <= 2 and exponent != -1:
+            return f"1/{self._print(sympy.Pow(base, -exponent, evaluate=False))}"
+        if exponent.is_Rational and exponent.q == 2:
+            root = f"{self.module}.sqrt({self._print(base)})"
+            return root if exponent == sympy.Rational(1, 2) else f"{root}**({exponent.p})"
+        return str(super()._print_Pow(expr, rational=rational))
+
+    def _print_Piecewise(self, expr: Any) -> str:
+        """Where no condition holds there is no number, which sympy writes as None."""
+        text = str(super()._print_Piecewise(expr))
+        return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
+
+    def _print_sign(self, expr: Any) -> str:
+        return f"np.sign({self._print(expr.args[0])})"
+
+    def _print_Heaviside(self, expr: Any) -> str:
+        return f"(0.5 + 0.5*np.sign({self._print(expr.args[0])}))"
+
+    def _print_Abs(self, expr: Any) -> str:
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_x_minus_log1p(self, expr: Any) -> str:
+        return f"x_minus_log1p({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+
+    def _print_log1p_minus_ratio(self, expr: Any) -> str:
+        return f"log1p_minus_ratio({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+
+    def _print_lgamma(self, expr: Any) -> str:
+        return self._of_floats("math.lgamma", expr)
+
+    def _print_gamma(self, expr: Any) -> str:
+        return self._of_floats("math.gamma", expr)
+
+    def _print_erf(self, expr: Any) -> str:
+        return self._of_floats("math.erf", expr)
+
+    def _print_erfc(self, expr: Any) -> str:
+        return self._of_floats("math.erfc", expr)
+
+    def _print_OrderedBase(self, expr: Any) -> str:
+        return self._of_floats(expr.stem, expr, f"{expr.order}, ")
+
+    def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
+        """A function that knows no arrays."""
+        return f"{function}({before}{self._print(expr.args[0])})"
+
+    def _print_Pi(self, expr: Any) -> str:
+        return f"{self.module}.pi"
+
+    def _print_Exp1(self, expr: Any) -> str:
+        return f"{self.module}.e"
+
+
+def _decimal(number: sympy.Number) -> str:
+    """A number in double precision; ExpressionError where that has neither its size nor its smallness."""
+    try:
+        value = number.p / number.q if number.is_Rational else float(number)
+    except OverflowError:
+        value = math.inf
+    if math.isinf(value) or (value == 0.0 and not number.is_zero):
+        raise ExpressionError(
+            f"the derived equations hold the number {sympy.N(number, 8)}, which double precision cannot hold",
+            "choose units in which constants are of ordinary size",
+        )
+    return repr(float(value))
+
+
+class ArrayPrinter(ScalarPrinter):
+    """Prints with `np.` functions, for expressions whose symbols are arrays."""
+
+    module = "np"
+
+    def _print_Function(self, expr: Any) -> str:
+        name = type(expr).__name__
+        arguments = ", ".join(self._print(argument) for argument in expr.args)
+        return f"np.{_NUMPY_NAMES.get(name, name)}({arguments})"
+
+    def _print_Piecewise(self, expr: Any) -> str:
+        text = "np.nan"
+        for value, condition in reversed(expr.args):
+            text = f"np.where({self._print(condition)}, {self._print(value)}, {text})"
+        return text
+
+    def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
+        return super()._of_floats(f"np.vectorize({function})", expr, before)
+
+    def _print_TableBase(self, expr: Any) -> str:
+        """Guesses alone have tables in code of arrays; all bodies have the same ones."""
+        number, at = ORDERS[len(expr.args)].index(expr.order), ", ".join(map(self._print, expr.args))
+        return f"along({expr.table.shape.lookup}_values, grid.parameters[0], {number}, {at})"
+
+    def _print_EachBodyBase(self, expr: Any) -> str:
+        body, *values = map(self._print, expr.args)
+        return f"np.array([{', '.join(values)}])[{body}]"
+
+    def _print_Min(self, expr: Any) -> str:
+        return self._nested("np.minimum", expr.args)
+
+    def _print_Max(self, expr: Any) -> str:
+        return self._nested("np.maximum", expr.args)
+
+    def _nested(self, function: str, arguments: tuple[Any, ...]) -> str:
+        text = str(self._print(arguments[0]))
+        for argument in arguments[1:]:
+            text = f"{function}({text}, {self._print(argument)})"
+        return text
+
+
+for _name in "sin cos tan sinh cosh tanh exp log asin acos atan asinh acosh atanh atan2 log1p expm1".split():
+    setattr(ArrayPrinter, f"_print_{_name}", ArrayPrinter._print_Function)
+
+
+def stabilised(expression: sympy.Expr) -> sympy.Expr:
+    """Rewrite what loses digits as it is written: log(1 + x) and exp(x) - 1; drop Dirac deltas of kinks.
+
+    A second derivative of |x|, Min or Max holds deltas that no quadrature sees; they are zero almost everywhere. Steps
+    themselves, whose first derivative is a delta, are refused in the author's expressions.
+    """
+    if expression.has(sympy.DiracDelta):
+        expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
+    if expression.has(sympy.log, sympy.exp):
+        expression = _with_steep_exponentials(expression, _without_cancellation)
+    return expression
+
+
+def with_decimal_roots(expression: sympy.Expr) -> sympy.Expr:
+    """Replace roots of numbers, as the coefficients of Gauss methods have them, by decimals that join other factors."""
+    roots = [
+        p for p in expression.atoms(sympy.Pow) if p.base.is_Rational and p.exp.is_Rational and not p.exp.is_Integer
+    ]
+    return expression.xreplace({root: sympy.N(root, 30) for root in roots}) if roots else expression
+
+
+def _without_cancellation(expression: sympy.Expr) -> sympy.Expr:
+    """Rewrite log(1 + x) and exp(x) - 1, also where factors hide it, as in y exp(x) - y.
+
+    Only sums that vanish with all exponents can hide it; to factor the others would take most of a build.
+    """
+    expression = optimize(expression, [log1p_opt])
+    if any(_vanishes_with_exponents(part) for part in expression.atoms(sympy.Add) if part.has(sympy.exp)):
+        return optimize(expression, [expm1_opt])
+    return expm1_opt.cheapest(expression, expression.replace(expm1_opt.query, expm1_opt.value))
+
+
+def _vanishes_with_exponents(total: sympy.Expr) -> bool:
+    """Whether a sum is zero, as far as one point can tell, where all its exponentials are one."""
+    ones = dict.fromkeys(total.atoms(sympy.exp), sympy.S.One)
+    symbols = sorted(total.free_symbols, key=sympy.default_sort_key)
+    point = {symbol: 0.5 + (0.6180339887 * index) % 1.0 for index, symbol in enumerate(symbols, start=1)}
+    terms = [expressions.rounded_at(term.xreplace(ones), point) for term in total.args]
+    known = [term for term in terms if term is not None]
+    return len(known) < len(terms) or abs(sum(known)) <= 1e-9 * sum(map(abs, known))
+
+
+def _with_steep_exponentials(expression: sympy.Expr, rewrite: Callable[[sympy.Expr], sympy.Expr]) -> sympy.Expr:
+    """Rewrite with symbols in place of arguments such as 1000 x of exponentials.
+
+    To sympy's factorisation exp(1000 x) is a polynomial of degree 1000, which takes minutes.
+    """
+    arguments = {e.args[0] for e in expression.atoms(sympy.exp) if _is_steep(e.args[0])}
+    names = {argument: sympy.Dummy(real=True) for argument in sorted(arguments, key=sympy.default_sort_key)}
+    masked = expression.xreplace({sympy.exp(argument): sympy.exp(name) for argument, name in names.items()})
+    return rewrite(masked).xreplace({name: argument for argument, name in names.items()})
+
+
+def _is_steep(argument: sympy.Expr) -> bool:
+    """Whether a number in an exponent is large, or a fraction of large numbers."""
+    return any(max(abs(r.p), r.q) > _STEEP for r in argument.atoms(sympy.Rational))
+
+
+def scalar_code(expression: sympy.Expr) -> str:
+    """Code of an expression of scalars."""
+    return _without_needless_brackets(ScalarPrinter().doprint(expression))
+
+
+def array_code(expression: sympy.Expr) -> str:
+    """Code of an expression whose symbols may be arrays of the same length."""
+    return _without_needless_brackets(ArrayPrinter().doprint(expression))
+
+
+def _without_needless_brackets(code: str) -> str:
+    """Write 0.5*x where sympy, which takes a decimal for a fraction, writes (0.5)*x."""
+    return re.sub(r"(?<![\w\]])\((\d+\.\d+)\)(?!\*\*)", r"\1", code)
+
+
+def readable(value: sympy.Expr) -> str:
+    """An expression as a description has it, or what it is where nobody could read it."""
+    if expressions.longer_than(_READABLE, [value]):
+        return f"an expression of more than {_READABLE} operations"
+    return str(sympy.sstr(value))

@@ -1,0 +1,245 @@
+"""First and second derivatives of the terms of a pairwise Hamiltonian, by the chain rule through their scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.errors import ExpressionError
+from codegen.symbolic.terms import Invariants, without_cancellation
+from codegen.symbolic.zeros import identically_zero
+
+Assignment = tuple[Symbol, Expr]
+
+
+@dataclass(frozen=True)
+class TermDerivatives:
+    """One term and its derivatives by the moving symbols of one or two particles.
+
+    `differences` are those of two coordinates on which a scalar depends; `scalars` are polynomials of the moving
+    symbols and of differences. `slopes` and `curvatures` name the derivatives of the term by
+    them, expressions in the scalars; `gradient` (dense) and `hessian` (lower triangle, structural nonzeros) are written
+    in these names. `distances` are the scalars that vanish where both particles meet.
+    """
+
+    moving: tuple[Symbol, ...]
+    differences: tuple[Assignment, ...]
+    scalars: tuple[Assignment, ...]
+    distances: tuple[Symbol, ...]
+    value: Expr
+    slopes: tuple[Assignment, ...]
+    curvatures: tuple[Assignment, ...]
+    gradient: tuple[Expr, ...]
+    hessian: tuple[tuple[int, int, Expr], ...]
+
+
+@dataclass(frozen=True)
+class PairDerivatives:
+    """Both terms with their derivatives, and what is known about the whole Hamiltonian.
+
+    `separable`: no term mixes coordinates and momenta. `quadratic`: H(q, r p) = r^2 H(q, p), kinetic energy alone.
+    `isotropic`: the second derivatives by momenta are a matrix of particles times the identity of space.
+    """
+
+    alone: TermDerivatives
+    pair: TermDerivatives
+    separable: bool
+    quadratic: bool
+    isotropic: bool
+
+
+def pair_derivatives(model: PairwiseModel) -> PairDerivatives:
+    """Differentiate the self term and the pair term twice."""
+    alone = _differentiated(model.self_term, model.first.moving, ())
+    pair = _differentiated(model.pair_term, model.first.moving, model.second.moving)
+    dimension = len(model.coordinates)
+    mixed = [
+        value
+        for term in (alone, pair)
+        for row, column, value in term.hessian
+        if (row // dimension) % 2 != (column // dimension) % 2
+    ]
+    # Whether every term is homogeneous of degree two in the momenta.
+    factor = Symbol("factor", positive=True)
+    scaled = {p: factor * p for p in (*model.first.p, *model.second.p)}
+
+    def is_homogeneous(term: Expr) -> bool:
+        return bool(sympy.expand(sympy.factor_terms(term.xreplace(scaled) - factor**2 * term)) == 0)
+
+    return PairDerivatives(
+        alone=alone,
+        pair=pair,
+        separable=not mixed,
+        quadratic=(is_homogeneous(model.self_term) and is_homogeneous(model.pair_term)),
+        isotropic=_is_isotropic(alone, dimension) and _is_isotropic(pair, dimension),
+    )
+
+
+def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol]) -> TermDerivatives:
+    parts = Invariants.of(term, first, second)
+    count, moving = len(parts.symbols), parts.moving
+    slopes = [Symbol(f"by_{s}", real=True) for s in parts.symbols]
+    slope_values = [parts.slope(k) for k in range(count)]
+    curvatures: dict[tuple[int, int], Assignment] = {}
+    for k in range(count):
+        for m in range(k + 1):
+            value = parts.curvature(k, m)
+            if value != 0:
+                curvatures[k, m] = Symbol(f"by_{parts.symbols[k]}_{parts.symbols[m]}", real=True), value
+    differences = _Differences(first, second)
+    polynomials = [differences.inserted(p) for p in parts.polynomials]
+    gradients = [[differences.derivative(p, z) for z in moving] for p in polynomials]
+    gradient = [
+        sum((f * g[z] for f, g in zip(slopes, gradients, strict=True)), sympy.S.Zero) for z in range(len(moving))
+    ]
+    entries: list[tuple[int, int, Expr]] = []
+    for row in range(len(moving)):
+        for column in range(row + 1):
+            value = sum(
+                (f * differences.derivative(g[row], moving[column]) for f, g in zip(slopes, gradients, strict=True)),
+                sympy.S.Zero,
+            )
+            for (k, m), (symbol, _) in curvatures.items():
+                value += symbol * gradients[k][row] * gradients[m][column]
+                if k != m:
+                    value += symbol * gradients[m][row] * gradients[k][column]
+            if value != 0:
+                entries.append((row, column, value))
+    return TermDerivatives(
+        moving=moving,
+        differences=tuple(differences.used),
+        scalars=tuple(zip(parts.symbols, polynomials, strict=True)),
+        distances=tuple(parts.symbols[k] for k in parts.distances()),
+        value=without_cancellation(parts.outer),
+        slopes=tuple(zip(slopes, slope_values, strict=True)),
+        curvatures=tuple(curvatures.values()),
+        gradient=tuple(gradient),
+        hessian=tuple(entries),
+    )
+
+
+class _Differences:
+    """The differences of the coordinates of two particles, as symbols of their own."""
+
+    def __init__(self, first: Sequence[Symbol], second: Sequence[Symbol]) -> None:
+        half = len(second) // 2
+        self.pairs = {
+            Symbol(f"d{x.name.removesuffix('_i')}", real=True): (x, y)
+            for x, y in zip(first[:half], second, strict=False)
+        }
+        self.used: list[Assignment] = []
+
+    def inserted(self, polynomial: Expr) -> Expr:
+        """The polynomial in differences, if it depends on nothing else."""
+        written = polynomial.xreplace({x: d + y for d, (x, y) in self.pairs.items()})
+        expanded = sympy.expand(written)
+        if expanded.free_symbols - self.pairs.keys() or not expanded.free_symbols:
+            return polynomial
+        for d, (x, y) in self.pairs.items():
+            if d in expanded.free_symbols and (d, x - y) not in self.used:
+                self.used.append((d, x - y))
+        return expanded
+
+    def derivative(self, expression: Expr, z: Symbol) -> Expr:
+        """The derivative by a moving symbol, through differences as well."""
+        total = sympy.diff(expression, z)
+        for d, (x, y) in self.pairs.items():
+            if z in (x, y):
+                total += sympy.diff(expression, d) * (1 if z == x else -1)
+        return total
+
+
+def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
+    """Whether second derivatives by momenta join equal components only, by the same value for all of them."""
+    blocks: dict[tuple[int, int], set[Expr]] = {}
+    counts: dict[tuple[int, int], int] = {}
+    for row, column, value in term.hessian:
+        (one, a), (other, b) = divmod(row, dimension), divmod(column, dimension)
+        if one % 2 == 0 or other % 2 == 0:
+            continue
+        if a != b:
+            return False
+        blocks.setdefault((one, other), set()).add(value)
+        counts[one, other] = counts.get((one, other), 0) + 1
+    return all(len(values) == 1 and counts[index] == dimension for index, values in blocks.items())
+
+
+@dataclass(frozen=True)
+class TracerDerivatives:
+    """What particle j contributes to the velocity of a tracer point i: `velocity`, d entries, and `gradient`.
+
+    Entry a*d + b of the gradient is the derivative of velocity component a by coordinate b. `assignments` are
+    differences, scalars and derivatives by them that both are written in.
+    """
+
+    assignments: tuple[Assignment, ...]
+    velocity: tuple[Expr, ...]
+    gradient: tuple[Expr, ...]
+
+
+def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> TracerDerivatives:
+    """Put p_i = 0 into the derivatives of the pair term.
+
+    Raises ExpressionError where a particle without momentum does not stay so, where it does not only follow the
+    others, or where it would not stay with another one that it meets.
+    """
+    rest = dict.fromkeys(model.first.p, sympy.S.Zero)
+    for name, term in (("pair_term", model.pair_term), ("self_term", model.self_term)):
+        for q in model.first.q:
+            if not identically_zero(sympy.diff(term, q).xreplace(rest)):
+                raise ExpressionError(
+                    f"the system has no tracer points: without momentum, {name} still changes with {q}",
+                    "leave out passive=True, or write kinetic energies alone",
+                )
+    for p in model.first.p:
+        if not identically_zero(sympy.diff(model.self_term, p).xreplace(rest)):
+            raise ExpressionError(
+                f"tracer points would move by themselves: self_term changes with {p} where momenta vanish",
+                "leave out passive=True, or write a self_term of second degree in momenta",
+            )
+        if sympy.diff(model.pair_term, p).xreplace(rest).free_symbols & set(model.first.own):
+            raise ExpressionError(
+                f"a tracer point has no {', '.join(model.own)}, on which its velocity depends",
+                "leave out passive=True, or own parameters",
+            )
+    _require_company(model)
+    pair, size = derivatives.pair, len(model.coordinates)
+    known: dict[Symbol, Expr] = dict.fromkeys(model.first.p, sympy.S.Zero)
+    assignments: list[Assignment] = []
+    for symbol, value in (*pair.differences, *pair.scalars, *pair.slopes, *pair.curvatures):
+        reduced = value.xreplace(known)
+        if reduced.is_number:
+            known[symbol] = reduced
+        else:
+            assignments.append((symbol, reduced))
+    entries = {(row, column): value for row, column, value in pair.hessian}
+    return TracerDerivatives(
+        assignments=tuple(assignments),
+        velocity=tuple(value.xreplace(known) for value in pair.gradient[size : 2 * size]),
+        gradient=tuple(
+            entries.get((size + a, b), sympy.S.Zero).xreplace(known) for a in range(size) for b in range(size)
+        ),
+    )
+
+
+def _require_company(model: PairwiseModel) -> None:
+    """A tracer point that lies on a particle has its velocity: the limit of the pair term gives that of self_term."""
+    if model.limit is None:
+        raise ExpressionError(
+            "the system has no tracer points: where one meets a particle, its velocity has no limit",
+            "leave out passive=True, or write a pair_term that is continuous",
+        )
+    rest = dict.fromkeys(model.first.p, sympy.S.Zero)
+    alone = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
+    for p in model.first.p:
+        met = sympy.diff(model.limit, p).xreplace(rest).xreplace(alone)
+        if not identically_zero(met - sympy.diff(model.self_term, p)):
+            raise ExpressionError(
+                "a tracer point would leave the particle that it lies on: self_term is not half the limit of "
+                "pair_term at coincidence",
+                "leave out self_term, or passive=True",
+            )

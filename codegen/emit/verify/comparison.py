@@ -1,0 +1,464 @@
+"""Emitted values against exact ones: what differs by more than rounding is looked at again with many digits.
+
+Functions of complex arrays that continue real ones, so that complex steps differentiate them exactly. With a tiny
+imaginary part, f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables to estimate
+derivatives of real functions, SIAM Review 40). What has branches chooses them by real parts; outside the real domain of
+a function the result is NaN, as it is in machine code.
+
+The second opinion: where values in machine numbers differ, both are computed with many digits. Kernels are executed
+with numbers that carry the size of the terms that they are made of, so that rounding of the coefficients in the text,
+which is all that may differ, is told from an error. References are differences with 400 digits of the expressions
+themselves.
+
+Where emitted kernels are compared with what they stand for: near the guess, and at random points.
+
+Near the guess means what a solver meets first: the module's own guess with default parameters, its own steps, and
+unknowns moved by parts of their sizes; multipliers, of which there is no guess, are drawn at random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import mpmath
+import numpy as np
+from sympy import Symbol
+
+from codegen.discretise.interval import LENGTHS, STEP
+from codegen.emit.verify.execution import Arithmetic
+from codegen.errors import VerificationError
+from codegen.symbolic.special_functions import STEMS, by_name
+
+DIGITS = 400
+_INCREMENTS = ("1e-35", "1e-40")
+Exact = Callable[[Mapping[Symbol, Any]], Any]
+"""A value of numbers with many digits."""
+TOLERANCE = 1e-11
+"""Of the size of the terms that a value is made of; coefficients in a text have 17 digits."""
+
+
+class Sized:
+    """A number and the size of the terms that it is made of: the first-order bound of its rounding, without epsilon."""
+
+    __slots__ = ("size", "value")
+
+    def __init__(self, value: Any, size: Any = None) -> None:
+        self.value = mpmath.mpf(value)
+        self.size = abs(self.value) if size is None else max(size, abs(self.value))
+
+    def __add__(self, other: Any) -> Sized:
+        other = sized(other)
+        return Sized(self.value + other.value, self.size + other.size)
+
+    def __neg__(self) -> Sized:
+        return Sized(-self.value, self.size)
+
+    def __sub__(self, other: Any) -> Sized:
+        return self + -sized(other)
+
+    def __rsub__(self, other: Any) -> Sized:
+        return sized(other) + -self
+
+    def __mul__(self, other: Any) -> Sized:
+        other = sized(other)
+        return Sized(self.value * other.value, abs(self.value) * other.size + abs(other.value) * self.size)
+
+    def __truediv__(self, other: Any) -> Sized:
+        other = sized(other)
+        quotient = self.value / other.value
+        return Sized(quotient, (self.size + abs(quotient) * other.size) / abs(other.value))
+
+    def __rtruediv__(self, other: Any) -> Sized:
+        return sized(other) / self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def sized(value: Any) -> Sized:
+    """A number as one with a size."""
+    return value if isinstance(value, Sized) else Sized(value)
+
+
+def _applied(function: Any, *arguments: Any) -> Sized:
+    """A function of sized numbers; the size of the result includes its change when arguments change by their sizes."""
+    given = [sized(argument) for argument in arguments]
+    values = [argument.value for argument in given]
+    value, size, little = function(*values), mpmath.mpf(0), mpmath.mpf(10) ** -30
+    if not isinstance(value, mpmath.mpf) or not mpmath.isfinite(value):
+        raise ValueError("no real value")
+    for index, argument in enumerate(given):
+        moved = [*values[:index], argument.value + little * argument.size, *values[index + 1 :]]
+        size += abs(mpmath.re(function(*moved)) - value) / little
+    return Sized(value, abs(value) + size)
+
+
+def _real(value: Any) -> Any:
+    return value.value if isinstance(value, Sized) else value
+
+
+def _only(value: Any) -> Any:
+    if not isinstance(value, mpmath.mpf):
+        raise ValueError("no real value")
+    return value
+
+
+SIZED = Arithmetic(
+    number=Sized,
+    function=lambda name: lambda *x: _applied(by_name(name), *x),
+    power=lambda b, e: _applied(lambda base: base ** _real(e), b),
+    maximum=lambda *x: max(map(sized, x), key=_real),
+    minimum=lambda *x: min(map(sized, x), key=_real),
+    absolute=lambda x: -sized(x) if _real(x) < 0 else sized(x),
+    sign=lambda x: Sized(mpmath.sign(_real(x))),
+    where=lambda condition, one, other: one if condition else other,
+    real=_real,
+)
+EXACT = Arithmetic(
+    number=mpmath.mpf,
+    function=lambda name: lambda *x: _only(by_name(name)(*x)),
+    power=lambda b, e: _only(b**e),
+    maximum=max,
+    minimum=min,
+    absolute=abs,
+    sign=mpmath.sign,
+    where=lambda condition, one, other: one if condition else other,
+    real=lambda x: x,
+)
+
+
+def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]) -> tuple[Any, Any]:
+    """A value, or its first or second derivative by one or two symbols, at a point, and the error of it."""
+    exact = {symbol: mpmath.mpf(float(number)) for symbol, number in point.items()}
+    far, near = (_difference(value, exact, by, mpmath.mpf(increment)) for increment in _INCREMENTS)
+    # A derivative may be lost beside terms that are far larger.
+    smallest = mpmath.mpf(_INCREMENTS[1]) ** len(by)
+    return near, abs(far - near) + abs(value(exact)) * mpmath.mpf(10) ** (5 - DIGITS) / smallest
+
+
+def _difference(value: Exact, point: Mapping[Symbol, Any], by: Sequence[Symbol], increment: Any) -> Any:
+    steps = {symbol: increment * (abs(point[symbol]) or 1) for symbol in by}
+
+    def at(*moved: Symbol) -> Any:
+        values = dict(point)
+        for symbol in moved:
+            values[symbol] += steps[symbol]
+        return value(values)
+
+    if not by:
+        return at()
+    if len(by) == 1:
+        return (at(by[0]) - at()) / steps[by[0]]
+    a, b = by
+    return (at(a, b) - at(a) - at(b) + at()) / (steps[a] * steps[b])
+
+
+Array = Any
+Function = Callable[..., Array]
+
+
+def power(base: Array, exponent: Array) -> Array:
+    """The power; NaN where a negative number has an exponent that is not whole."""
+    if isinstance(exponent, int):
+        return np.asarray(base) ** exponent
+    exponent = np.asarray(exponent)
+    whole = (exponent.real == np.round(exponent.real)) & (exponent.imag == 0)
+    if whole.all() and exponent.ndim == 0:
+        return np.asarray(base) ** int(exponent.real)
+    base = np.asarray(base)
+    return np.where((base.real >= 0) | whole, _complex(base) ** exponent, np.nan)
+
+
+def maximum(*values: Array) -> Array:
+    """The value with the largest real part."""
+    return _chosen(values, lambda a, b: a.real >= b.real)
+
+
+def minimum(*values: Array) -> Array:
+    """The value with the smallest real part."""
+    return _chosen(values, lambda a, b: a.real <= b.real)
+
+
+def absolute(value: Array) -> Array:
+    """The value or its negative, whose real part is positive."""
+    return value * sign(value)
+
+
+def sign(value: Array) -> Array:
+    """The sign of the real part."""
+    return np.sign(np.asarray(value).real)
+
+
+def where(condition: Array, one: Array, other: Array) -> Array:
+    """One value where a condition holds, else the other."""
+    return np.where(condition, one, other)
+
+
+def named(name: str) -> Function:
+    """The function of one variable (atan2: two) that `math` or `mpmath` knows by a name."""
+    if name in _INSIDE:
+        function, inside = _INSIDE[name]
+        return lambda x: np.where(inside(np.asarray(x).real), function(_complex(x)), np.nan)
+    if name in _ENTIRE:
+        return lambda x: _ENTIRE[name](_complex(x))
+    return _arctangent if name == "atan2" else _by_digits(by_name(name))
+
+
+def _extended(number: Any) -> Any:
+    """A number of mpmath with the digits of an extended one; beyond its range it is zero or infinite."""
+    size = abs(number)
+    if size < _SMALLEST or not size < 1 / _SMALLEST:
+        return np.longdouble(0) if size < 1 else np.longdouble(mpmath.sign(number)) * np.inf
+    return np.longdouble(mpmath.nstr(number, 25))
+
+
+_SMALLEST = mpmath.mpf(10) ** -4900
+CONTINUED: dict[str, Function] = {
+    **{name: (lambda x, name=name: named(name)(x)) for name in ("erf", "erfc", "gamma")},
+    "gammaln": lambda x: named("lgamma")(x),
+    **{stem: (lambda order, x, stem=stem: named(f"{stem}_{order}")(x)) for stem in STEMS},
+}
+"""Functions for lambdify that numpy does not continue, by the names that it prints."""
+
+
+def _chosen(values: Sequence[Array], better: Callable[[Array, Array], Array]) -> Array:
+    found = np.asarray(values[0])
+    for value in map(np.asarray, values[1:]):
+        found = np.where(better(found, value), found, value)
+    return found
+
+
+def _complex(value: Array) -> Array:
+    array = np.asarray(value)
+    return array if np.iscomplexobj(array) else array.astype(np.clongdouble)
+
+
+def _arctangent(y: Array, x: Array) -> Array:
+    y, x = _complex(y), _complex(x)
+    square = x.real**2 + y.real**2
+    return np.arctan2(y.real, x.real) + 1j * ((x.real * y.imag - y.real * x.imag) / square)
+
+
+def _by_digits(function: Callable[[Any], Any]) -> Function:
+    """A function that numpy does not continue: its value and derivative with 30 digits, one number after the other."""
+
+    def continued(x: Array) -> Array:
+        values = _complex(x)
+        found = np.empty(values.shape, values.dtype)
+        known: dict[Any, tuple[Any, Any]] = {}
+        for index, value in np.ndenumerate(values):
+            if value.real not in known:
+                known[value.real] = _value_and_slope(function, value.real)
+            height, slope = known[value.real]
+            found[index] = height + 1j * (slope * value.imag)
+        return found
+
+    return continued
+
+
+def _value_and_slope(function: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
+    with mpmath.workdps(30):
+        try:
+            point = mpmath.mpf(str(at))
+            return _extended(function(point)), _extended(mpmath.diff(function, point))
+        except (TypeError, ValueError, ArithmeticError):
+            return np.nan, np.nan
+
+
+_INSIDE: dict[str, tuple[Function, Function]] = {
+    "sqrt": (np.sqrt, lambda x: x >= 0),
+    "log": (np.log, lambda x: x > 0),
+    "log1p": (np.log1p, lambda x: x > -1),
+    "asin": (np.arcsin, lambda x: abs(x) < 1),
+    "acos": (np.arccos, lambda x: abs(x) < 1),
+    "acosh": (np.arccosh, lambda x: x > 1),
+    "atanh": (np.arctanh, lambda x: abs(x) < 1),
+}
+_ENTIRE: dict[str, Function] = {
+    **{name: getattr(np, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "expm1")},
+    "atan": np.arctan,
+    "asinh": np.arcsinh,
+}
+
+
+_RELATIVE = 1e-9
+_ROUNDING = 100.0
+"""A difference counts if it is that many times as large as the change from extended to double precision."""
+_OPINIONS = 12
+
+Evaluate = Callable[[Any], tuple[Any, Any]]
+"""Emitted and exact values, arrays (points, entries), in a complex type of numpy."""
+Opinion = Callable[[int, int], tuple[Sized, Any, Any]]
+"""Of an entry at a point: what the text says with many digits, what is right, and how surely."""
+
+
+def complex_numbers(kind: Any) -> Arithmetic:
+    """Arithmetic of complex arrays of a precision."""
+    real = np.longdouble if kind is np.clongdouble else np.float64
+    return Arithmetic(
+        number=lambda digits: real(digits),
+        function=named,
+        power=power,
+        maximum=maximum,
+        minimum=minimum,
+        absolute=absolute,
+        sign=sign,
+        where=where,
+        real=lambda value: np.asarray(value).real,
+    )
+
+
+def step_of(kind: Any) -> Any:
+    """The imaginary step of a precision: products of two are nothing beside 1, and a small slope is not lost."""
+    limits = np.finfo(kind)
+    return limits.tiny ** limits.dtype.type(0.25)
+
+
+def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
+    """Raise VerificationError for an entry that is wrong at some point; `names` say what the entries are.
+
+    Where values differ, those that differ at most points are judged first, each where it differs most. A point without
+    a value says nothing.
+    """
+    with np.errstate(all="ignore"):
+        emitted, exact = evaluate(np.clongdouble)
+        size = np.maximum(abs(emitted), abs(exact))
+        odd = abs(emitted - exact) > _RELATIVE * size
+        odd = (odd & np.isfinite(size)) | (np.isfinite(emitted) != np.isfinite(exact))
+        if not odd.any():
+            return
+        rough, roughly = evaluate(np.complex128)
+        odd &= ~(abs(emitted - exact) <= _ROUNDING * (abs(emitted - rough) + abs(exact - roughly)))
+        relative = np.nan_to_num(abs(emitted - exact) / size, nan=1.0)
+    for entry in sorted(np.flatnonzero(odd.any(axis=0)), key=lambda e: -odd[:, e].sum())[:_OPINIONS]:
+        for point in sorted(np.flatnonzero(odd[:, entry]), key=lambda p: -relative[p, entry])[:2]:
+            _require_right(names[int(entry)], int(entry), int(point), opinion)
+
+
+def _require_right(name: str, entry: int, point: int, opinion: Opinion) -> None:
+    try:
+        with mpmath.workdps(DIGITS):
+            found, exact, error = opinion(entry, point)
+            differs = not abs(found.value - exact) <= TOLERANCE * found.size + 10 * error
+            said, right = mpmath.nstr(found.value, 8), mpmath.nstr(exact, 8)
+    except (ValueError, TypeError, ArithmeticError):  # no value there with more digits
+        return
+    if differs:
+        raise VerificationError(
+            f"the emitted code gives {said} for {name}, where {right} is right",
+            "this is a defect of codegen, and nothing was written; please report it with the problem file",
+        )
+
+
+class Evaluated(Protocol):
+    """Expressions that can be evaluated in an arithmetic."""
+
+    def evaluate(self, given: Mapping[Symbol, Any], arithmetic: Arithmetic, /) -> list[Any]:
+        """Their values, given those of symbols."""
+        ...
+
+
+Values = dict[Symbol, Any]
+"""Of each symbol its values at some points, shape (points,)."""
+_MOVED = (0.004, 0.03, 0.2, 0.5)
+"""Never by nothing, nor to where an interval begins: kinks often lie at the very guess, and have no derivative."""
+_BESIDE = 0.0137
+_KEPT = 5
+"""Points of each set at which kernels are compared."""
+_STEPS = 24
+"""At most; a guess on more intervals shows no more."""
+
+
+def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], count: int, seed: int) -> Values:
+    """Numbers about 1, then of magnitudes 1e-3 to 1e3; parameters about their defaults, lengths of steps shorter."""
+    generator = np.random.default_rng(seed)
+    wide = np.arange(count) % 3 == 2
+    values: Values = {}
+    for symbol in symbols:
+        near = generator.uniform(0.4, 1.6, count)
+        far = generator.choice((-1.0, 1.0), count) * 10.0 ** generator.uniform(-3, 3, count)
+        if defaults.get(symbol):
+            values[symbol] = defaults[symbol] * near
+        elif symbol in (STEP, *LENGTHS):
+            values[symbol] = 0.25 * near
+        else:
+            values[symbol] = np.where(wide, far, near)
+    return values
+
+
+class GuessedPoints:
+    """Points near the guess that a module of a control problem makes for itself."""
+
+    def __init__(self, module: Mapping[str, Any], steps: int, least: int = 1) -> None:
+        self.module = module
+        self.grid = module["make_grid"](max(least, min(steps, _STEPS)))
+        with np.errstate(all="ignore"):
+            self.unknowns = module["initial_guess"](self.grid)
+        if "read_shared" in module:
+            for body in range(module["BODIES"]):
+                module["read_shared"](self.unknowns, body, self.grid.parameters)
+        self.generator = np.random.default_rng(3)
+
+    def on_intervals(self, local: Sequence[Symbol], others: Sequence[Symbol], within: tuple[float, float]) -> Values:
+        """Values on three intervals between two parts of the chain; `others` are what the parameters hold."""
+        count = self.grid.steps
+        first, last = int(within[0] * count), max(int(within[0] * count), round(within[1] * count) - 1)
+        intervals = sorted({first, (first + last) // 2, last})
+        rows = [interval * self.module["STRIDE"] for interval in intervals for _ in _MOVED]
+        values = self._moved(rows, local, others)
+        t = np.array([(interval + _BESIDE) * self.grid.h for interval in intervals for _ in _MOVED])
+        return values | {_TIME: t, STEP: np.full(t.size, self.grid.h)}
+
+    def at_node(self, last: bool, local: Sequence[Symbol], others: Sequence[Symbol]) -> Values:
+        """Values at the first or the last node."""
+        row = self.grid.steps * self.module["STRIDE"] if last else 0
+        values = self._moved([row for _ in _MOVED], local, others)
+        t = np.full(len(_MOVED), self.grid.steps * self.grid.h if last else 0.0)
+        return values | {_TIME: t, STEP: np.full(t.size, self.grid.h)}
+
+    def _moved(self, rows: Sequence[int], local: Sequence[Symbol], others: Sequence[Symbol]) -> Values:
+        moved = np.tile(_MOVED, len(rows) // len(_MOVED))
+        values: Values = {}
+        for offset, symbol in enumerate(local):
+            indices = np.array(rows) + offset
+            at = self.unknowns[indices]
+            noise = self.generator.uniform(-1.0, 1.0, at.size)
+            multiplier = self.grid.is_multiplier[indices[0]]
+            values[symbol] = noise if multiplier else at + moved * noise * self._size(offset)
+        shared = len(others) - self.module.get("SHARED", 0)
+        for column, symbol in enumerate(others):
+            at = np.full(len(rows), self.grid.parameters[0, column])
+            noise = self.generator.uniform(-1.0, 1.0, at.size)
+            values[symbol] = at * (1 + 0.1 * moved * noise)
+            if column >= shared:
+                values[symbol] += np.where(at == 0, noise, 0.0)
+        return values
+
+    def _size(self, offset: int) -> float:
+        """The largest value of an unknown along the guess, or 1."""
+        stride = self.module["STRIDE"]
+        size = float(np.abs(self.unknowns[offset % stride :: stride]).max(initial=0.0))
+        return size if 0.0 < size < np.inf else 1.0
+
+
+_TIME = Symbol("t")
+"""Stands for the time of the model, whatever it is called."""
+
+
+def with_time(values: Values, time: Symbol) -> Values:
+    """The values with the model's own symbol for time."""
+    return {time if symbol is _TIME else symbol: value for symbol, value in values.items()}
+
+
+def finite_points(tape: Evaluated, candidates: Sequence[Values]) -> tuple[Values, int]:
+    """The first points of each set at which all expressions of a tape have values, and how many there are."""
+    found: list[tuple[Values, Any]] = []
+    for values in candidates:
+        given = {symbol: array.astype(np.clongdouble) for symbol, array in values.items()}
+        with np.errstate(all="ignore"):
+            results = tape.evaluate(given, complex_numbers(np.clongdouble))
+        size = len(next(iter(values.values())))
+        finite = np.logical_and.reduce([np.isfinite(np.broadcast_to(array, size)) for array in results])
+        found.append((values, np.flatnonzero(finite)[:_KEPT]))
+    count = sum(len(indices) for _, indices in found)
+    return {s: np.concatenate([values[s][indices] for values, indices in found]) for s in candidates[0]}, count

@@ -1,0 +1,374 @@
+"""Generated text executed by the interpreter: parts of a module as they stand, and kernels in any arithmetic.
+
+Sympy expressions as they stand, evaluated operation by operation in any arithmetic, with equal parts only once. Nothing
+here is shared with differentiation, with the search for common parts, or with printing.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from importlib import resources
+from types import CodeType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import sympy
+from sympy import Basic, Expr, Symbol
+
+from codegen.errors import VerificationError
+from codegen.runtime.arguments import with_counts
+from codegen.symbolic.special_functions import STEMS
+from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic.tables import ORDERS, TableData, derivative
+
+
+@dataclass(frozen=True)
+class Arithmetic:
+    """What a tape is evaluated with: `number` of a string of digits, `function` by the name it has in `math`."""
+
+    number: Callable[[str], Any]
+    function: Callable[[str], Callable[..., Any]]
+    power: Callable[[Any, Any], Any]
+    maximum: Callable[..., Any]
+    minimum: Callable[..., Any]
+    absolute: Callable[[Any], Any]
+    sign: Callable[[Any], Any]
+    where: Callable[[Any, Any, Any], Any]
+    real: Callable[[Any], Any]
+
+
+class Tape:
+    """The parts of some expressions, each after those that it is made of."""
+
+    def __init__(self, expressions: Sequence[Expr]) -> None:
+        self.indices: dict[Basic, int] = {}
+        self.parts: list[tuple[Basic, tuple[int, ...]]] = []
+        self.results = [self._placed(sympy.sympify(e)) for e in expressions]
+
+    def _placed(self, root: Basic) -> int:
+        waiting = [root]
+        while waiting:
+            part = waiting[-1]
+            missing = [] if part in self.indices else [a for a in part.args if a not in self.indices]
+            if missing:
+                waiting += missing
+                continue
+            waiting.pop()
+            if part not in self.indices:
+                self.indices[part] = len(self.parts)
+                self.parts.append((part, tuple(self.indices[a] for a in part.args)))
+        return self.indices[root]
+
+    def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic) -> list[Any]:
+        """The values of the expressions, given those of their symbols."""
+        known: list[Any] = []
+        for part, indices in self.parts:
+            known.append(_value(part, [known[index] for index in indices], values, arithmetic))
+        return [known[index] for index in self.results]
+
+
+def _value(part: Basic, given: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:
+    if part.is_Symbol:
+        return values[part]
+    if part.is_Rational:
+        return a.number(str(part.p)) / a.number(str(part.q)) if part.q != 1 else a.number(str(part.p))
+    if part.is_Number or isinstance(part, sympy.NumberSymbol):
+        return a.number(str(part.evalf(130)))
+    if part.is_Add:
+        return reduce(operator.add, given)
+    if part.is_Mul:
+        return reduce(operator.mul, given)
+    if part.is_Pow:
+        exponent = part.exp
+        if exponent.is_Integer:
+            return a.power(given[0], int(exponent))
+        return a.function("sqrt")(given[0]) if exponent == sympy.S.Half else a.power(*given)
+    if isinstance(part, sympy.Piecewise):
+        return reduce(lambda rest, pair: a.where(pair[1], pair[0], rest), reversed(given), a.number("nan"))
+    if isinstance(part, sympy.functions.elementary.piecewise.ExprCondPair):
+        return tuple(given)
+    if part.is_Boolean or part.is_Relational:
+        if part.is_Relational:
+            return _RELATIONS[part.rel_op](*map(a.real, given))
+        if isinstance(part, sympy.Not):
+            return given[0] == False  # noqa: E712  # arrays are negated one by one
+        if isinstance(part, (sympy.And, sympy.Or)):
+            return reduce(operator.and_ if isinstance(part, sympy.And) else operator.or_, given)
+        return bool(part)
+    if isinstance(part, TableBase):
+        return derivative(part.table, part.order, given, a.real)
+    name = type(part).__name__
+    own = {"Abs": a.absolute, "Max": a.maximum, "Min": a.minimum, "sign": a.sign}
+    if name in own:
+        return own[name](*given)
+    if name == "Heaviside":
+        return (a.sign(given[0]) + 1) / 2
+    return a.function(name)(*given)
+
+
+_RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
+    **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
+    **{"==": operator.eq, "!=": operator.ne},
+}
+
+
+class Text:
+    """The text of a module, of which parts are executed without compiling them to machine code.
+
+    Functions that look `tables` up have those themselves in their indices when kernels are executed.
+    """
+
+    def __init__(self, text: str, tables: Sequence[TableData] = ()) -> None:
+        self._tables = {table.shape.lookup: table for table in tables}
+        self._imports: list[ast.stmt] = []
+        self._parts: dict[str, ast.stmt] = {}
+        self._codes: dict[tuple[str, ...], CodeType] = {}
+        self._reads: dict[str, set[str]] = {}
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.Import):
+                self._imports.append(node)
+            elif isinstance(node, ast.ImportFrom):
+                self._import(node)
+            elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                self._parts[node.name] = node
+            elif isinstance(node, ast.Assign):
+                parts = (p for t in node.targets for p in (t.elts if isinstance(t, ast.Tuple) else [t]))
+                named = (part for part in parts if isinstance(part, ast.Name))
+                self._parts |= {part.id: node for part in named}
+
+    def _import(self, node: ast.ImportFrom) -> None:
+        """Take in the functions that kernels import from the runtime, as if they were the text's own."""
+        module = str(node.module)
+        own = "codegen.runtime.particles.", "codegen.runtime.tabulated.", "codegen.runtime.inner_number"
+        if not module.startswith(own):
+            self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
+            return
+        *folders, name = module.split(".")[1:]
+        file = resources.files("codegen").joinpath(*folders, f"{name}.py")
+        for part in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(part, ast.FunctionDef):
+                self._parts.setdefault(part.name, part)
+            elif isinstance(part, ast.ImportFrom) and str(part.module).startswith("codegen.runtime.tabulated."):
+                self._import(part)
+            elif isinstance(part, ast.Assign):
+                targets = (t for target in part.targets for t in ast.walk(target) if isinstance(t, ast.Name))
+                for target in targets:
+                    self._parts.setdefault(target.id, part)
+
+    def defines(self, name: str) -> bool:
+        """Whether a function, class or constant has the name."""
+        return name in self._parts
+
+    def interpreted(self, *names: str) -> dict[str, Any]:
+        """Those of the names that the module defines, and what they need, with numba's decorators doing nothing."""
+        namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
+        namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
+        namespace |= {"_interpreted": _interpreted, "carray": _carray}
+        body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
+        exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
+        namespace["math"] = _QuietMath()  # which the functions read when they are called
+        return namespace
+
+    def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Callable[..., Any]]:
+        """Some functions, and what they call, in another arithmetic than that of floating-point numbers."""
+        key = tuple(names)
+        if key not in self._codes:
+            needed = self._needed(names, {*STEMS, *self._tables})
+            functions = [node for node in needed if isinstance(node, ast.FunctionDef)]
+            body: list[ast.stmt] = [_Rewritten().function(node) for node in functions]
+            module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
+            self._codes[key] = compile(module, "<kernels>", "exec")
+        namespace = _namespace(arithmetic)
+        namespace |= {name: _looked_up(table, arithmetic) for name, table in self._tables.items()}
+        exec(self._codes[key], namespace)
+        return {name: namespace[name] for name in names if name in self._parts}
+
+    def _needed(self, names: Iterable[str], replaced: Collection[str] = ()) -> list[ast.stmt]:
+        """The parts with these names and those that they read, in the order of the text, without what is replaced."""
+        waiting, found = list(names), set[str]()
+        while waiting:
+            name = waiting.pop()
+            if name in self._parts and name not in found and name not in replaced:
+                found.add(name)
+                if name not in self._reads:
+                    self._reads[name] = _read(self._parts[name])
+                waiting += self._reads[name]
+        return list(dict.fromkeys(node for name, node in self._parts.items() if name in found))
+
+
+def _looked_up(table: TableData, a: Arithmetic) -> Callable[..., Any]:
+    orders = ORDERS[len(table.shape.inputs)]
+    return lambda parameters, *at: tuple(derivative(table, order, at, a.real) for order in orders)
+
+
+def _read(part: ast.stmt) -> set[str]:
+    """The names that a part reads and does not give a value to itself."""
+    names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
+    own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
+    own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
+    return {node.id for node in names} - (own if isinstance(part, ast.FunctionDef) else set())
+
+
+class _QuietMath:
+    """The functions of `math` with NaN and infinity where Python's raise errors, as machine code has them."""
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(math, name)
+        return _quiet(found) if callable(found) else found
+
+
+def _quiet(function: Callable[..., float]) -> Callable[..., Any]:
+    def called(*arguments: float) -> Any:
+        try:
+            return np.float64(function(*arguments))
+        except (ValueError, OverflowError):
+            return np.float64(np.nan)
+
+    return called
+
+
+def _interpreted(loop: Any) -> Callable[[Any], Any]:
+    """Return what marks a loop over intervals, which then runs by the interpreter."""
+    return lambda function: loop(function, is_interpreted=True)
+
+
+def _carray(pointer: Any, shape: Any) -> Any:
+    """Return an array over the memory at a pointer, as numba does; an array stays as it is."""
+    if isinstance(pointer, np.ndarray):
+        return pointer
+    from numba import carray
+
+    return carray(pointer, shape)
+
+
+def _with_counts(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A kernel that Python calls without the numbers of particles and of columns."""
+    code = function.__code__
+    names = code.co_varnames[: code.co_argcount]
+    return lambda *values: function(*with_counts(names, values))
+
+
+def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:
+    return lambda function: function
+
+
+class _Functions:
+    """Stands for the module `math`, or `np`, of a text."""
+
+    def __init__(self, arithmetic: Arithmetic) -> None:
+        self._arithmetic = arithmetic
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _NUMBERS:
+            return self._arithmetic.number(_NUMBERS[name])
+        return self._arithmetic.sign if name == "sign" else self._arithmetic.function(name)
+
+
+class _Rewritten(ast.NodeTransformer):
+    """Powers, choices and comparisons as calls, which operators of Python do not express for arrays."""
+
+    def function(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        """The function itself, without decorators; what has been rewritten once stays as it is."""
+        visited = self.visit(node)
+        assert isinstance(visited, ast.FunctionDef)
+        visited.decorator_list = []
+        return visited
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("_power", node.left, node.right) if isinstance(node.op, ast.Pow) else node
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("_where", node.test, node.body, node.orelse)
+
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        self.generic_visit(node)
+        return _call(f"_{type(node.ops[0]).__name__}", node.left, node.comparators[0])
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
+        self.generic_visit(node)
+        result = node.values[0]
+        for value in node.values[1:]:
+            result = _call(f"_{type(node.op).__name__}", result, value)
+        return result
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("_Not", node.operand) if isinstance(node.op, ast.Not) else node
+
+
+def _call(name: str, *arguments: ast.expr) -> ast.Call:
+    return ast.Call(func=ast.Name(id=name, ctx=ast.Load()), args=list(arguments), keywords=[])
+
+
+def _namespace(a: Arithmetic) -> dict[str, Any]:
+    def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        return lambda one, other: operation(a.real(one), a.real(other))
+
+    comparisons = {"Lt": operator.lt, "LtE": operator.le, "Gt": operator.gt, "GtE": operator.ge}
+    comparisons |= {"Eq": operator.eq, "NotEq": operator.ne}
+    functions = _Functions(a)
+
+    def family(stem: str) -> Callable[[int, Any], Any]:
+        return lambda order, x: a.function(f"{stem}_{order}")(x)
+
+    return {
+        **{stem: family(stem) for stem in STEMS},
+        **{f"_{name}": compared(operation) for name, operation in comparisons.items()},
+        **{"_And": operator.and_, "_Or": operator.or_, "_Not": lambda condition: condition == False},  # noqa: E712
+        **{"_power": a.power, "_where": a.where, "abs": a.absolute, "max": a.maximum, "min": a.minimum},
+        **{"math": functions, "np": SimpleNamespace(**{"sign": a.sign}), "range": range},
+    }
+
+
+_NUMBERS = {
+    "pi": "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798",
+    "e": "2.71828182845904523536028747135266249775724709369995957496696762772407663035354759457138217852516642743",
+    "nan": "nan",
+    "inf": "inf",
+}
+
+
+_POINTS = 6
+_TOLERANCE = 1e-9
+
+
+def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
+    """Execute each look-up, whose numbers stand from `first` on; VerificationError names a derivative that is wrong."""
+    if not tables:
+        return
+    module = text.interpreted("TABLES", *(table.shape.lookup for table in tables))
+    numbers = np.concatenate([np.full(first, np.nan), *module["TABLES"].values()])
+    for table in tables:
+        orders = ORDERS[len(table.shape.sizes)]
+        for point in _points(table):
+            found = module[table.shape.lookup](numbers, *point)
+            for order, value in zip(orders, found, strict=True):
+                right = float(derivative(table, order, point, lambda x: x))
+                if not abs(value - right) <= _TOLERANCE * _size(table, order):
+                    raise VerificationError(
+                        f"the emitted code gives {value:.8g} for derivative {order} of table {table.shape.name}, where "
+                        f"{right:.8g} is right",
+                        "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                    )
+
+
+def _points(table: TableData) -> Iterator[list[float]]:
+    """Points inside the table's range, and beyond it by a tenth of that."""
+    generator = np.random.default_rng(11)
+    for _ in range(_POINTS):
+        yield [float(axis[0] + generator.uniform(-0.1, 1.1) * np.ptp(axis)) for axis in table.axes]
+
+
+def _size(table: TableData, order: Sequence[int]) -> float:
+    """How large a derivative is, by values and slopes and the widths of cells."""
+    size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
+    for axis, o in zip(table.axes, order, strict=True):
+        size /= float(np.diff(axis).min(initial=1.0)) ** o
+    return size

@@ -1,0 +1,519 @@
+"""The kernels of a control problem: intervals of all kinds, both ends, and the controls' block.
+
+The kernels of a simulation: the scheme's equations, what is left of them for Newton's method, and the energy.
+
+The loops over particles and pairs: H, its derivatives and products with them, against the author's two terms.
+
+What is right is the sum of both terms over a few particles, evaluated as it stands: its first derivatives by complex
+steps, its second ones as differences of these in extended precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from sympy import Expr, S, Symbol
+
+from codegen.discretise.connect import PairwiseProgram
+from codegen.discretise.interval import STEP
+from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.program import ControlProgram, StepProgram
+from codegen.emit.differentiation import data_of
+from codegen.emit.lower.control.layout import parameters
+from codegen.emit.lower.control.phases import named_elements
+from codegen.emit.verify.comparison import (
+    EXACT,
+    SIZED,
+    GuessedPoints,
+    Sized,
+    Values,
+    complex_numbers,
+    difference,
+    finite_points,
+    judge,
+    random_points,
+    sized,
+    step_of,
+    with_time,
+)
+from codegen.emit.verify.execution import Arithmetic, Tape, Text
+from codegen.emit.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
+from codegen.errors import VerificationError
+from codegen.symbolic.checks import rounded_at
+
+_DRAWN = 30
+_ROUNDING = 1e-8
+_READ = (
+    *("make_grid", "initial_guess", "read_shared", "STRIDE", "BODIES", "SHARED"),
+    *(f"{share}HESSIAN_{side}" for share in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")),
+)
+"""What is executed of a module as it stands."""
+
+
+def verify_control(program: ControlProgram, text: Text) -> None:
+    """Compare every kernel with its share of the Lagrangian; VerificationError names an entry that is wrong."""
+    guessed = guessed_points(program, text)
+    module = guessed.module
+    intervals = list(_intervals(program, module, guessed))
+    block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
+    samples = list(_samples(program, intervals))
+    ends = list(_ends(program, module, guessed))
+    mixed = _mixed(program, text, intervals, samples, ends) if text.defines("QUANTITIES") else []
+    for share, near in (*intervals, *block, *samples, *ends, *mixed):
+        others = [*parameters(program), program.model.time, STEP, *(program.sample.symbols if program.sample else ())]
+        symbols = list(dict.fromkeys([*share.unknowns, *others]))
+        drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
+        ShareComparison(share, text, [with_time(near, program.model.time), drawn]).verify()
+    for share, near in samples:
+        _verify_values(program, text, share, with_time(near, program.model.time))
+
+
+def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
+    """Points near the guess that the text of a module makes."""
+    return GuessedPoints(text.interpreted(*_READ), program.model.steps, len(program.inner.times) + 1)
+
+
+def _intervals(
+    program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPoints
+) -> Iterator[tuple[Share, Values]]:
+    others, time = parameters(program), program.model.time
+    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+
+    def calling(begins_at: int) -> Any:
+        """Call a kernel of an interval that begins at the inner time of this number, or at none."""
+        times = inner_time_symbols(program)
+
+        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+            moved = {s: values[time] + 2 * abs(i - begins_at) * values[STEP] for i, s in enumerate(times)}
+            given = [moved[s] if s in moved else values[s] for s in others]
+            return kernel([values[s] for s in local], values[time], values[STEP], given, filled)
+
+        return call
+
+    pattern = _pattern(module, "")
+    kinds = list(zip(named_elements(program), program.interval_elements, [0] * len(program.interval_elements)))
+    if program.inner.times:
+        kinds += [((stem, f"{where} that begins at no inner time"), share, -1) for (stem, where), share, _ in kinds]
+    for (stem, where), element, begins_at in kinds:
+        call = calling(begins_at)
+        share = Share(
+            name="an interval" + where,
+            scalar=element.element.xreplace(inner_numbers(program, begins_at)),
+            beside=element.cost,
+            unknowns=program.element_symbols,
+            indices=tuple(range(len(program.element_symbols))),
+            pattern=pattern,
+            gradient=f"{stem}_gradient",
+            hessian=f"{stem}_hessian",
+            call_gradient=call,
+            call_hessian=call,
+        )
+        yield share, guessed.on_intervals(local, others, part_of_chain(program, stem))
+
+
+def _mixed(
+    program: ControlProgram,
+    text: Text,
+    intervals: Sequence[tuple[Share, Values]],
+    samples: Sequence[tuple[Share, Values]],
+    ends: Sequence[tuple[Share, Values]],
+) -> list[tuple[Share, Values]]:
+    """The shares with derivatives by data in place of those by unknowns, where the text has sensitivities."""
+    found, count = [], len(program.interval_elements)
+    for number, (share, near) in enumerate((*intervals, *samples)):
+        columns = columns_of(program, -1 if count <= number < len(intervals) else 0)
+        kernel = share.gradient.removesuffix("gradient") + "mixed"
+        found += [(one, near) for one in mixed_shares(share, kernel, pattern_of(text), columns)]
+    for (share, near), name in zip(ends, ("start", "end"), strict=True):
+        columns = columns_of(program, -1)
+        first = len(data_of(program))
+        columns |= {first + i: s for i, s in enumerate(share.unknowns) if i not in share.indices}
+        pattern = pattern_of(text, f"{name.upper()}_")
+        found += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
+    return found
+
+
+def inner_time_symbols(program: ControlProgram) -> tuple[Symbol, ...]:
+    """The parameters that are inner times."""
+    return program.inner.parameters[: len(program.inner.times)]
+
+
+def inner_numbers(program: ControlProgram, number: int) -> dict[Symbol, Expr]:
+    """What an interval that begins at the inner time of this number, or at none (-1), reads of its left node."""
+    count, inner = len(program.inner.times), program.inner
+    of_times = inner.parameters[count:]
+    return {s: of_times[i * count + number] if number >= 0 else S.Zero for i, s in enumerate(inner.symbols)}
+
+
+def _samples(program: ControlProgram, intervals: Sequence[tuple[Share, Values]]) -> Iterator[tuple[Share, Values]]:
+    """What a sample adds to the share of an interval, with values that may have been measured."""
+    if program.sample is None:
+        return
+    (share, near), sample = intervals[0], program.sample
+    others, time, own = parameters(program), program.model.time, sample.symbols
+    local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
+
+    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        # A sample stands behind the parameters, and its middle, which kernels do not read, before all else.
+        row = [*(values[s] for s in others), None, *(values[s] for s in own)]
+        return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
+
+    measured = replace(
+        share, name="a sample", scalar=sample.element, beside=sample.element, gradient="sample_gradient",
+        hessian="sample_hessian", call_gradient=call, call_hessian=call, returned="the losses of",
+    )  # fmt: skip
+    generator, count = np.random.default_rng(7), len(next(iter(near.values())))
+    yield measured, near | {symbol: generator.uniform(0.1, 0.9, count) for symbol in own}
+
+
+def _verify_values(program: ControlProgram, text: Text, share: Share, near: Values) -> None:
+    """Compare what the motion has at a sample, on which no derivative depends, with the expressions themselves."""
+    assert program.sample is not None, "there are samples"
+    tape, numbers = Tape(program.sample.observed), complex_numbers(np.complex128)
+    given = {symbol: values.astype(complex) for symbol, values in near.items()}
+    emitted: list[Any] = [0.0] * len(program.sample.observed)
+    with np.errstate(all="ignore"):
+        exact = tape.evaluate(given, numbers)
+        share.call_gradient(text.kernels(("sample_values",), numbers)["sample_values"], given, emitted)
+    for observed, found, right in zip(program.model.observed, emitted, exact, strict=True):
+        finite = np.isfinite(right)
+        if not np.allclose(np.where(finite, found, 0.0), np.where(finite, right, 0.0), rtol=_ROUNDING, atol=_ROUNDING):
+            raise VerificationError(
+                f"the emitted code gives another value than the expression that {observed.name} measures",
+                "this is a defect of codegen, and nothing was written; please report it with the problem file",
+            )
+
+
+def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
+    """The same with the kernel of the controls' block, whose lower triangle is filled by row and column."""
+    others, size = parameters(program), len(program.control_symbols)
+    first = len(program.left_symbols) + len(program.interval_symbols)
+    pairs = [(row, column) for row in range(size) for column in range(row + 1)]
+
+    def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        block: dict[tuple[int, int], Any] = {}
+        kernel(values[STEP], [values[s] for s in others], block)
+        for index, pair in enumerate(pairs):
+            filled[index] = block.get(pair, filled[index])
+
+    block = replace(
+        share,
+        indices=tuple(range(first, first + size)),
+        pattern=tuple((first + row, first + column) for row, column in pairs),
+        hessian="control_hessian",
+        call_hessian=call,
+    )
+    return block, near
+
+
+def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
+    """Where intervals of a kind lie, in parts of the whole chain."""
+    if not program.phases:
+        return 0.0, 1.0
+    kind, number = stem.split("_")
+    begin = int(number) - (kind == "phase")
+    return begin / len(program.phases), (begin + (kind == "phase")) / len(program.phases)
+
+
+def _ends(program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
+    others, time = parameters(program), program.model.time
+    for name, end, node in (
+        ("start", program.start, program.left_symbols),
+        ("end", program.end, program.right_symbols),
+    ):
+
+        def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any], node: Sequence[Symbol] = node) -> Any:
+            return kernel([values[s] for s in node], values[time], [values[s] for s in others], filled)
+
+        unknowns, pinned = (*node, *program.shared_symbols), {index for index, _ in end.pins}
+        share = Share(
+            name=f"the {name}",
+            scalar=end.element,
+            beside=end.cost,
+            unknowns=unknowns,
+            indices=tuple(index for index in range(len(unknowns)) if index not in pinned),
+            pattern=_pattern(module, f"{name.upper()}_"),
+            gradient=f"{name}_gradient",
+            hessian=f"{name}_hessian",
+            call_gradient=call,
+            call_hessian=call,
+        )
+        yield share, guessed.at_node(name == "end", node, others)
+
+
+def _pattern(module: Mapping[str, Any], prefix: str) -> tuple[tuple[int, int], ...]:
+    rows, columns = (module.get(f"{prefix}HESSIAN_{side}", ()) for side in ("ROWS", "COLUMNS"))
+    return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))
+
+
+_DRAWN_STEPS = 30
+Assignment = tuple[Symbol, Expr]
+
+
+def verify_step(program: StepProgram, text: Text) -> None:
+    """Compare every kernel with what the program says; VerificationError names a value that is wrong."""
+    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+    interval = [*program.stage_symbols, *program.right_symbols]
+    kernels = _Kernels(program, text, base)
+    written, values = zip(*program.equations, strict=True)
+    kernels.compare("step_equations", interval, (), list(values), [f"the equation {name}" for name in written])
+    kernels.compare("energy", [], program.state_assignments, [program.energy], ["the energy"])
+    named = [f"the {symbol} of a step" for symbol in interval]
+    if not program.unknowns:
+        kernels.compare("explicit_step", [], program.before, list(interval), named)
+        return
+    unknowns, assigned = list(program.unknowns), (*program.before, *program.after)
+    kernels.compare("complete_step", unknowns, assigned, list(interval), named)
+    residual = [f"equation {i + 1} that a step solves" for i in range(len(unknowns))]
+    kernels.compare("step_residual", unknowns, program.before, list(program.residual), residual)
+    kernels.compare_slopes(unknowns, program.before, list(program.residual), residual)
+
+
+class _Values:
+    """Expressions that read assignments, evaluated as they stand."""
+
+    def __init__(self, assignments: Sequence[Assignment], values: Sequence[Expr]) -> None:
+        self.names = [symbol for symbol, _ in assignments]
+        self.tapes = [Tape([value]) for _, value in assignments]
+        self.tape = Tape(values)
+
+    def evaluate(self, given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        known = dict(given)
+        for symbol, tape in zip(self.names, self.tapes, strict=True):
+            known[symbol] = tape.evaluate(known, numbers)[0]
+        return self.tape.evaluate(known, numbers)
+
+
+class _Kernels:
+    """Calls kernels of a step, at points where the program's expressions have values."""
+
+    def __init__(self, program: StepProgram, text: Text, base: Sequence[Symbol]) -> None:
+        self.program, self.text, self.base = program, text, base
+
+    def compare(
+        self,
+        name: str,
+        inside: Sequence[Symbol],
+        assignments: Sequence[Assignment],
+        values: Sequence[Expr],
+        names: Sequence[str],
+    ) -> None:
+        """A kernel that fills values, given those of some symbols beside the state, time, length and parameters."""
+        if not values:
+            return
+        read = _Values(assignments, values)
+        points, count = self._points(inside, read)
+
+        def filled(given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+            return self._filled(name, self.text.kernels((name,), numbers)[name], given, inside, len(values))
+
+        def evaluate(kind: Any) -> tuple[Any, Any]:
+            given = {symbol: array.astype(kind) for symbol, array in points.items()}
+            numbers = complex_numbers(kind)
+            return _columns(filled(given, numbers), count), _columns(read.evaluate(given, numbers), count)
+
+        def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
+            at = {symbol: float(array[point]) for symbol, array in points.items()}
+            exact, error = difference(lambda given: read.evaluate(given, EXACT)[entry], at, [])
+            found = filled({symbol: Sized(value) for symbol, value in at.items()}, SIZED)[entry]
+            return sized(found), exact, error
+
+        if count:
+            judge(names, evaluate, opinion)
+
+    def compare_slopes(
+        self, unknowns: Sequence[Symbol], before: Sequence[Assignment], residual: Sequence[Expr], names: Sequence[str]
+    ) -> None:
+        """The Jacobian of the residual, and the residual that its kernel fills as well."""
+        read, size = _Values(before, residual), len(unknowns)
+        points, count = self._points(unknowns, read)
+
+        def filled(given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+            kernel = self.text.kernels(("step_jacobian",), numbers)["step_jacobian"]
+            beside: list[Any] = [0] * size
+            matrix: list[Any] = [0] * size**2
+            kernel([given[y] for y in unknowns], *self._arguments(given), beside, matrix)
+            return [*beside, *matrix]
+
+        def evaluate(kind: Any) -> tuple[Any, Any]:
+            step, numbers = step_of(kind), complex_numbers(kind)
+            given = {symbol: array.astype(kind)[:, None] for symbol, array in points.items()}
+            moved = dict(given)
+            for index, y in enumerate(unknowns):
+                moved[y] = np.tile(given[y], (1, size))
+                moved[y][:, index] += 1j * step
+            exact = [np.broadcast_to(np.asarray(value, kind), (count, size)) for value in read.evaluate(moved, numbers)]
+            heights = np.stack([value[:, 0].real for value in exact], axis=1)
+            slopes = np.concatenate([value.imag / step for value in exact], axis=1)
+            emitted = [np.asarray(value).reshape(-1) for value in filled(given, numbers)]
+            return _columns(emitted, count), np.concatenate([heights, slopes], axis=1)
+
+        def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
+            at = {symbol: float(array[point]) for symbol, array in points.items()}
+            row, by = (entry, []) if entry < size else ((entry - size) // size, [unknowns[(entry - size) % size]])
+            exact, error = difference(lambda given: read.evaluate(given, EXACT)[row], at, by)
+            found = filled({symbol: Sized(value) for symbol, value in at.items()}, SIZED)[entry]
+            return sized(found), exact, error
+
+        if count:
+            slopes = [f"the derivative of {name} by {y}" for name in names for y in unknowns]
+            judge([*names, *slopes], evaluate, opinion)
+
+    def _filled(
+        self, name: str, kernel: Callable[..., Any], given: Mapping[Symbol, Any], inside: Sequence[Symbol], size: int
+    ) -> list[Any]:
+        state, time, length, parameters = self._arguments(given)
+        within, filled = [given[symbol] for symbol in inside], [0] * size
+        if name == "energy":
+            return [kernel(state, time, parameters)]
+        if name == "step_equations":
+            kernel(state, within, time, length, parameters, filled)
+        elif name == "explicit_step":
+            kernel(state, time, length, parameters, filled)
+        else:
+            kernel(within, state, time, length, parameters, filled)
+        return filled
+
+    def _arguments(self, given: Mapping[Symbol, Any]) -> tuple[list[Any], Any, list[Any], list[Any]]:
+        program = self.program
+        return (
+            [given[symbol] for symbol in program.left_symbols],
+            given[program.model.time],
+            [given[h] for h in program.lengths],
+            [given[symbol] for symbol in program.model.parameters],
+        )
+
+    def _points(self, inside: Sequence[Symbol], read: _Values) -> tuple[Values, int]:
+        defaults = self.program.model.default_values
+        symbols = list(dict.fromkeys([*self.base, *inside]))
+        drawn = random_points(symbols, defaults, _DRAWN_STEPS, seed=5)
+        return finite_points(read, [drawn | self._near_start(symbols), drawn])
+
+    def _near_start(self, symbols: Sequence[Symbol]) -> Values:
+        """States near the initial one, with the steps and parameters that a solution has by default."""
+        program, generator = self.program, np.random.default_rng(6)
+        values = dict(program.model.default_values)
+        values |= {v.symbol: rounded_at(v.value, values) or 0.0 for v in program.start_values}
+        state = dict(zip(program.left_symbols, (rounded_at(e, values) or 0.0 for e in program.start), strict=True))
+        state |= dict(zip(program.right_symbols, list(state.values()), strict=True))
+        length = (rounded_at(program.model.duration, values) or 1.0) / program.model.steps
+        near = {symbol: np.full(_DRAWN_STEPS, number) for symbol, number in values.items()}
+        for symbol, number in state.items():
+            near[symbol] = number + 0.1 * (abs(number) or 1.0) * generator.uniform(-1.0, 1.0, _DRAWN_STEPS)
+        near |= {h: np.full(_DRAWN_STEPS, length) for h in program.lengths} | {
+            program.model.time: np.zeros(_DRAWN_STEPS)
+        }
+        return {symbol: array for symbol, array in near.items() if symbol in symbols}
+
+
+def _columns(values: Sequence[Any], count: int) -> Any:
+    return np.stack([np.broadcast_to(np.asarray(value).real, count) for value in values], axis=1)
+
+
+_PARTICLES = 3
+_SCALES = (0.6, 0.05)
+"""How far particles are from the origin, and how large their momenta."""
+_DIFFERENCE = 1e-7
+_FIRST, _SECOND = 1e-9, 1e-7
+"""Parts of an array's largest entry by which values, and second derivatives from differences, may be wrong."""
+_DIRECTIONS = 2
+_LOOPS = ("hamiltonian", "hamiltonian_gradient", "slope", "velocity", "hamiltonian_hessian", "hessian_products")
+_MATRIX = "momentum_matrix"
+Array = Any
+
+
+def verify_particles(program: PairwiseProgram, text: Text) -> None:
+    """Compare every loop with the author's terms; VerificationError names a value that is wrong."""
+    model, generator = program.model, np.random.default_rng(5)
+    exact, module = _Exact(model), text.interpreted(*_LOOPS, _MATRIX)
+    for scale in _SCALES:
+        size = (2, _PARTICLES, len(model.coordinates))
+        state = scale * generator.uniform(-1.0, 1.0, size) / np.sqrt(size[-1])
+        own = generator.uniform(0.5, 1.5, (_PARTICLES, len(model.own)))
+        parameters = np.array(model.defaults) * generator.uniform(0.9, 1.1, len(model.defaults))
+        with np.errstate(all="ignore"):
+            for quantity, emitted, right, part in _compared(module, exact, (state, own, parameters)):
+                _require_equal(quantity, np.asarray(emitted), np.asarray(right, float), part)
+
+
+def _compared(
+    module: dict[str, Any], exact: _Exact, given: tuple[Array, Array, Array]
+) -> Iterator[tuple[str, Array, Array, float]]:
+    """Name of a quantity, its emitted and its right value, and the part by which they may differ."""
+    energy, gradient, hessian = exact.at(*given)
+    state = given[0]
+
+    def filled(name: str, shape: Sequence[int], *beside: Array) -> Array:
+        array = np.zeros(shape)
+        module[name](*given, *beside, array)
+        return array
+
+    yield "the energy H", module["hamiltonian"](*given), energy, _FIRST
+    for name, right in (("hamiltonian_gradient", gradient), ("slope", gradient[0]), ("velocity", gradient[1])):
+        if name in module:
+            yield f"{name} of H", filled(name, right.shape), right, _FIRST
+    if "hamiltonian_hessian" in module:
+        yield "hamiltonian_hessian", filled("hamiltonian_hessian", hessian.shape), hessian, _SECOND
+    if "hessian_products" in module:
+        directions = np.random.default_rng(6).normal(size=(state.size, _DIRECTIONS))
+        yield (
+            "hessian_products",
+            filled("hessian_products", directions.shape, directions),
+            hessian.astype(float) @ directions,
+            _SECOND,
+        )
+    if _MATRIX in module:
+        size, half = state.shape[2], state.size // 2
+        yield _MATRIX, filled(_MATRIX, (_PARTICLES, _PARTICLES)), hessian[half::size, half::size], _SECOND
+
+
+def _require_equal(quantity: str, emitted: Array, right: Array, part: float) -> None:
+    if not np.all(np.isfinite(right)):  # the terms have no value there
+        return
+    odd = ~(abs(emitted - right) <= part * abs(right).max(initial=0.0))
+    if odd.any():
+        index = tuple(int(i) for i in np.argwhere(odd)[0])
+        raise VerificationError(
+            f"the emitted code gives {float(emitted[index]):.8g} for {quantity}{list(index) or ''}, where "
+            f"{float(right[index]):.8g} is right",
+            "this is a defect of codegen, and nothing was written; please report it with the problem file",
+        )
+
+
+class _Exact:
+    """H of a few particles, as the author wrote its terms, and its derivatives."""
+
+    def __init__(self, model: PairwiseModel) -> None:
+        self.model = model
+        self.alone, self.both = Tape([model.self_term]), Tape([model.pair_term])
+        self.numbers, self.step = complex_numbers(np.clongdouble), step_of(np.clongdouble)
+
+    def at(self, state: Array, own: Array, parameters: Array) -> tuple[Array, Array, Array]:
+        """H, its gradient (2, n, d) and its Hessian by the flat state."""
+        size = state.size
+        flat = state.reshape(-1).astype(np.clongdouble)
+        # Rows: the state itself, then moved ahead and back along each of its entries; columns: complex steps.
+        length = np.longdouble(_DIFFERENCE) * abs(flat).max()
+        moves = length * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
+        points = (flat + moves)[:, None, :] + 1j * self.step * np.eye(size)
+        states = points.reshape(*points.shape[:2], *state.shape)
+        model = self.model
+        common: dict[Symbol, Any] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
+        values = np.zeros(states.shape[:2], np.clongdouble)
+        for i in range(_PARTICLES):
+            here = common | self._symbols(model.first, states, own, i)
+            values = values + self.alone.evaluate(here, self.numbers)[0]
+            for j in range(i):
+                both = here | self._symbols(model.second, states, own, j)
+                values = values + self.both.evaluate(both, self.numbers)[0]
+        slopes = values.imag / self.step
+        hessian = (slopes[1 : size + 1] - slopes[size + 1 :]) / (2 * length)
+        return values[0, 0].real, slopes[0].reshape(state.shape), hessian
+
+    def _symbols(self, symbols: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
+        moving = [states[:, :, part, particle, k] for part in range(2) for k in range(states.shape[-1])]
+        values = dict(zip(symbols.moving, moving, strict=True))
+        return values | dict(zip(symbols.own, own[particle].astype(np.clongdouble), strict=True))

@@ -1,0 +1,319 @@
+"""Shares of the Lagrangian: emitted gradient and Hessian against complex steps.
+
+The gradient is compared with complex steps of the expression as it stands, and the Hessian with complex steps of the
+emitted gradient, which by then is known to be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from sympy import Expr, S, Symbol
+
+from codegen.discretise.program import ControlProgram, Coupling
+from codegen.emit.differentiation import data_of
+from codegen.emit.lower.control.layout import parameters
+from codegen.emit.verify.comparison import (
+    EXACT,
+    SIZED,
+    Sized,
+    Values,
+    complex_numbers,
+    difference,
+    finite_points,
+    judge,
+    random_points,
+    sized,
+    step_of,
+)
+from codegen.emit.verify.execution import Tape, Text
+
+Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
+"""Calls a kernel with values of symbols and a list to fill."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """A scalar, what the kernel of its gradient returns beside it, and the two kernels as they are called.
+
+    `returned` says what is beside. `indices` are those of the unknowns whose derivatives are emitted; `pattern` has
+    pairs of unknowns. Second derivatives are looked at of all `pairs` of these, unless some are given.
+    """
+
+    name: str
+    scalar: Expr
+    beside: Expr
+    unknowns: tuple[Symbol, ...]
+    indices: tuple[int, ...]
+    pattern: tuple[tuple[int, int], ...]
+    gradient: str
+    hessian: str
+    call_gradient: Call
+    call_hessian: Call
+    returned: str = "the cost of"
+    pairs: tuple[tuple[int, int], ...] | None = None
+
+
+class ShareComparison:
+    """One share at those of the points where it has a value."""
+
+    def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
+        self.share, self.text = share, text
+        self.tape = Tape([share.scalar, share.beside])
+        self.points, self.count = finite_points(self.tape, candidates)
+        rows = (p for p in share.indices)
+        every = [(row, column) for row in rows for column in share.indices if column <= row]
+        self.pairs = every if share.pairs is None else list(share.pairs)
+        self._evaluations: dict[Any, tuple[Any, ...]] = {}
+        self._sized: dict[tuple[str, int], tuple[list[Any], Any]] = {}
+
+    def verify(self) -> None:
+        """Raise VerificationError for an entry that is wrong; what is beside comes first, the Hessian last."""
+        if not self.count:
+            return
+        share = self.share
+        self._judge([f"{share.returned} {share.name}"], 0, lambda entry: [])
+        of, unknowns = f"of {share.name}'s share of the Lagrangian by", share.unknowns
+        names = [f"the derivative {of} {unknowns[index]}" for index in share.indices]
+        self._judge(names, 1, lambda entry: [share.indices[entry]])
+        names = [f"the second derivative {of} {unknowns[row]} and {unknowns[column]}" for row, column in self.pairs]
+        self._judge(names, 2, lambda entry: list(self.pairs[entry]))
+
+    def _judge(self, names: Sequence[str], order: int, by: Callable[[int], list[int]]) -> None:
+        judge(names, lambda kind: self._evaluated(kind)[order], lambda e, p: self._opinion(order, by(e), p))
+
+    def _evaluated(self, kind: Any) -> tuple[Any, ...]:
+        """Emitted and exact values of what is beside, of the gradient, and of the Hessian; (points, entries)."""
+        if kind not in self._evaluations:
+            self._evaluations[kind] = self._evaluate(kind)
+        return self._evaluations[kind]
+
+    def _evaluate(self, kind: Any) -> tuple[Any, ...]:
+        share, numbers, step = self.share, complex_numbers(kind), step_of(kind)
+        size, chosen = len(share.unknowns), list(share.indices)
+        shape = self.count, size
+        plain = {symbol: array.astype(kind)[:, None] for symbol, array in self.points.items()}
+        moved = dict(plain)
+        for index, symbol in enumerate(share.unknowns):
+            moved[symbol] = np.tile(plain[symbol], (1, size))
+            moved[symbol][:, index] += 1j * step
+        scalar, beside = (np.broadcast_to(value, shape) for value in self.tape.evaluate(moved, numbers))
+        gradient: list[Any] = [kind(0)] * size
+        kernels = self.text.kernels((share.gradient, share.hessian), numbers)
+        returned = share.call_gradient(kernels[share.gradient], moved, gradient)
+        columns = np.stack([np.broadcast_to(np.asarray(value, kind), shape) for value in gradient], axis=1)
+        entries: list[Any] = [kind(0)] * len(share.pattern)
+        if share.pattern:
+            share.call_hessian(kernels[share.hessian], plain, entries)
+        hessian = np.zeros((self.count, size, size), np.finfo(kind).dtype)
+        for (row, column), value in zip(share.pattern, entries, strict=True):
+            hessian[:, row, column] += np.broadcast_to(np.asarray(value).real.reshape(-1), self.count)
+        rows, below = [row for row, _ in self.pairs], [column for _, column in self.pairs]
+        return (
+            (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, beside[:, :1].real),
+            (columns[:, chosen, 0].real, scalar.imag[:, chosen] / step),
+            (hessian[:, rows, below], (columns.imag / step)[:, rows, below]),
+        )
+
+    def _opinion(self, order: int, by: list[int], point: int) -> tuple[Sized, Any, Any]:
+        at = {symbol: float(array[point]) for symbol, array in self.points.items()}
+        index = 0 if order else 1
+        names = [self.share.unknowns[i] for i in by]
+        exact, error = difference(lambda values: self.tape.evaluate(values, EXACT)[index], at, names)
+        return self._with_digits(order, by, point, at), exact, error
+
+    def _with_digits(self, order: int, by: list[int], point: int, at: Mapping[Symbol, float]) -> Sized:
+        share = self.share
+        if order == 2 and tuple(by) not in share.pattern:
+            return Sized(0)
+        name, call = (share.hessian, share.call_hessian) if order == 2 else (share.gradient, share.call_gradient)
+        if (name, point) not in self._sized:
+            filled: list[Any] = [Sized(0)] * (len(share.pattern) if order == 2 else len(share.unknowns))
+            given = {symbol: Sized(value) for symbol, value in at.items()}
+            returned = call(self.text.kernels((name,), SIZED)[name], given, filled)
+            self._sized[name, point] = filled, returned
+        filled, returned = self._sized[name, point]
+        if order == 2:
+            entries = [value for value, pair in zip(filled, share.pattern, strict=True) if pair == tuple(by)]
+            return reduce(Sized.__add__, entries, Sized(0))
+        value: Any = filled[by[0]] if order else returned
+        return sized(value)
+
+
+Columns = dict[int, Symbol]
+"""Data by the index of the column in which kernels write derivatives by them."""
+
+
+def columns_of(program: ControlProgram, begins_at: int = 0) -> Columns:
+    """Data of intervals that begin at the inner time of this number, or at none (-1)."""
+    inner, data = program.inner, data_of(program)
+    first, count = len(data) - len(inner.symbols), len(inner.times)
+    columns = {i: datum for i, datum in enumerate(data[:first]) if datum not in inner.parameters}
+    if begins_at >= 0:  # numbers of the node stand among the parameters
+        numbers = inner.parameters[count + begins_at :: count] if count else ()
+        columns |= {first + i: number for i, number in enumerate(numbers)}
+    return columns
+
+
+def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], columns: Columns) -> list[Share]:
+    """Two shares in place of one: its slopes by data, and the mixed derivatives of its gradient by unknowns and data.
+
+    `kernel` fills both, the latter by a `pattern` of unknowns and columns. What is not among the share's indices is
+    pinned, and counts as data.
+    """
+    data = [datum for datum in columns.values() if datum not in share.unknowns]
+    unknowns = (*share.unknowns, *data)
+    indices = {column: unknowns.index(datum) for column, datum in columns.items()}
+    pairs = tuple(pattern)
+    width = 1 + max((*columns, *(column for _, column in pairs)))
+
+    def call_slopes(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        slopes: list[Any] = [0] * width
+        mixed: list[Any] = [0] * len(pairs)
+        share.call_gradient(lambda *given: called(*given[:-1], slopes, mixed), values, [])
+        for column, index in indices.items():
+            filled[index] = slopes[column] + filled[index]
+        return 0
+
+    def call_mixed(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        slopes: list[Any] = [0] * width
+        share.call_gradient(lambda *given: called(*given[:-1], slopes, given[-1]), values, filled)
+
+    of_slopes = replace(
+        share, beside=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
+        hessian=kernel, call_gradient=call_slopes,
+    )  # fmt: skip
+    every = tuple((row, index) for row in share.indices for index in indices.values() if index not in share.indices)
+    of_mixed = replace(
+        share, unknowns=unknowns, pattern=tuple((row, indices[column]) for row, column in pairs if column in indices),
+        pairs=every, hessian=kernel, call_hessian=_picked(call_mixed, [column in indices for _, column in pairs]),
+    )  # fmt: skip
+    return [of_slopes, of_mixed]
+
+
+def _picked(call: Callable[..., Any], is_wanted: list[bool]) -> Callable[..., Any]:
+    """A call that fills only what is wanted."""
+
+    def called(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        every: list[Any] = [0] * len(is_wanted)
+        call(kernel, values, every)
+        filled[:] = [value for value, wanted in zip(every, is_wanted, strict=True) if wanted]
+
+    return called
+
+
+def pattern_of(text: Text, prefix: str = "") -> tuple[tuple[int, int], ...]:
+    """Unknowns and columns of the mixed derivatives of intervals, or of an end."""
+    names = f"{prefix}MIXED_ROWS", f"{prefix}MIXED_COLUMNS"
+    module = text.interpreted(*names)
+    return tuple((int(row), int(column)) for row, column in zip(*(module[name] for name in names), strict=True))
+
+
+_DRAWN = 30
+_TABLES = ("COUPLING_KINDS", "COUPLING_ROWS", "COUPLING_COUNTS", "COUPLING_INDICES")
+_KERNEL, _MIXED = "coupling_term", "coupling_mixed"
+
+
+def verify_couplings(program: ControlProgram, text: Text) -> None:
+    """Compare every condition between bodies with the terms that the tables name; VerificationError names an entry."""
+    if not program.couplings:
+        return
+    module = text.interpreted(*_TABLES)
+    terms = list(zip(*(module[table].tolist() for table in _TABLES), strict=True))
+    for number, coupling in enumerate(program.couplings):
+        own = [(kind, indices[:count]) for kind, row, count, indices in terms if row == number]
+        share = _share(program, coupling, own)
+        symbols = list(dict.fromkeys([*share.unknowns, *parameters(program)]))
+        points = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
+        for compared in (share, *(_by_data(program, share, own) if text.defines(_MIXED) else ())):
+            ShareComparison(compared, text, [points]).verify()
+
+
+def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, Sequence[int]]]) -> tuple[Share, Share]:
+    """The share with slopes by data in place of those by unknowns, and with mixed derivatives by both."""
+    every, others, size = shared_symbols(program), parameters(program), len(share.unknowns)
+    data = {column: s for column, s in columns_of(program, -1).items() if s in others}
+    places = dict(zip(data, range(size, size + len(data)), strict=True))
+    pattern = tuple((row, place) for row in range(size) for place in places.values())
+    entry = {pair: i for i, pair in enumerate(pattern)}
+
+    def call(kernel: Any, values: Mapping[Symbol, Any], slopes: list[Any], mixed: list[Any]) -> int:
+        for kind, indices in terms:
+            by_data, by_both = dict[int, Any](), dict[tuple[int, int], Any]()
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, beside, by_data, by_both)
+            for column, value in by_data.items():
+                slopes[places[column]] = value + slopes[places[column]]
+            for (a, column), value in by_both.items():
+                i = entry[share.unknowns.index(every[indices[a]]), places[column]]
+                mixed[i] = value + mixed[i]
+        return 0
+
+    common = replace(share, unknowns=(*share.unknowns, *data.values()), hessian=_MIXED)
+    return (
+        replace(
+            common, beside=S.Zero, indices=tuple(places.values()), pattern=(), pairs=(), gradient=_MIXED,
+            call_gradient=lambda kernel, values, filled: call(kernel, values, filled, [0] * len(pattern)),
+        ),
+        replace(
+            common, pattern=pattern, pairs=pattern,
+            call_hessian=lambda kernel, values, filled: call(kernel, values, [0] * (size + len(data)), filled),
+        ),
+    )  # fmt: skip
+
+
+def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
+    """A condition as a scalar of the shared unknowns that it reads, or that its terms read."""
+    every, others = shared_symbols(program), parameters(program)
+    named = {index for _, indices in terms for index in indices}
+    read = [index for index, symbol in enumerate(every) if index in named or coupling.expression.has(symbol)]
+    local, size = {index: i for i, index in enumerate(read)}, len(read)
+    pattern = tuple((row, column) for row in range(size) for column in range(row + 1))
+    entry = {pair: i for i, pair in enumerate(pattern)}
+
+    def call_gradient(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
+        total: Any = 0
+        for kind, indices in terms:
+            slopes = [0] * len(indices)
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            total = kernel(kind, inputs, beside, slopes, [0] * len(indices) ** 2) + total
+            for index, slope in zip(indices, slopes, strict=True):
+                filled[local[index]] = slope + filled[local[index]]
+        return total
+
+    def call_hessian(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
+        for kind, indices in terms:
+            curvatures = [0] * len(indices) ** 2
+            inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
+            kernel(kind, inputs, beside, [0] * len(indices), curvatures)
+            for a, row in enumerate(indices):
+                for b, column in enumerate(indices):
+                    if local[column] <= local[row]:
+                        i = entry[local[row], local[column]]
+                        filled[i] = curvatures[a * len(indices) + b] + filled[i]
+
+    return Share(
+        name=f"the condition {coupling.multiplier.meaning.of}",
+        scalar=coupling.expression,
+        beside=coupling.expression,
+        unknowns=tuple(every[index] for index in read),
+        indices=tuple(range(size)),
+        pattern=pattern,
+        gradient=_KERNEL,
+        hessian=_KERNEL,
+        call_gradient=call_gradient,
+        call_hessian=call_hessian,
+        returned="the value of",
+    )
+
+
+def shared_symbols(program: ControlProgram) -> list[Symbol]:
+    """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
+    symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.bodies * program.own)]
+    for symbol, body, j in program.coupling_symbols:
+        symbols[body * program.own + j] = symbol
+    return [*symbols, *program.shared_symbols[program.own :]]

@@ -1,0 +1,194 @@
+"""The registry of checks: evidence that the derivation and the generated code are right."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+from codegen.discretise import schemes
+from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.segments import in_names_of_the_whole
+from codegen.emit import naming, rendering
+from codegen.emit.deadline import CHECK, Overdue, interrupted_after
+from codegen.emit.naming import Choices
+from codegen.evidence.checks import (
+    assembly,
+    consistency,
+    derivatives,
+    discrete_equations,
+    layout,
+    motion,
+    null_spaces,
+    one_step,
+    optimum,
+    particles,
+    phases,
+    tables,
+)
+from codegen.evidence.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
+from codegen.evidence.checks.evaluation import NoPointError
+from codegen.problem.points import recorded_files
+from codegen.problem.sources import Source, settings_of, source_of
+from codegen.solving import compiler
+from codegen.solving.interfaces import is_of_particles
+from codegen.solving.loading import load
+
+Finder: TypeAlias = Callable[[Context], Iterable[Finding]]
+
+__all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "context_of", "run"]
+
+
+def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
+    """A check of the expressions of each phase; `without` says what a system of first order lacks."""
+    return Check(
+        name, findings, False, True, {"first-order": f"a first-order system has no {without}"} if without else {}
+    )
+
+
+def _of_problems(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
+    """A check of problems with something to find, for a `reason` why a simulation has nothing."""
+    return Check(name, findings, of_each_phase=of_each_phase, without={"simulate": f"a simulation {reason}"})
+
+
+_ROWS = (
+    Check("layout", layout.check_layout, runs_the_module=False),
+    Check("derivatives", derivatives.check_derivatives),
+    Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
+    _of_problems("given values", assembly.check_given_values, "gives no values but those of its start"),
+    _of_problems("assembly", assembly.check_assembly, "solves step after step"),
+    Check("tables", tables.check_tables),
+    _of_problems("measurements", tables.check_measurements, "fits nothing"),
+    _of_equations("discrete equations", discrete_equations.check_discrete_equations),
+    _of_equations("integrals", discrete_equations.check_integrals),
+    Check("momentum matching", discrete_equations.check_momentum_matching),
+    _of_equations("discrete Noether", one_step.check_noether, without="momenta"),
+    Check("consistency", consistency.check_consistency, runs_the_module=False),
+    _of_equations("symplecticity", one_step.check_symplecticity, without="symplectic form"),
+    _of_equations("area preservation", one_step.check_area_preservation, without="phase plane of q and p"),
+    _of_equations("midpoint equivalence", consistency.check_midpoint_equivalence, without="discrete Lagrangian"),
+    _of_problems("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
+    _of_problems("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
+    _of_problems("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
+    Check("holonomic drift", motion.check_holonomic_drift),
+    _of_problems("inner times", motion.check_inner_times, "has no conditions on the way"),
+    Check("switches", phases.check_switches),
+    _of_problems("delays", motion.check_delays, "has no values of the past"),
+    _of_problems("second-order condition", optimum.check_second_order, "minimises nothing"),
+    _of_problems("optimum", optimum.check_optimum, "minimises nothing"),
+    _of_problems("sensitivities", optimum.check_sensitivities, "minimises nothing"),
+)
+
+CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
+"""Every check by name, in the order of a report; tests run over this table."""
+
+
+def run(
+    problem: Source | Path | str,
+    arguments: Mapping[str, str] | None = None,
+    *,
+    scheme: str | None = None,
+    method: str | None = None,
+    controls: str = "interval",
+    sensitivities: bool = False,
+    module: Path | None = None,
+    time_limit: float = CHECK,
+) -> Findings:
+    """Run all checks that apply to a problem file, or to an object, and return their findings.
+
+    `module` is a generated file to be checked as it stands; by default the module is built in the cache. A check may
+    take a quarter of what is left of `time_limit` seconds of processor time; what it has not found by then is a finding
+    that says so. Raises a kind of CodegenError when the problem, a choice or the file is unusable.
+    """
+    end = time.process_time() + time_limit
+    source = source_of(problem)
+    settings = settings_of(source, arguments)
+    choices = naming.chosen(scheme, method, controls, sensitivities=sensitivities)
+    if module is None:
+        module = compiler.build(
+            source, settings, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities
+        ).path
+    if is_of_particles(load(module)):
+        return Findings(particles.particle_findings(source, settings, choices, module))
+    context, text = _prepared(source, settings, choices, module)
+    inputs = naming.origin_of(source, settings, choices).inputs
+    findings = list(layout.compare(module, context.module, inputs, text))
+    for name in CHECKS:
+        findings += apply(name, context, (end - time.process_time()) / 4)
+    whole = context.model
+    return Findings(replace(own, subject=in_names_of_the_whole(whole, own.subject)) for own in findings)
+
+
+def context_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:
+    """What checks read, for a problem and a generated module on disk."""
+    return _prepared(source_of(problem), arguments, choices, module)[0]
+
+
+def apply(name: str, context: Context, seconds: float = math.inf) -> list[Finding]:
+    """The findings of one check within seconds of processor time; whatever a damaged module raises is a finding too.
+
+    A module whose layout does not fit is not run, because compiled code would write outside its arrays.
+    """
+    findings: list[Finding] = []
+    try:
+        with interrupted_after(seconds):
+            findings += _found(name, context)
+    except Overdue:
+        reason = f"the problem is too large for it, which was not done after {seconds:.0f} s of processor time"
+        findings.append(not_measured(name, "all else" if findings else "the whole problem", reason))
+    except NoPointError as error:
+        findings.append(not_measured(name, "all else" if findings else "the whole problem", str(error)))
+    except Exception as error:  # a damaged module may fail in any way
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return [Finding(name, "the check itself", False, f"could not be completed ({text[:300]})")]
+    return findings
+
+
+def _found(name: str, context: Context) -> Iterator[Finding]:
+    check = CHECKS[name]
+    if check.runs_the_module and not all(finding.passed for finding in layout.check_layout(context)):
+        yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
+        return
+    for kind in (context.model.task, context.model.form):
+        if kind in check.without:
+            yield does_not_apply(name, check.without[kind])
+            return
+    parts = phases.phase_contexts(context) if check.of_each_phase else []
+    if len(parts) < 2:
+        yield from _evidence(check, context)
+        return
+    found = [(phase, finding) for phase, own in parts for finding in _evidence(check, own)]
+    if not any(finding.applies for _, finding in found):
+        yield found[0][1]
+        return
+    yield from (replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found)
+
+
+def _evidence(check: Check, context: Context) -> Iterable[Finding]:
+    """What a check finds; one about a kind of conditions alone has nothing to say where there are none."""
+    kinds = [kind for kind in CONDITIONS if kind.check == check.name]
+    if kinds and not any(kind.of_model(context.model) for kind in kinds):
+        return [does_not_apply(check.name, f"there are no {kinds[0].words}")]
+    return check.findings(context)
+
+
+def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
+    """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
+    from codegen.discretise import transcribe
+    from codegen.emit import differentiation, lower
+    from codegen.emit.differentiation import control_sensitivities
+
+    with recorded_files() as files:
+        model = load_problem(source, arguments)
+    assert isinstance(model, Model), "particles have checks of their own"
+    program = transcribe.transcribe(model, choices.scheme, choices.method, choices.controls)
+    by_data = control_sensitivities(program) if choices.sensitivities else None
+    fresh = lower.lower(program, differentiation.derivatives(program), by_data)
+    text = rendering.render(fresh, naming.origin_of(source, arguments, choices, files))
+    scheme = schemes.find(program.scheme, program.method)
+    return Context(choices, model, program, scheme, load(module)), text

@@ -1,0 +1,38 @@
+"""Stiff and extreme cases of every kind of problem, each with an expected outcome, and an honest verdict on each.
+
+`families` holds the cases, as data; `pool` measures them in worker processes that can be killed; `classify` judges;
+`page` shows. `codegen stress` is all of it. No sympy: what is stressed are generated modules.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from codegen.evidence.stress.cases import Case, Measurement, Row
+
+
+def run(cases: Sequence[Case], folder: Path, moved: Callable[[int, str], None] = lambda done, text: None) -> list[Row]:
+    """Measure and judge all cases, and write stress.csv and stress.html into a folder.
+
+    `moved` hears how many cases are done, and which was the last.
+    """
+    from codegen.evidence.stress import page, pool
+    from codegen.evidence.stress.cases import classify
+
+    begin, done = time.perf_counter(), count(1)
+
+    def report(case: Case, measurement: Measurement) -> None:
+        moved(next(done), case.name)
+
+    measured = pool.run(cases, min(2, os.cpu_count() or 1), report)
+    rows = [classify(case, measurement) for case, measurement in zip(cases, measured, strict=True)]
+    folder.mkdir(parents=True, exist_ok=True)
+    page.write_csv(rows, folder / "stress.csv")
+    page.write_page(rows, time.perf_counter() - begin, folder / "stress.html")
+    return rows

@@ -1,0 +1,271 @@
+"""What a stress case is, what is measured on it, and the words for how it may end: data only.
+
+The verdict on a case from what was measured: nothing but a documented outcome that is expected passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codegen.runtime.search import callbacks
+from codegen.solving.drivers import DRIVERS
+from codegen.solving.results.result import STATUSES, Result
+from codegen.solving.results.simulate import rounding_level
+
+Values = tuple[tuple[str, Any], ...]
+"""Names and values of keyword arguments; a value may itself be Values, which stands for a dict."""
+
+OUTCOMES = {
+    "accurate": "solved, and the error is below what the order of the scheme promises at this step",
+    "bounded": "solved; no error is promised (chaos, or steps too long for the fast motion), the energy is bounded",
+    "unsuitable": "the steps' equations hold, but the energy has run away, which the summary of `solve` reports",
+    "refused": "a named failure, or a typed error, that says what is wrong and what to try",
+}
+"""How a case may end honestly."""
+
+DEFECTS = {
+    "false solved": "reported as solved, though the equations do not hold or the error is beyond what is promised",
+    "not a number": "reported as solved with NaN or infinite results",
+    "hang": "no answer within the time limit",
+    "untyped error": "an exception that names no remedy, a crash, or a status that is not documented",
+    "unexpected": "honest, but not what is expected of this case",
+}
+"""How no case may end."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a module is made from: a problem file, arguments of problem(), a scheme and a method (None: default)."""
+
+    file: Path
+    scheme: str | None = None
+    method: str | None = None
+    arguments: Values = ()
+
+    @property
+    def label(self) -> str:
+        """Scheme as the table shows it, with its method where that is not the Hamiltonian one."""
+        name = self.scheme or "midpoint"
+        return f"{name}, variational" if self.method == "variational" else name
+
+
+@dataclass(frozen=True)
+class Case:
+    """One solve with run-time values on a module, and what is expected of it.
+
+    `reference` names what the answer is compared with (see `references`), `bound` is the largest error that the order
+    of the scheme promises, NaN where nothing is promised. `drift` is the largest relative change of energy that counts
+    as bounded. `h_omega` is the step times the largest frequency. `textbook` asks for the equations of the steps to be
+    evaluated again in extended precision, from the scheme's textbook form, `limit` for the largest stable step. `noise`
+    perturbs an optimisation's guess, `allowed` holds outcomes that pass beside the expected one, `seconds` is the time
+    limit. `reason` says why the outcome is expected, and why others are allowed.
+    """
+
+    name: str
+    family: str
+    setup: Setup
+    expect: str
+    reason: str
+    steps: int = 100
+    values: Values = ()
+    every: int = 1
+    driver: str = "newton"
+    doublings: int = 0
+    points: tuple[tuple[float, ...], ...] = ()
+    noise: float = 0.0
+    reference: str = ""
+    bound: float = math.nan
+    drift: float = 0.1
+    h_omega: float = math.nan
+    textbook: bool = False
+    limit: bool = False
+    allowed: tuple[str, ...] = ()
+    seconds: float = 120.0
+
+    @property
+    def expected(self) -> tuple[str, ...]:
+        """The outcomes that pass; a named failure is at least as honest as an energy that tells."""
+        named = ("refused",) if self.expect == "unsuitable" and "refused" not in self.allowed else ()
+        return (self.expect, *self.allowed, *named)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a worker saw; NaN stands for what was not measured or does not exist.
+
+    `error` is that against the reference, `announced` the relative error that a doubled grid shows, `residual` that of
+    all equations outside the solver and `tolerance` what it must not exceed, `textbook` the same in extended precision,
+    relative to rounding of double precision. `drift` is the largest relative change of energy, `stable_below` the
+    largest stable step times frequency, found by bisection.
+    """
+
+    status: str = ""
+    message: str = ""
+    refusal: str = ""
+    exception: str = ""
+    finite: bool = True
+    error: float = math.nan
+    announced: float = math.nan
+    residual: float = math.nan
+    tolerance: float = math.nan
+    textbook: float = math.nan
+    drift: float = math.nan
+    stable_below: float = math.nan
+    failures: int = 0
+    iterations: int = 0
+    seconds: float = math.nan
+    hung: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """A case, what was measured, and the verdict: an outcome or defect, whether it passes, and a sentence."""
+
+    case: Case
+    measurement: Measurement
+    outcome: str
+    passed: bool
+    text: str = field(default="")
+
+
+TEXTBOOK = 100.0
+"""Textbook equations in extended precision may be off by so many rounding errors of double precision."""
+SIGN = 0.01
+"""A relative change of energy from which on the summary of a simulation says that a step is too long."""
+
+
+def classify(case: Case, seen: Measurement) -> Row:
+    """The row of a case."""
+    outcome, text = _outcome(case, seen)
+    passed = outcome in case.expected
+    if not passed and outcome in ("accurate", "bounded", "unsuitable", "refused"):
+        text = f"{outcome}, expected {' or '.join(case.expected)}: {text}"
+        outcome = "unexpected"
+    return Row(case, seen, outcome, passed, text)
+
+
+def _outcome(case: Case, seen: Measurement) -> tuple[str, str]:
+    if seen.hung:
+        return "hang", seen.message or f"no answer within {case.seconds:g} s"
+    if seen.exception:
+        return "untyped error", seen.exception
+    if seen.refusal:
+        return "refused", seen.refusal
+    if seen.status not in STATUSES:
+        return "untyped error", f"the status {seen.status!r} is not documented"
+    if seen.status != "solved":
+        if not seen.message:
+            return "untyped error", f"the status {seen.status!r} comes without a message"
+        if case.h_omega > seen.stable_below:
+            return "unsuitable", f"unsuitable, {_stable(case, seen)}: {seen.message}"
+        return "refused", seen.message
+    # What a claim of success is worth.
+    if not seen.finite:
+        return "not a number", "solved, with results that are infinite or no numbers"
+    if not seen.residual <= seen.tolerance:
+        return "false solved", f"the equations have residual {seen.residual:.1e}, beyond {seen.tolerance:.1e}"
+    if seen.textbook > TEXTBOOK:
+        return "false solved", f"the textbook's equations are off by {seen.textbook:.1e} rounding errors"
+    if math.isfinite(case.bound):
+        return _outcome_by_error(case, seen)
+    # No comparison with NaN holds, so a drift that was not measured (first-order systems) is no bounded energy.
+    if seen.drift <= case.drift:
+        return "bounded", f"energy within {seen.drift:.1e}{_limit(case, seen)}"
+    if math.isnan(seen.drift) and math.isnan(case.drift):
+        return "bounded", f"the equations hold to {seen.residual:.1e}"
+    grown = f"energy changes by {seen.drift:.1e} of itself"
+    return "unsuitable", (
+        f"unsuitable at this step: {grown}"
+        if math.isnan(seen.stable_below)
+        else f"unsuitable, {_stable(case, seen)}: {grown}"
+    )
+
+
+def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
+    if seen.error <= case.bound:
+        limit = f"; {_stable(case, seen)}" if math.isnan(case.h_omega) and not math.isnan(seen.stable_below) else ""
+        return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}{limit}"
+    doubled = seen.announced > 0.1 * min(seen.error, 1.0)
+    if seen.drift > SIGN or doubled:
+        estimate = seen.announced if doubled else seen.drift
+        return "unsuitable", f"error {seen.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
+    return "false solved", f"error {seen.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
+
+
+def _limit(case: Case, seen: Measurement) -> str:
+    resolved = not case.h_omega > 0.5
+    coarse = "" if resolved else f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})"
+    return coarse + (f", stable below {seen.stable_below:.3f}" if math.isfinite(seen.stable_below) else "")
+
+
+def _stable(case: Case, seen: Measurement) -> str:
+    if seen.stable_below == 0.0:
+        return "stable at no step (measured)"
+    if math.isinf(seen.stable_below):
+        return "stable at every step (measured)"
+    if case.h_omega < seen.stable_below:
+        return f"though small motions are stable below h omega = {seen.stable_below:.3f} (measured)"
+    return f"stable below h omega = {seen.stable_below:.3f} (measured)"
+
+
+_EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What is special to a task where cases are made and measured.
+
+    `tolerance` (module, case, result) is what residuals may be: the drivers' tolerances of 1e-8, or rounding where
+    numbers are large. `failures` (result) is how often Newton's method failed, `drift` by which part energies may
+    change, NaN where that says nothing. `has_guess` says whether a guess may be poor,
+    `keeps_energy` whether an energy that is not finite has drifted.
+    """
+
+    tolerance: Callable[[Any, Case, Result], float]
+    failures: Callable[[Result], int]
+    drift: float
+    has_guess: bool = False
+    keeps_energy: bool = False
+
+
+def _of_simulations(module: Any, case: Case, result: Result) -> float:
+    """Equations of a variational step divide differences of positions by h; stiff springs pull rounded places back."""
+    h = result.t[-1] / max(result.steps, 1)
+    size = _largest(result.q, result.p)
+    stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
+    return max(1e-10, 1e3 * _EPS * size * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+
+
+def _of_optima(module: Any, case: Case, result: Result) -> float:
+    scale = max(1.0, float(np.abs(callbacks.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
+    return max(1e-7 * scale, 1e3 * _EPS * _largest(result.unknowns, result.multipliers) * result.steps)
+
+
+def _of_connections(module: Any, case: Case, result: Result) -> float:
+    return max(1e-9, 1e3 * _EPS * _largest(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
+
+
+def _largest(*arrays: Any) -> float:
+    return max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
+
+
+def _once(result: Result) -> int:
+    return int(not result.solved)
+
+
+def _by_attempts(result: Result) -> int:
+    return int(result.summary["attempts"]) - int(result.solved)
+
+
+EXPECTATIONS = {
+    "simulate": Expectation(_of_simulations, _once, drift=0.1, keeps_energy=True),
+    "control": Expectation(_of_optima, _once, drift=math.nan, has_guess=True),
+    "connect": Expectation(_of_connections, _by_attempts, drift=1.0),
+}
+"""A row for each task of `codegen.solving.tasks`."""

@@ -1,0 +1,435 @@
+"""The mechanics of the stress problems once more, in numpy and by hand: what generated code is compared with.
+
+Forces are written for arrays of any floating type, so that they serve scipy in double and the textbook's equations in
+extended precision.
+
+The equations of a step in their textbook form and extended precision, evaluated on the states that a module returns.
+For H = |p|^2/2 + V(q) with f = -V_q. Nothing of the generated code takes part. Source of all forms: Hairer, Lubich and
+Wanner (2006), Geometric numerical integration, I.1 and VI.3; variational schemes are taken on their Hamiltonian side,
+Marsden and West (2001), section 2.6.
+
+What schemes do on the oscillator q' = p, p' = -q, from their tables alone; generated code takes no part. A step of
+length x multiplies (q, p) by a matrix. A symplectic step is stable while its trace lies between -2 and 2 (Hairer,
+Lubich and Wanner 2006, I.5.2 and VIII.6), and turns the points of an ellipse.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from typing import Any, TypeAlias
+
+import mpmath
+import numpy as np
+
+from codegen.discretise.schemes.base import Scheme
+from codegen.evidence.stress.cases import Case
+from codegen.solving.results.result import Result
+
+Array = Any
+Force = Callable[[Mapping[str, Any], Array], Array]
+
+
+def oscillator_force(values: Mapping[str, Any], q: Array) -> Array:
+    """-omega^2 q."""
+    return -(values["omega"] ** 2) * q
+
+
+def spring_force(values: Mapping[str, Any], q: Array) -> Array:
+    """Of a spring of natural length one, and gravity downwards."""
+    length = np.sqrt(q[0] * q[0] + q[1] * q[1])
+    pull = -values["k"] * (length - 1) / length
+    return np.stack([pull * q[0], pull * q[1] - 1])
+
+
+def fput_force(values: Mapping[str, Any], q: Array) -> Array:
+    """Stiff springs inside three pairs, quartic ones between them and to the walls."""
+    force = np.zeros_like(q)
+    for i in (0, 2, 4):
+        pull = values["omega"] ** 2 / 2 * (q[i + 1] - q[i])
+        force[i], force[i + 1] = force[i] + pull, force[i + 1] - pull
+    for i in (-1, 1, 3, 5):
+        left = q[i] if i >= 0 else q[0] * 0
+        right = q[i + 1] if i + 1 < len(q) else q[0] * 0
+        pull = 4 * (right - left) ** 3
+        if i >= 0:
+            force[i] = force[i] + pull
+        if i + 1 < len(q):
+            force[i + 1] = force[i + 1] - pull
+    return force
+
+
+def rod_force(values: Mapping[str, Any], q: Array) -> Array:
+    """Elastic rods from the origin to each mass in turn, and gravity downwards; q holds x1, y1, x2, ..."""
+    places = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
+    along = places[1:] - places[:-1]
+    length = np.sqrt((along**2).sum(axis=1))[:, None]
+    pull = values["k"] * (length - 1) * along / length
+    force = -pull
+    force[:-1] += pull[1:]
+    force[:, 1] -= 1
+    return force.reshape(q.shape)
+
+
+def kepler_force(values: Mapping[str, Any], q: Array) -> Array:
+    """-mu q/|q|^3."""
+    distance = np.sqrt(q[0] * q[0] + q[1] * q[1])
+    return -values["mu"] * q / distance**3
+
+
+FORCES: dict[str, Force] = {
+    "oscillator": oscillator_force,
+    "spring_pendulum": spring_force,
+    "fput": fput_force,
+    "rod_chain": rod_force,
+    "kepler": kepler_force,
+}
+"""Forces of problems with unit masses, H = |p|^2/2 + V(q)."""
+
+DEFAULTS: dict[str, dict[str, float]] = {
+    "oscillator": {"omega": 1.0},
+    "spring_pendulum": {"k": 1e4},
+    "fput": {"omega": 50.0},
+    "rod_chain": {"k": 1e4},
+    "kepler": {"mu": 1.0},
+    "pendulum_chain": {"heavy": 1.0, "light": 1.0, "g": 1.0},
+}
+"""Parameters as the problem files have them."""
+
+_STIFF = 1e4
+REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
+    "oscillator": ({"omega": 1.0}, (0.0, 0.0)),
+    "spring_pendulum": ({"k": _STIFF}, (0.0, -1.0 - 1.0 / _STIFF, 0.0, 0.0)),
+    "fput": ({"omega": 50.0}, (0.0,) * 12),
+}
+"""Parameters and states (q, p) of rest, about which the stability of a scheme is measured."""
+
+
+def frequency(problem: str, values: Mapping[str, Any]) -> float:
+    """The largest frequency of small motions about rest."""
+    return math.sqrt(values["k"]) if problem == "spring_pendulum" else float(values["omega"])
+
+
+def chain_acceleration(values: Mapping[str, Any], angles: Array, rates: Array) -> Array:
+    """Angular accelerations of a chain of pendulums of unit length: M(angles) q'' = -C(angles) q'^2 - gravity."""
+    count = len(angles)
+    masses = np.ones(count)
+    masses[0], masses[-1] = values["heavy"], values["light"]
+    below = np.cumsum(masses[::-1])[::-1]
+    carried = below[np.maximum.outer(np.arange(count), np.arange(count))]
+    difference = np.subtract.outer(angles, angles)
+    right = -(carried * np.sin(difference)) @ rates**2 - below * values["g"] * np.sin(angles)
+    return np.linalg.solve(carried * np.cos(difference), right)
+
+
+def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
+    """H_q and H_p of H = 1/2 sum_ij p_i . p_j G(q_i, q_j) with the Green's function of the clamped plate, by hand.
+
+    With a = 1 - |x|^2, b = 1 - |y|^2, s = |x - y|^2, w = a b/s: dG = b/2 w/(1 + w) da + (w/(1 + w) - log(1 + w))/2 ds.
+    """
+    margin = 1.0 - (q**2).sum(axis=1)
+    by_place, by_momentum = np.zeros_like(q), np.zeros_like(q)
+    for i in range(len(q)):
+        by_momentum[i] += p[i] * margin[i] ** 2 / 2.0
+        by_place[i] += -(p[i] @ p[i]) * margin[i] * q[i]
+        for j in range(len(q)):
+            if j == i:
+                continue
+            difference = q[i] - q[j]
+            s = difference @ difference
+            w = margin[i] * margin[j] / s
+            green = margin[i] * margin[j] / 2.0 - s / 2.0 * np.log1p(w)
+            by_momentum[i] += p[j] * green
+            slope = margin[j] / 2.0 * w / (1.0 + w) * (-2.0 * q[i])
+            slope = slope + (w / (1.0 + w) - np.log1p(w)) * difference
+            by_place[i] += (p[i] @ p[j]) * slope
+    return by_place, by_momentum
+
+
+Field = Callable[[Array], Array]
+
+
+def explicit_euler(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """Field at (q0, p0)."""
+    return q1 - q - h * p, p1 - p - h * f(q)
+
+
+def implicit_euler(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """Field at (q1, p1)."""
+    return q1 - q - h * p1, p1 - p - h * f(q1)
+
+
+def symplectic_euler(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """Field at (q0, p1)."""
+    return q1 - q - h * p1, p1 - p - h * f(q)
+
+
+def symplectic_euler_adjoint(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """Field at (q1, p0)."""
+    return q1 - q - h * p, p1 - p - h * f(q1)
+
+
+def midpoint(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """Field at the mean of both states."""
+    return q1 - q - h * (p + p1) / 2, p1 - p - h * f((q + q1) / 2)
+
+
+def stormer_verlet(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """Half a kick, a drift, half a kick."""
+    half = p + h / 2 * f(q)
+    return q1 - q - h * half, p1 - half - h / 2 * f(q1)
+
+
+TEXTBOOK = {
+    "explicit-euler": explicit_euler,
+    "implicit-euler": implicit_euler,
+    "symplectic-euler": symplectic_euler,
+    "symplectic-euler-adjoint": symplectic_euler_adjoint,
+    "midpoint": midpoint,
+    "stormer-verlet": stormer_verlet,
+    "trapezoidal": stormer_verlet,
+    "rectangle": symplectic_euler,
+}
+"""By the name of the scheme, of either method."""
+
+COUNT = 200
+"""Steps that are evaluated again, from the start on."""
+
+
+def textbook_errors(module: Any, case: Case, result: Result) -> float:
+    """The largest residual of the textbook's equations over the first steps, in rounding errors of double precision.
+
+    What rounding may do to a step is measured by its terms: states, h p, h f, and h times the change of f when places
+    are rounded, as a sum of terms of the size of the largest place and of h p is.
+    """
+    if result.steps != len(result.t) - 1:
+        raise ValueError("the textbook's equations need every step")
+    problem = case.setup.file.stem
+    values = {name: np.longdouble(v) for name, v in (DEFAULTS[problem] | dict(case.values)).items() if name in
+              DEFAULTS[problem]}  # fmt: skip
+    h = np.longdouble(module.make_grid(result.steps).h)
+    q, p = (np.asarray(a[: COUNT + 1], dtype=np.longdouble) for a in (result.q, result.p))
+
+    def field(places: Array) -> Array:
+        return FORCES[problem](values, places)
+
+    worst, eps = 0.0, np.finfo(float).eps
+    for k in range(len(q) - 1):
+        errors = TEXTBOOK[result.scheme](field, h, q[k], p[k], q[k + 1], p[k + 1])
+        sizes = _sizes(field, h, (q[k], q[k + 1]), (p[k], p[k + 1]))
+        for error, size in zip(errors, sizes, strict=True):
+            worst = max(worst, float(np.abs(error).max() / (eps * size)))
+    return worst
+
+
+def _sizes(field: Field, h: Any, places: tuple[Array, Array], momenta: tuple[Array, Array]) -> tuple[Any, Any]:
+    """Magnitudes of the terms of either equation, and of what rounded places do to the force."""
+    tiny = np.finfo(float).tiny  # below it, numbers have fewer digits
+    place, momentum = (max(np.abs(a).max() for a in (*pair, tiny)) for pair in (places, momenta))
+    force = max(np.abs(field(q)).max() for q in places)
+    moved = h * momentum
+    offset = np.longdouble(1e-8) * (place + moved) * (-1.0) ** np.arange(len(places[0]))  # neighbours move apart
+    slope = max(np.abs(field(q + offset) - field(q)).max() * 1e8 for q in places)
+    kicked = h * (force + slope)
+    return place + moved + h * kicked, momentum + kicked
+
+
+LEAST, MOST = 0.02, 1e4
+"""Steps times frequency between which the limit is looked for."""
+POINTS = 1500
+"""So many steps are tried between them; the first window of instability of some compositions is 2 % wide."""
+GROWTH = 1e-4
+"""A spectral radius above one by more than this is growth; explicit Euler's is (h omega)^2/2 above one."""
+
+_known: dict[tuple[str, str], float] = {}
+
+
+def stable_limit(module: Any, case: Case) -> float:
+    """The largest h omega at which no small motion about rest grows: 0 if there is none, infinite if there is no limit.
+
+    Source of the criterion: Hairer, Lubich and Wanner (2006), Geometric numerical integration, VIII.6 and I.5.2.
+    """
+    key = (module.metadata.inputs, case.setup.label)
+    if key not in _known:
+        _known[key] = first_growth(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
+    return _known[key]
+
+
+def first_growth(is_stable: Callable[[float], bool]) -> float:
+    """The h omega where motions begin to grow, by trial and bisection; beyond it, other stable steps may follow."""
+    if not is_stable(LEAST):
+        return 0.0
+    grid = np.geomspace(LEAST, MOST, POINTS)
+    below = LEAST
+    for above in grid[1:]:
+        if not is_stable(above):
+            for _ in range(40):
+                middle = math.sqrt(below * above)
+                below, above = (middle, above) if is_stable(middle) else (below, middle)
+            return below
+        below = above
+    return math.inf
+
+
+def spectral_radius(module: Any, problem: str, h_omega: float) -> float:
+    """The largest modulus of an eigenvalue of the step's Jacobian at rest, by central differences."""
+    values, rest = REST[problem]
+    h = h_omega / frequency(problem, values)
+    grid = module.make_grid(1, duration=h, **values)
+    size = len(rest)
+    change = 1e-6
+    columns = []
+    for i in range(size):
+        offset = np.zeros(size)
+        offset[i] = change
+        forward, backward = (module.step(grid, np.array(rest) + sign * offset) for sign in (1.0, -1.0))
+        columns.append((forward - backward) / (2.0 * change))
+    matrix = np.array(columns).T
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else math.inf
+
+
+DIGITS = 30
+Rows: TypeAlias = Sequence[Sequence[Any]]
+
+
+def step_matrix(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
+    """Entries a, b, c, d of q1 = a q + b p, p1 = c q + d p, in the arithmetic of x: a float, or a number of mpmath."""
+    if scheme.variational:
+        return _of_action(scheme, x)
+    return _of_substeps(scheme, x) if scheme.is_chain else _of_stages(scheme, x)
+
+
+def _of_substeps(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
+    """The product of the substeps' matrices, each of a field at ((1-a) q + a q', (1-b) p + b p')."""
+    columns = []
+    for q, p in ((1, 0), (0, 1)):
+        for g, a, b in _substeps(scheme, x.__class__):
+            q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # the equations' right-hand sides
+            scale = 1 + (g * x) ** 2 * a * b
+            q, p = (q + g * x * b * p) / scale, (p - g * x * a * q) / scale
+        columns.append((q, p))
+    return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
+
+
+def _of_stages(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
+    """The stages are Q = q + x A P and P = p - x B Q."""
+    a, b, (weights,) = _tableau(scheme, x.__class__)
+    count, columns = range(len(weights)), []
+    left = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
+    for q, p in ((1, 0), (0, 1)):
+        momenta = _solved(left, [p - x * sum(row) * q for row in b])
+        places = [q + x * _product(row, momenta) for row in a]
+        columns.append((q + x * _product(weights, momenta), p - x * _product(weights, places)))
+    return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
+
+
+def _of_action(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
+    """With Ld = (a q0^2 + 2 b q0 q1 + d q1^2)/2, stationary in inner values, p0 = -a q0 - b q1 and p1 = b q0 + d q1."""
+    points = _quadrature(scheme, x.__class__)
+    every = range(len(points[0][1]))
+    form = [[sum(w * (u[i] * u[j] / x - x * v[i] * v[j]) for w, v, u in points) for j in every] for i in every]
+    last = every[-1]
+    ends, inner = (0, last), every[1:-1]
+    block = [[form[i][j] for j in inner] for i in inner]
+    moved = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
+    a, b, d = (
+        form[i][j] - sum(form[i][k] * value for k, value in zip(inner, moved[j], strict=True))
+        for i, j in ((0, 0), (0, last), (last, last))
+    )
+    return -a / b, -1 / b, b - a * d / b, -d / b
+
+
+def _numbers(rows: Rows, number: Any) -> list[list[Any]]:
+    return [[number(str(entry.evalf(DIGITS))) for entry in row] for row in rows]
+
+
+@cache
+def _substeps(scheme: Scheme, number: Any) -> list[list[Any]]:
+    return _numbers(scheme.step().substeps, number)
+
+
+@cache
+def _tableau(scheme: Scheme, number: Any) -> tuple[Any, Any, Any]:
+    """The coefficients of a scheme as a Runge-Kutta method, for coordinates, for momenta, and the row of weights."""
+    table = scheme.step().tableau
+    return tuple(_numbers(rows, number) for rows in (table.positions, table.momenta, [table.weights]))  # type: ignore[return-value]
+
+
+@cache
+def _quadrature(scheme: Scheme, number: Any) -> list[tuple[Any, Any, Any]]:
+    """By point its weight, and the Lagrange polynomials of the inner nodes and their slopes there."""
+    rule = scheme.discrete_lagrangian()
+    (nodes,) = _numbers([rule.nodes], number)
+    pairs = _numbers([(point.weight, point.abscissa) for point in rule.points], number)
+    return [(weight, *_polynomials(nodes, c)) for weight, c in pairs]
+
+
+def _polynomials(nodes: Sequence[Any], c: Any) -> tuple[list[Any], list[Any]]:
+    values, slopes = [], []
+    for i, own in enumerate(nodes):
+        factors = [((c - node) / (own - node), 1 / (own - node)) for k, node in enumerate(nodes) if k != i]
+        value, slope = 1, 0
+        for factor, rate in factors:
+            value, slope = value * factor, slope * factor + value * rate
+        values.append(value)
+        slopes.append(slope)
+    return values, slopes
+
+
+def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
+    return sum(a * b for a, b in zip(row, column, strict=True))
+
+
+def _solved(matrix: Rows, right: Sequence[Any]) -> list[Any]:
+    """Of a few linear equations, by elimination with row pivots in the numbers' own arithmetic."""
+    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
+    for k in range(len(rows)):
+        pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        for i, row in enumerate(rows):
+            if i != k:
+                factor = row[k] / rows[k][k]
+                rows[i] = [entry - factor * other for entry, other in zip(row, rows[k], strict=True)]
+    return [row[-1] / row[k] for k, row in enumerate(rows)]
+
+
+def growth(scheme: Scheme, x: float) -> float:
+    """The largest modulus of the matrix's eigenvalues."""
+    a, b, c, d = step_matrix(scheme, float(x))
+    root = cmath.sqrt(((a - d) / 2) ** 2 + b * c)
+    return float(max(abs((a + d) / 2 + root), abs((a + d) / 2 - root)))
+
+
+@cache
+def limit(scheme: Scheme) -> float:
+    """The largest step below which no motion grows: 0 if there is none, infinite if there is no limit."""
+    return first_growth(lambda x: growth(scheme, x) <= 1.0 + GROWTH)
+
+
+def turn(scheme: Scheme, x: float) -> tuple[float, float]:
+    """Theta and s of a symplectic scheme below its limit, where q_k = cos(k theta) + s sin(k theta) from rest at q = 1.
+
+    Theta is arccos(trace/2); s is 0 where the scheme is symmetric. NaN beyond the limit.
+    """
+    with mpmath.workdps(DIGITS):
+        a, _, _, d = step_matrix(scheme, mpmath.mpf(x))
+        if not abs(a + d) < 2:
+            return math.nan, math.nan
+        theta = mpmath.acos((a + d) / 2)
+        return float(theta), float((a - d) / 2 / mpmath.sin(theta))
+
+
+def swing(scheme: Scheme, x: float) -> float:
+    """By how much of itself the energy swings from rest at q = 1, where a symplectic scheme is stable.
+
+    The step keeps c q^2 + (d - a) q p - b p^2, which has c on the whole motion, and on whose ellipse q^2 + p^2 lies
+    between c divided by either eigenvalue.
+    """
+    with mpmath.workdps(DIGITS):
+        a, b, c, d = step_matrix(scheme, mpmath.mpf(x))
+        mean, root = (c - b) / 2, mpmath.sqrt(((c + b) / 2) ** 2 + ((d - a) / 2) ** 2)
+        if not abs(root) < abs(mean):
+            return math.inf
+        return float(max(abs(c / (mean + root) - 1), abs(c / (mean - root) - 1)))

@@ -1,0 +1,1 @@
+"""What an author writes: symbols, problems of every kind, drawings, files; reading problem files."""

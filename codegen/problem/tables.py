@@ -1,0 +1,242 @@
+"""What an author makes of a file of numbers: a function with exact derivatives."""
+
+from __future__ import annotations
+
+import difflib
+import keyword
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sympy
+from sympy import Expr
+
+from codegen.errors import TableError
+from codegen.problem.points import data_file
+from codegen.problem.symbols import ControlInput, Coordinate, Quantity, State
+from codegen.symbolic.checks import checked
+from codegen.symbolic.measurements import LOSSES, Layout, MeasurementData, read_measurements
+from codegen.symbolic.table_functions import member
+from codegen.symbolic.tables import KINDS, OUTSIDE, TableData, read_columns, read_table
+
+
+class Table:
+    """A function of one or two quantities that is given by a file of numbers.
+
+    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file that
+    lies beside the problem file, and `thrust(M, h)` is then used like any function of sympy. Of two inputs the file
+    has a row for every pair of a grid, in any order. Units are the author's.
+
+    The `kind` is "cubic", a spline with two continuous derivatives; "monotone" (of one input), with one, but without
+    overshoot; "linear", which has a kink at every breakpoint, where Newton's method may not converge; or "steps", for
+    guesses alone. `outside` its range a table goes on as the polynomials at its edge; in the solution that is an
+    error, unless it is "extend", or "clamp", which keeps the value at the edge. `name` is what messages, and the
+    argument `tables` of solvers, call it, by default `output`.
+
+    Raises TableError for a file that is no such table, naming the line, and for unusable arguments.
+    """
+
+    def __init__(
+        self,
+        file: Path | str,
+        inputs: Sequence[str] | str,
+        output: str,
+        *,
+        kind: str = "cubic",
+        outside: str = "error",
+        name: str | None = None,
+    ) -> None:
+        own = (inputs,) if isinstance(inputs, str) else inputs
+        name = output if name is None else name
+        _require_arguments(file, own, output, kind, outside, name)
+        if kind == "steps":
+            outside = "clamp"  # there is nothing else that they could do
+        path = data_file(Path(file))
+        self.data: TableData = read_table(path, Path(file).as_posix(), name, own, output, kind, outside)
+
+    def __call__(self, *at: Any) -> Any:
+        """The value at numbers or expressions, one for each input."""
+        shape = self.data.shape
+        if len(at) != len(shape.inputs):
+            raise TableError(
+                f"table {shape.name} is called with {len(at)} arguments",
+                f"give {' and '.join(shape.inputs)}, as in {shape.name}({', '.join(shape.inputs)})",
+            )
+        whats = (f"{name} of table {shape.name}" for name in shape.inputs)
+        return member(self.data, (0,) * len(at))(*(checked(a, what) for a, what in zip(at, whats, strict=True)))
+
+    @property
+    def range(self) -> tuple[tuple[float, float], ...]:
+        """The least and the greatest breakpoint of each input."""
+        return tuple((float(axis[0]), float(axis[-1])) for axis in self.data.axes)
+
+    @property
+    def values(self) -> np.ndarray:
+        """What the file gives at the breakpoints, shape (n,) or (n, m)."""
+        return np.array(self.data.heights[..., 0])
+
+    def __repr__(self) -> str:
+        return f"Table({self.data.source!r}, {self.data.shape.inputs!r}, {self.data.shape.output!r})"
+
+
+class Trajectory:
+    """A motion in a file, as a first guess: `guess=Trajectory("start.csv")`.
+
+    The file has a column of times, `time`, and columns that are called like coordinates, states and controls; `columns`
+    chooses some of them, by default all. The `kind` says how values between rows follow, "linear" if not told
+    otherwise; "steps" holds each value until the next row. Before the first and after the last row values stay as they
+    are. Raises TableError as Table does.
+    """
+
+    def __init__(
+        self, file: Path | str, *, time: str = "t", columns: Sequence[str] | None = None, kind: str = "linear"
+    ) -> None:
+        _require_arguments(file, (time,), f"a column beside {time}", kind, "clamp", "trajectory")
+        path = data_file(Path(file))
+        if columns is not None and (isinstance(columns, str) or not all(isinstance(name, str) for name in columns)):
+            raise TableError(f"columns of {file} are {columns!r}", 'name them, as in columns=["x", "v"]')
+        found = read_columns(path, () if columns is None else [time, *columns])
+        if time not in found.values:
+            raise TableError(f"{path}: there is no column {time!r}", 'name the column of times, as in time="t"')
+        names = [name for name in found.values if name != time]
+        if not names:
+            raise TableError(f"{path} has no column beside {time!r}", "add columns called like states and controls")
+        self.file = Path(file).as_posix()
+        self.tables: dict[str, TableData] = {
+            name: read_table(path, self.file, f"guess_{number}", (time,), name, kind, "clamp")
+            for number, name in enumerate(names, start=1)
+        }
+
+
+def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any:
+    """What is guessed of each quantity as an expression of time, where it is written as a table or a trajectory.
+
+    Raises TableError for a column of a trajectory that is called like none of the quantities, and for a table of more
+    than one input.
+    """
+    if isinstance(guess, Trajectory):
+        named = {quantity.name: quantity for quantity in quantities if isinstance(quantity, _GUESSED)}
+        for column in guess.tables:
+            if column not in named:
+                close = difflib.get_close_matches(column, named, 1)
+                remedy = f"did you mean {close[0]}?" if close else f"call it like one of {', '.join(named)},"
+                finding = f"{guess.file}: no quantity that may be guessed is called {column}"
+                raise TableError(finding, f"{remedy} or choose columns=[...]")
+        return {named[column]: member(table, (0,))(time) for column, table in guess.tables.items()}
+    if not isinstance(guess, Mapping):
+        return guess
+    return {key: value(time) if isinstance(value, Table) else value for key, value in guess.items()}
+
+
+_GUESSED = (Coordinate, State, ControlInput)
+
+
+def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: Any, name: Any) -> None:
+    if not isinstance(file, Path | str) or not str(file).isprintable():
+        raise TableError(f"the file of a table is {file!r}", "give its path")
+    if not isinstance(inputs, (tuple, list)) or len(inputs) not in (1, 2):
+        raise TableError(f"inputs of table {output!r} are {inputs!r}", 'name one or two columns, as in ("mach",)')
+    for what, column in [*(("input", column) for column in inputs), ("output", output)]:
+        if not isinstance(column, str) or not column.strip():
+            raise TableError(f"the {what} {column!r} of table {output!r} is no name of a column", "give it as text")
+    if len({*inputs, output}) <= len(inputs):
+        raise TableError(f"table {output!r} has a column twice among {', '.join((*inputs, output))}", "name each once")
+    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+        raise TableError(f"a table is called {name!r}", 'give an identifier, as in name="thrust"')
+    for what, given, known in (("kind", kind, KINDS), ("outside", outside, OUTSIDE)):
+        if given not in known:
+            raise TableError(f"{what} of table {name} is {given!r}", f"use one of {', '.join(known)}")
+    if len(inputs) == 2 and kind in ("monotone", "steps"):
+        raise TableError(f"table {name} of two inputs is {kind}", "use cubic or linear, or a table of one input")
+
+
+class Measurements:
+    """Values that were measured at some times, and that a motion is to fit: `Measurements("oil.csv", values={a: "z"})`.
+
+    The file lies beside the problem file; it has a column of times, `time`, and for every entry of `values`, which maps
+    a state, a coordinate or an expression of them to the name of its column, the values that were measured. Times have
+    nothing to do with nodes. Cells may be empty where nothing was measured.
+
+    To the cost is added the sum over all values of e^2, e being the motion, as its scheme continues it inside an
+    interval, less the value, in parts of its standard deviation. `sigma` maps entries of `values` to that, a positive
+    number in the units of the value or the name of a column, or is one for all. Without it errors count as they are,
+    and the standard deviation that all have in common is estimated from what is left of them. The `loss` is "squares",
+    "huber" (2 |e| - 1 beyond |e| = 1) or "soft-l1" (2 (sqrt(1 + e^2) - 1)), which outliers pull less.
+
+    Raises TableError for a file that holds no such values, naming the line, and for unusable arguments.
+    """
+
+    def __init__(
+        self,
+        file: Path | str,
+        *,
+        values: Mapping[Any, str],
+        time: str = "t",
+        sigma: Mapping[Any, float | str] | float | str | None = None,
+        loss: str = "squares",
+    ) -> None:
+        if not isinstance(file, Path | str) or not str(file).isprintable():
+            raise TableError(f"the file of measurements is {file!r}", "give its path")
+        what = f"measurements {Path(file).as_posix()}"
+        columns = _checked_values(what, values)
+        _require_name(f"time of {what}", time)
+        sigmas = _checked_sigmas(what, sigma, columns)
+        if not isinstance(loss, str) or loss not in LOSSES:
+            raise TableError(f"loss of {what} is {loss!r}", f"use one of {', '.join(LOSSES)}")
+        if loss != "squares" and None in sigmas:
+            raise TableError(
+                f"{what} have the loss {loss!r} and no sigma", "give sigma, beyond which errors count less"
+            )
+        self.values: dict[Any, str] = columns
+        self.loss = loss
+        layout = Layout(time, tuple(columns.values()), sigmas)
+        names = [layout.time, *layout.columns]
+        if len(set(names)) < len(names):
+            raise TableError(f"{what} have a column twice among {', '.join(names)}", "name each once")
+        self.data: MeasurementData = read_measurements(data_file(Path(file)), Path(file).as_posix(), layout)
+
+    def __repr__(self) -> str:
+        return f"Measurements({self.data.source!r}, values={self.values!r})"
+
+
+def _checked_values(what: str, values: Any) -> dict[Any, str]:
+    if not isinstance(values, Mapping) or not values:
+        raise TableError(f"values of {what} are {values!r}", 'map what was measured to columns, as in values={x: "z"}')
+    for key, column in values.items():
+        if not isinstance(key, sympy.Expr):
+            raise TableError(f"values of {what} have the key {key!r}", "use states, or expressions of them")
+        _require_name(f"the column of {key} in {what}", column)
+    return dict(values)
+
+
+def _require_name(what: str, name: Any) -> None:
+    if not isinstance(name, str) or not name.strip():
+        raise TableError(f"{what} is {name!r}", "give the name of a column, as text")
+
+
+def _checked_sigmas(what: str, sigma: Any, values: Mapping[Any, str]) -> tuple[float | str | None, ...]:
+    """Of each column its standard deviation; either all of them have one, or none."""
+    if sigma is None:
+        return (None,) * len(values)
+    given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(values, sigma)
+    for key in given:
+        if key not in values:
+            raise TableError(
+                f"sigma of {what} has the key {key}", f"use those of values, {', '.join(map(str, values))}"
+            )
+    found: list[float | str | None] = []
+    for key in values:
+        if key not in given:
+            raise TableError(f"sigma of {what} lacks {key}", "give every value one, or leave sigma out")
+        own = given[key]
+        if isinstance(own, str):
+            _require_name(f"sigma of {key} in {what}", own)
+            found.append(own)
+            continue
+        number = float(own) if isinstance(own, (int, float, sympy.Number)) and not isinstance(own, bool) else math.nan
+        if not 0.0 < number < math.inf:
+            raise TableError(f"sigma of {key} in {what} is {own!r}", "give a positive number, or the name of a column")
+        found.append(number)
+    return tuple(found)

@@ -1,0 +1,94 @@
+"""Pictures of a result: everything about an optimum or a simulation on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matplotlib.figure import Figure
+
+from codegen.problem.drawing import Scene
+from codegen.show.figures.closed_loop import closed_loop_figure
+from codegen.show.figures.control import Drawings, control_figure
+from codegen.show.figures.pareto import Objective, objectives_of, pareto_figure, require_objectives
+from codegen.show.figures.picture import finished, using, write
+from codegen.show.figures.simulation import connect_figure, simulation_figure, specimen_figure
+from codegen.show.figures.style import label
+from codegen.show.figures.sweep import sweep_figure
+from codegen.solving.interfaces import GeneratedModule, is_connect, is_control
+from codegen.solving.results.result import Result
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+__all__ = [
+    "Drawings",
+    "closed_loop_figure",
+    "connect_figure",
+    "control_figure",
+    "figure",
+    "figure_of_sweep",
+    "label",
+    "pareto_figure",
+    "save",
+    "save_specimens",
+    "save_sweep",
+    "simulation_figure",
+    "specimen_figure",
+    "sweep_figure",
+]
+
+
+def figure(
+    module: GeneratedModule,
+    result: Result,
+    drawings: Drawings | Scene | None = None,
+    unit: str = "",
+    style: str = "page",
+) -> Figure:
+    """Draw a module's result for a page, a paper or a talk; `unit` is that of the time where no other is known.
+
+    Raises ArgumentError for another style.
+    """
+    with using(style):
+        if is_connect(module):
+            return finished(connect_figure(module, result))
+        if is_control(module):
+            assert not isinstance(drawings, Scene)
+            return finished(control_figure(module, result, drawings, unit))
+        assert not isinstance(drawings, Drawings)
+        return finished(simulation_figure(result, drawings, unit))
+
+
+def save(
+    module: GeneratedModule, result: Result, path: Path, drawings: Drawings | Scene | None = None, unit: str = ""
+) -> None:
+    """Draw a module's result into a file whose ending matplotlib knows; `unit` is that of the time."""
+    write(figure(module, result, drawings, unit), path)
+
+
+def save_sweep(data: Dataset, path: Path, pareto: str | None = None, style: str = "page") -> None:
+    """Draw a sweep into a file whose ending matplotlib knows, or its front in two objectives, as "cost,duration".
+
+    Raises ArgumentError for objectives that the data set does not have, and for another style than `figure` knows.
+    """
+    write(figure_of_sweep(data, pareto, style), path, style)
+
+
+def figure_of_sweep(data: Dataset, pareto: str | None = None, style: str = "page") -> Figure:
+    """Draw a sweep, or its front in two objectives; ArgumentError for objectives that the data set does not have."""
+    with using(style):
+        return finished(sweep_figure(data) if pareto is None else _front(data, objectives_of(pareto)))
+
+
+def _front(data: Dataset, objectives: tuple[Objective, Objective]) -> Figure:
+    require_objectives(objectives, data)
+    return pareto_figure(data, objectives)
+
+
+def save_specimens(points: Any, names: Sequence[str], share: float, path: Path) -> None:
+    """Draw specimens in two dimensions into a file whose ending matplotlib knows."""
+    with using("page"):
+        drawn = specimen_figure(points, names, share)
+    write(drawn, path)

@@ -1,0 +1,260 @@
+"""Single panels of a figure: curves, steps, bounds and where they are active, path inequalities, the iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from codegen.show.figures.picture import letter_size
+from codegen.show.figures.quantities import Inequality, Quantity
+from codegen.show.figures.style import (
+    AMBER,
+    BLUE,
+    DARK,
+    FORBIDDEN,
+    GREEN,
+    GREY,
+    PINK,
+    RED,
+    body_colours,
+    label,
+    relation,
+)
+from codegen.solving.interfaces import Matrix, Vector
+
+KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
+"""The colour of each kind of quantity, where there is one body."""
+
+_DOTTED = (0, (1, 1.5))
+_DASHED = (0, (5, 3))
+_ACTIVE: dict[str, Any] = {"color": AMBER, "linewidth": 5.5, "alpha": 0.75, "zorder": 1.5}
+_GUESS: dict[str, Any] = {"color": GREY, "linestyle": _DOTTED, "linewidth": 1.3, "zorder": 1.9}
+_SWITCH: dict[str, Any] = {"color": GREY, "linewidth": 0.7, "alpha": 0.6, "zorder": 1.1}
+_INNER: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 1.1}
+_BOUND: dict[str, Any] = {"color": GREY, "linestyle": _DASHED, "linewidth": 1.0, "zorder": 1.2}
+
+
+def quantity(axes: Any, shown: Quantity, second: Quantity | None = None) -> None:
+    """A quantity of every body over time, with its bounds and, for a single body, its first guess.
+
+    A `second` quantity is drawn dashed in the same panel.
+    """
+    single = shown.values.shape[1] == 1
+    colours = body_colours(shown.values.shape[1], KINDS[shown.kind])
+    width = 1.6 if single else 1.2
+    for values, colour in zip(shown.values.T, colours, strict=True):
+        _line(axes, shown, values, color=colour, linewidth=width)
+    if second is not None:
+        for values, colour in zip(second.values.T, colours, strict=True):
+            _line(axes, second, values, color=colour, linewidth=width, linestyle=_DASHED)
+    if shown.guess is not None and single:
+        _line(axes, shown, shown.guess[:, 0], **_GUESS)
+    if shown.kind == "state":
+        for values, colour in zip(shown.values.T, colours, strict=True):
+            axes.plot(shown.t[[0, -1]], values[[0, -1]], "o", color=colour, markersize=3.5)
+    _highlight(axes, shown.t, shown.values, shown.active())
+    name = label(shown.name) if second is None else f"{label(shown.name)}, {label(second.name)}"
+    axes.set_ylabel(f"{name} ({shown.unit})" if shown.unit else name)
+    drawn = shown.values if second is None else np.vstack([shown.values, second.values])
+    if shown.kind == "momentum" and single:
+        say_if_conserved(axes, drawn)
+    else:
+        widen_if_flat(axes, drawn)
+    _bounds(axes, shown)
+
+
+def inequality(axes: Any, shown: Inequality) -> None:
+    """The distance from equality of a path inequality over time; what lies below zero is forbidden."""
+    single = shown.distance.shape[1] == 1
+    for values, colour in zip(shown.distance.T, body_colours(shown.distance.shape[1], BLUE), strict=True):
+        axes.plot(shown.t, values, color=colour, linewidth=1.5 if single else 1.2)
+    _highlight(axes, shown.t, shown.distance, shown.active())
+    highest = float(np.nanmax(shown.distance, initial=0.0))
+    axes.axhline(0.0, **_BOUND)
+    axes.set_ylabel("distance")
+    axes.set_title(relation(shown.name), loc="left", fontsize=letter_size(8.5))
+    if highest > 0.0:
+        axes.set_ylim(-0.12 * max(highest, 1e-3), 1.1 * max(highest, 1e-3))
+    axes.axhspan(axes.get_ylim()[0], 0.0, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+
+
+def strip(axes: Any, shown: Sequence[Inequality]) -> None:
+    """When each of many path inequalities is active, for any body."""
+    for row, one in enumerate(shown):
+        where = one.active().any(axis=1)
+        axes.plot(one.t, np.where(where, row, np.nan), **_ACTIVE | {"marker": "|", "markersize": 5.5})
+    axes.set_yticks(range(len(shown)), [relation(one.name, 30) for one in shown], fontsize=letter_size(7.5))
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    axes.set_title("path inequalities that are active", loc="left", fontsize=letter_size(8.5))
+
+
+def iterations(axes: Any, log: Matrix) -> None:
+    """Errors of the iterates, and the weight of the logarithmic barrier where there was one."""
+    numbers = np.arange(len(log))
+    columns: list[tuple[str, int, str, Any]] = [("residual", 1, BLUE, "-"), ("stationarity", 2, RED, "-")]
+    columns += [("barrier", 5, GREY, _DOTTED)] if log.shape[1] > 5 else []
+    for name, column, colour, dashes in columns:
+        values = np.where((log[:, column] > 0.0) & np.isfinite(log[:, column]), log[:, column], np.nan)
+        axes.semilogy(numbers, values, color=colour, linestyle=dashes, marker=".", markersize=4, label=name)
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("max-norm")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    # Above the panel, where no curve can be.
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.97),
+        ncols=3,
+        fontsize=letter_size(8),
+        columnspacing=1.0,
+        handlelength=1.5,
+    )
+
+
+def handles(
+    quantities: Sequence[Quantity],
+    inequalities: Sequence[Inequality],
+    outcome: str,
+    phases: int = 1,
+    inner_times: str = "",
+) -> list[Any]:
+    """Entries of the figure's legend, only for what occurs in it; `outcome` says what the curves of one body are.
+
+    `inner_times` says what times between start and end are called, where there are any.
+    """
+    bodies = quantities[0].values.shape[1]
+    bounded = any(np.isfinite(q.lower).any() or np.isfinite(q.upper).any() for q in quantities) or bool(inequalities)
+    limited: list[Quantity | Inequality] = [*quantities, *inequalities]
+    active = "active or violated" if any(one.is_violated() for one in limited) else "active"
+    out: list[Any] = []
+    if bodies == 1 and any(q.guess is not None for q in quantities):
+        out += [Line2D([], [], label=outcome, color=DARK), Line2D([], [], label="initial guess", **_GUESS)]
+    elif 1 < bodies <= 7:
+        colours = body_colours(bodies, BLUE)
+        out += [Line2D([], [], color=colours[i], label=f"body {i}") for i in range(bodies)]
+    if bounded:
+        out += [Line2D([], [], label="bound", **_BOUND), Patch(color=FORBIDDEN, label="forbidden")]
+    out += [Line2D([], [], label="next phase", **_SWITCH)] if phases > 1 else []
+    out += [Line2D([], [], label=inner_times, **_INNER)] if inner_times else []
+    return out + ([Line2D([], [], label=active, **_ACTIVE)] if any(one.active().any() for one in limited) else [])
+
+
+def _line(axes: Any, shown: Quantity, values: Vector, **style: Any) -> None:
+    """A polygon through the nodes, broken where the quantity jumps, or a step for every interval."""
+    if shown.on_intervals:
+        axes.stairs(values, shown.t, baseline=None, **style)
+        return
+    cuts = [node + 1 for node in shown.jumps]
+    for t, part in zip(np.split(shown.t, cuts), np.split(values, cuts), strict=True):
+        axes.plot(t, part, **style)
+
+
+def switches(axes: Any, times: Sequence[float]) -> None:
+    """Where one phase ends and the next begins."""
+    for t in times:
+        axes.axvline(t, **_SWITCH)
+
+
+def inner_times(axes: Any, times: Sequence[float]) -> None:
+    """Times at which conditions hold."""
+    for t in times:
+        axes.axvline(t, **_INNER)
+
+
+def _highlight(axes: Any, t: Vector, values: Matrix, where: np.ndarray) -> None:
+    """A broad line behind the parts of curves that lie on a limit."""
+    for column, active in zip(values.T, where.T, strict=True):
+        if not active.any():
+            continue
+        if column.size == t.size:
+            axes.plot(t, np.where(active, column, np.nan), solid_capstyle="butt", **_ACTIVE)
+            alone = active & ~np.r_[False, active[:-1]] & ~np.r_[active[1:], False]
+            axes.plot(t[alone], column[alone], "o", color=AMBER, alpha=0.75, markersize=5.5, zorder=1.5)
+        else:
+            axes.hlines(column[active], t[:-1][active], t[1:][active], **_ACTIVE)
+
+
+def _bounds(axes: Any, shown: Quantity) -> None:
+    """Dashed lines and shaded sides of bounds near the curves; bounds far away are named above the panel."""
+    finite = shown.values[np.isfinite(shown.values)]
+    if finite.size == 0:
+        return
+    low, high = axes.get_ylim()
+    reach = 0.6 * (high - low)
+    far = []
+    for bounds, side, sign in ((shown.lower, -1, "≥"), (shown.upper, 1, "≤")):
+        for bound in np.unique(bounds[np.isfinite(bounds)]):
+            if low - reach <= bound <= high + reach:
+                edge = low if side < 0 else high
+                if side * (bound - edge) > -0.04 * (high - low):
+                    low, high = (bound - 0.08 * (high - low), high) if side < 0 else (low, bound + 0.08 * (high - low))
+                _draw_bound(axes, shown.t, bounds, float(bound))
+            else:
+                far.append(f"{sign} {bound:.4g}")
+    axes.set_ylim(low, high)
+    _shade(axes, shown)
+    if far:
+        axes.set_title(f"out of view: {', '.join(far[:2])}", loc="right", fontsize=letter_size(7.5), color=GREY)
+
+
+def _draw_bound(axes: Any, t: Vector, bounds: Vector | Matrix, bound: float) -> None:
+    """A dashed line where some body has this bound."""
+    if bounds.ndim == 1:
+        axes.axhline(bound, **_BOUND)
+        return
+    where = (_on_intervals(bounds, t) == bound).any(axis=1)
+    changes = np.flatnonzero(np.diff(where, prepend=False, append=False))
+    axes.hlines(np.full(changes.size // 2, bound), t[changes[::2]], t[changes[1::2]], **_BOUND)
+
+
+def _shade(axes: Any, shown: Quantity) -> None:
+    """Colour what no body may enter."""
+    low, high = axes.get_ylim()
+    if shown.lower.ndim > 1:
+        lower, upper = (_on_intervals(bounds, shown.t) for bounds in (shown.lower, shown.upper))
+        for edge, bounds in ((low, lower.min(axis=1)), (high, upper.max(axis=1))):
+            axes.stairs(np.clip(bounds, low, high), shown.t, baseline=edge, fill=True, color=FORBIDDEN, zorder=0.5)
+        return
+    least, greatest = float(shown.lower.min()), float(shown.upper.max())
+    if low < least < high:
+        axes.axhspan(low, least, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+    if low < greatest < high:
+        axes.axhspan(greatest, high, color=FORBIDDEN, linewidth=0.0, zorder=0.5)
+
+
+def _on_intervals(bounds: Matrix, t: Vector) -> Matrix:
+    """Bounds on intervals: a node's are those of the interval before it."""
+    return bounds[1:] if len(bounds) == t.size else bounds
+
+
+def widen_if_flat(axes: Any, values: np.ndarray) -> bool:
+    """Do not blow rounding errors of a constant up to the height of the panel; whether it is one."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return False
+    middle, spread = float(np.mean(finite)), float(np.ptp(finite))
+    is_flat = spread <= 1e-9 * max(1.0, abs(middle))
+    if is_flat:
+        axes.set_ylim(middle - 0.5 * max(1.0, abs(middle)), middle + 0.5 * max(1.0, abs(middle)))
+    return is_flat
+
+
+def say_if_conserved(axes: Any, momenta: np.ndarray) -> None:
+    """Above the panel of a momentum that does not change but for rounding, how well it is conserved."""
+    if widen_if_flat(axes, momenta) and np.isfinite(momenta).all():
+        axes.set_title(conserved_to(float(np.ptp(momenta))), loc="right")
+
+
+def conserved_to(spread: float) -> str:
+    """How well something is conserved that should be."""
+    return f"conserved to {spread:.0e}" if spread > 0.0 else "conserved exactly"
+
+
+def lengths(axes: Any, t: Vector) -> None:
+    """How long the intervals of a time grid are, where they differ."""
+    axes.step(t, np.append(np.diff(t), t[-1] - t[-2]), where="post", color=DARK, linewidth=1.0)
+    axes.set_yscale("log")
+    axes.set_ylabel("length of intervals")

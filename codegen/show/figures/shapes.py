@@ -1,0 +1,379 @@
+"""The items of a drawing as matplotlib artists: one instant of a scene, or its whole course in one picture."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from itertools import chain, repeat
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import matplotlib
+import numpy as np
+from matplotlib import patches
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+from PIL import Image
+
+from codegen.errors import ArgumentError
+from codegen.problem.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
+from codegen.show.figures.picture import STYLE, letter_size
+from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
+
+SHOTS, MANY_SHOTS = 9, 7
+"""Instants at which a picture shows one body, and the arrows of several bodies."""
+
+_FAINT = 0.18
+_PALE, _SHADOW = "#DCE6EE", "#A8A8A8"
+Extent = tuple[float, float, float, float]
+
+
+def bodies_of(scene: Scene) -> int:
+    """The number of bodies that a scene shows."""
+    return max(len(array) for item in scene.items for _, array in item.expressions())
+
+
+def is_moving(item: Item) -> bool:
+    """Whether an item changes with time."""
+    return any(array.shape[1] > 1 for _, array in item.expressions())
+
+
+def extent(scenes: Sequence[Scene]) -> Extent:
+    """Left, right, bottom and top of all that is finite in some scenes, with a margin."""
+    xs, ys = [np.zeros(0)], [np.zeros(0)]
+    for item in (item for scene in scenes for item in scene.items):
+        for x, y in _corners(item):
+            finite = np.isfinite(x) & np.isfinite(y)
+            xs.append(x[finite])
+            ys.append(y[finite])
+    x, y = np.concatenate(xs), np.concatenate(ys)
+    if x.size == 0:
+        return -1.0, 1.0, -1.0, 1.0
+    left, right, bottom, top = float(x.min()), float(x.max()), float(y.min()), float(y.max())
+    longest = max(right - left, top - bottom) or 1.0
+    # A path along a line still needs room beside it.
+    wide, high = (max(0.05 * longest, (0.25 * longest - side) / 2) for side in (right - left, top - bottom))
+    return left - wide, right + wide, bottom - high, top + high
+
+
+def prepare(axes: Any, room: Extent) -> None:
+    """Equal scales on both axes, and fixed limits."""
+    axes.set_xlim(room[0], room[1])
+    axes.set_ylim(room[2], room[3])
+    axes.set_aspect("equal", anchor="N")
+    axes.tick_params(length=0, labelsize=letter_size(8), colors=GREY)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def instant(scene: Scene, index: int, room: Extent, *, moving: bool, alpha: float = 1.0) -> Iterator[Any]:
+    """The artists of what moves, or of what does not, at one of the scene's times; trails end there."""
+    for item in scene.items:
+        if is_moving(item) is moving:
+            for body, colour in enumerate(_colours(scene, item)):
+                yield from _artists(item, body, index, room, colour, alpha)
+
+
+def course(axes: Any, scene: Scene, room: Extent, instants: int = SHOTS) -> None:
+    """The whole motion in one picture: trails, and a few instants, the last one in full colour.
+
+    Of several bodies, only arrows are repeated; their places at the end are black squares.
+    """
+    prepare(axes, room)
+    count, last = bodies_of(scene), scene.t.size - 1
+    shots = np.unique(np.linspace(0, last, instants if count == 1 else MANY_SHOTS).round().astype(int))
+    for artist in instant(scene, last, room, moving=False):
+        axes.add_artist(artist)
+    for item in filter(is_moving, scene.items):
+        for body, colour in enumerate(_colours(scene, item)):
+            for shot in _shots(item, count, shots):
+                alpha = 1.0 if shot == last or count > 1 else _FAINT + 0.3 * shot / last
+                for artist in _artists(item, body, shot, room, colour, alpha):
+                    axes.add_artist(artist)
+        if isinstance(item, Trail) and count > 1:
+            x, y = item.point
+            axes.plot(x[:, 0], y[:, 0], "o", color=DARK, markersize=4, markerfacecolor="white", zorder=4)
+            axes.plot(x[:, -1], y[:, -1], "s", color="black", markersize=5, zorder=4)
+    legend(axes, scene, ends=True)
+
+
+def _colours(scene: Scene, item: Item) -> list[Any]:
+    """A colour for each body that has the item: bodies differ; of one body, the first trail from the others."""
+    count = bodies_of(scene)
+    if not is_moving(item):
+        single = GREY
+    elif isinstance(item, Trail):
+        single = SKY if item is next(other for other in scene.items if isinstance(other, Trail)) else _SHADOW
+    else:
+        single = BLUE
+    return body_colours(count, single)[: max(len(array) for _, array in item.expressions())]
+
+
+def _shots(item: Item, bodies: int, shots: np.ndarray) -> list[int]:
+    """At which instants an item is shown."""
+    if isinstance(item, Trail):
+        return [int(shots[-1])]
+    if bodies > 1 and isinstance(item, Mass):
+        return []  # the marks at the ends of its trail show it
+    if bodies > 1 and not isinstance(item, Arrow):
+        return [int(shots[0]), int(shots[-1])]
+    return [int(shot) for shot in shots]
+
+
+def legend(axes: Any, scene: Scene, *, ends: bool) -> None:
+    """Name the labelled items below the axes and, with `ends`, what marks the ends of several bodies' trails."""
+    handles: dict[str, Any] = {}
+    for item in scene.items:
+        if item.label:
+            handles.setdefault(item.label, _handle(item, _colours(scene, item)[0]))
+    if ends and bodies_of(scene) > 1 and any(isinstance(item, Trail) for item in scene.items):
+        handles["start"] = Line2D([], [], color=DARK, marker="o", markersize=4, markerfacecolor="white", linestyle="")
+        handles["end"] = Line2D([], [], color="black", marker="s", markersize=5, linestyle="")
+    if handles:
+        location = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.06), "ncols": 5, "columnspacing": 1.4}
+        axes.legend(list(handles.values()), list(handles), fontsize=letter_size(8.5), **location)
+
+
+def _handle(item: Item, colour: Any) -> Any:
+    if isinstance(item, Arrow):
+        return Line2D([], [], color=CRIMSON, marker=r"$\rightarrow$", markersize=11, linestyle="")
+    if isinstance(item, Circle):
+        return Line2D([], [], color=DARK, linestyle=(0, (5, 3)), linewidth=1.0)
+    if isinstance(item, Trail):
+        return Line2D([], [], color=colour, linewidth=1.6)
+    if isinstance(item, Mass):
+        return Line2D([], [], color=colour, marker="o", markersize=7, linestyle="")
+    if isinstance(item, Mark):
+        return Line2D([], [], color="black", marker="*", markersize=8, linestyle="")
+    return patches.Patch(facecolor=_PALE, edgecolor=DARK)
+
+
+def _artists(item: Item, body: int, index: int, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
+    """What shows one item of one body at one time; nothing where a number is not finite."""
+
+    def at(array: np.ndarray) -> float:
+        return float(array[min(body, len(array) - 1), min(index, array.shape[1] - 1)])
+
+    if isinstance(item, Trail):
+        yield _trail(item, body, index, colour)
+        return
+    here = item.mapped(at)
+    if all(np.isfinite(number) for _, number in here.expressions()):
+        yield from _solid(here, room, colour, alpha)
+
+
+def _trail(item: Trail, body: int, index: int, colour: Any) -> Line2D:
+    x, y = (array[min(body, len(array) - 1), : index + 1] for array in item.point)
+    return Line2D(x, y, color=colour, linewidth=1.5, zorder=2)
+
+
+def _solid(item: Item, room: Extent, colour: Any, alpha: float) -> Iterator[Any]:
+    """The artist of an item whose parts are numbers."""
+    if isinstance(item, Rod):
+        x, y = zip(item.start, item.end, strict=True)
+        yield Line2D(x, y, color=DARK, linewidth=2.4, alpha=alpha, solid_capstyle="round", zorder=3)
+    elif isinstance(item, Mass):
+        style = {"facecolor": colour, "edgecolor": "white", "linewidth": 0.8}
+        yield patches.Circle(item.centre, item.radius, alpha=alpha, zorder=3.6, **style)
+    elif isinstance(item, Box):
+        style = {"facecolor": _PALE, "edgecolor": DARK, "linewidth": 1.2}
+        yield patches.Polygon(_box(item), closed=True, alpha=alpha, zorder=2.8, **style)
+    elif isinstance(item, Arrow):
+        if np.hypot(*item.vector) > 4e-3 * max(room[1] - room[0], room[3] - room[2]):
+            tip = item.start[0] + item.vector[0], item.start[1] + item.vector[1]
+            style = {"arrowstyle": "-|>", "mutation_scale": 8.0, "shrinkA": 0.0, "shrinkB": 0.0, "linewidth": 1.3}
+            yield patches.FancyArrowPatch(item.start, tip, color=CRIMSON, alpha=max(alpha, 0.45), zorder=3.8, **style)
+    elif isinstance(item, Circle):
+        style = {"fill": False, "edgecolor": DARK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
+        yield patches.Circle(item.centre, item.radius, alpha=alpha, zorder=1.6, **style)
+    elif isinstance(item, Mark):
+        yield Line2D([item.place[0]], [item.place[1]], color="black", marker="*", markersize=8, alpha=alpha, zorder=3.9)
+    elif isinstance(item, Ground):
+        yield from _ground(item, room)
+
+
+def _box(item: Box) -> np.ndarray:
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (item.width / 2, item.height / 2)
+    c, s = np.cos(item.angle), np.sin(item.angle)
+    return np.asarray(corners @ np.array([[c, s], [-s, c]]) + item.centre)
+
+
+def _ground(item: Ground, room: Extent) -> Iterator[Any]:
+    """A line with a hatched band to its right."""
+    start, end = np.array(item.start), np.array(item.end)
+    length = float(np.hypot(*(end - start))) or 1.0
+    right = np.array([end[1] - start[1], start[0] - end[0]]) / length
+    depth = 0.025 * max(room[1] - room[0], room[3] - room[2])
+    band = [start, end, end + depth * right, start + depth * right]
+    yield patches.Polygon(band, closed=True, fill=False, hatch="//////", edgecolor="#b0b0b0", linewidth=0.0, zorder=1.0)
+    yield Line2D([start[0], end[0]], [start[1], end[1]], color=DARK, linewidth=1.4, zorder=1.1)
+
+
+def _corners(item: Item) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Points that an item reaches, as pairs of arrays."""
+    if isinstance(item, Rod | Ground):
+        yield item.start
+        yield item.end
+    elif isinstance(item, Arrow):
+        yield item.start
+        yield item.start[0] + item.vector[0], item.start[1] + item.vector[1]
+    elif isinstance(item, Trail):
+        yield item.point
+    elif isinstance(item, Mark):
+        yield item.place
+    elif isinstance(item, Mass | Circle):
+        for sign in (-1.0, 1.0):
+            yield item.centre[0] + sign * item.radius, item.centre[1] + sign * item.radius
+    elif isinstance(item, Box):
+        for sign in (-1.0, 1.0):
+            c, s = np.abs(np.cos(item.angle)), np.abs(np.sin(item.angle))
+            wide, high = (c * item.width + s * item.height) / 2, (s * item.width + c * item.height) / 2
+            yield item.centre[0] + sign * wide, item.centre[1] + sign * high
+
+
+RATE = 25
+"""Frames per second; a GIF counts hundredths of a second, and can keep this rate exactly."""
+SHORTEST, LONGEST, PAUSE = 2.0, 8.0, 1.0
+"""Seconds that a film lasts: as long as the motion within these limits, then a pause at the end."""
+FINE = 6
+"""Parts of the time between two frames, at which trails have points."""
+
+Frame: TypeAlias = NDArray[np.uint8]
+"""An image (height, width, 3)."""
+
+Progress: TypeAlias = Callable[[Iterable[Frame], int], Iterable[Frame]]
+"""Hands on as many frames as it is told, and may show how far they are."""
+
+_DPI = 100
+_COLOURS = 128
+
+
+def scene_times(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The times at which `save` needs the scene of a motion with nodes t: evenly spaced, both ends included.
+
+    A frame is drawn for every `FINE`-th of them; the others make trails smooth.
+    """
+    length = min(max(float(t[-1] - t[0]), SHORTEST), LONGEST)
+    return np.linspace(t[0], t[-1], FINE * round(RATE * length) + 1)
+
+
+def save(scene: Scene, title: str, path: Path, progress: Progress = lambda frames, count: frames) -> None:
+    """Film a scene at the times `scene_times`; the ending of the path, .gif or .mp4, decides the kind of file.
+
+    Raises ArgumentError when ffmpeg is missing or fails.
+    """
+    write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif
+    count = len(scene.t[::FINE])
+    with matplotlib.rc_context(STYLE):
+        write(progress(frames(scene, title), count), count, path)
+
+
+def require_ffmpeg(path: Path) -> str:
+    """The program that makes films of type .mp4; ArgumentError when there is none."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ArgumentError(f"{path} needs the program ffmpeg", "install ffmpeg, or let the file end in .gif")
+    return program
+
+
+def frames(scene: Scene, title: str) -> Iterator[Frame]:
+    """Draw a frame for every `FINE`-th time of a scene: what stands still once, what moves every time."""
+    room = extent([scene])
+    figure, axes, clock = _stage(scene, title, room)
+    canvas: Any = figure.canvas
+    background = canvas.copy_from_bbox(figure.bbox)
+    for frame in range(0, scene.t.size, FINE):
+        canvas.restore_region(background)
+        moving = [axes.add_artist(artist) for artist in instant(scene, frame, room, moving=True)]
+        for artist in sorted(moving, key=lambda artist: artist.get_zorder()):
+            axes.draw_artist(artist)
+            artist.remove()
+        clock.set_text(_clock(scene.t[frame], scene.t))
+        axes.draw_artist(clock)
+        yield np.array(canvas.buffer_rgba())[:, :, :3]
+
+
+def _stage(scene: Scene, title: str, room: Extent) -> tuple[Figure, Any, Any]:
+    """Figure, axes and clock, drawn without what moves."""
+    width, height = _size(room)
+    figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    prepare(axes, room)
+    for artist in instant(scene, 0, room, moving=False):
+        axes.add_artist(artist)
+    legend(axes, scene, ends=False)
+    figure.suptitle("\n".join(textwrap.wrap(title.rstrip("."), int(12 * width))), fontsize=9.5)
+    clock = axes.set_title(_clock(float(scene.t[-1]), scene.t), loc="left", fontsize=9.5)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    clock.set_animated(True)
+    figure.canvas.draw()
+    return figure, axes, clock
+
+
+def _size(room: Extent) -> tuple[float, float]:
+    """Width and height in inches that suit a scene, with room for title and legend."""
+    ratio = (room[3] - room[2]) / (room[1] - room[0])
+    longest = 8.0 if ratio < 0.6 else 6.4
+    width = longest if ratio <= 1.0 else max(longest / ratio, 0.6 * longest)
+    height = min(longest, max(0.25 * longest, ratio * width)) + 1.0
+    # Encoders of films want even numbers of pixels.
+    return 2 * round(width * _DPI / 2) / _DPI, 2 * round(height * _DPI / 2) / _DPI
+
+
+def _clock(t: float, times: NDArray[np.float64]) -> str:
+    """The time, with as many decimals as it changes by between frames."""
+    duration = float(times[-1] - times[0]) or 1.0
+    decimals = max(0, 2 - math.floor(math.log10(duration)))
+    return f"t = {t:.{decimals}f}"
+
+
+def _write_gif(pictures: Iterable[Frame], count: int, path: Path) -> None:
+    images = [Image.fromarray(picture) for picture in pictures]
+    # One palette for all, else still parts would flicker; the last frame has all colours, the first perhaps others.
+    sample = Image.new("RGB", (images[0].width, 2 * images[0].height))
+    sample.paste(images[0], (0, 0))
+    sample.paste(images[-1], (0, images[0].height))
+    palette = sample.quantize(_COLOURS)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[(colours > 242).all(axis=1)] = 255  # paper stays white
+    palette.putpalette(colours.ravel().tolist())
+    first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
+    durations = [1000 // RATE] * (count - 1) + [round(1000 * PAUSE)]
+    first.save(path, format="GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=False)
+
+
+def _write_mp4(pictures: Iterable[Frame], count: int, path: Path) -> None:
+    program, paused = require_ffmpeg(path), _with_pause(pictures)
+    first = next(paused)
+    with _encoder(program, first.shape, path) as process:
+        assert process.stdin is not None
+        with suppress(BrokenPipeError):  # what ffmpeg has to say to that follows
+            for picture in chain([first], paused):
+                process.stdin.write(picture.tobytes())
+        _, errors = process.communicate()
+    if process.returncode:
+        lines = errors.decode(errors="replace").strip().splitlines() or [f"exit status {process.returncode}"]
+        raise ArgumentError(f"ffmpeg could not write the film ({lines[-1]})", "let the file end in .gif")
+
+
+def _with_pause(pictures: Iterable[Frame]) -> Iterator[Frame]:
+    for picture in pictures:
+        yield picture
+    yield from repeat(picture, round(RATE * PAUSE))
+
+
+def _encoder(program: str, shape: tuple[int, ...], path: Path) -> subprocess.Popen[bytes]:
+    height, width, _ = shape
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
+    # Every player knows this pixel format.
+    target = ["-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    words = [program, "-loglevel", "error", "-y", *source, *target]
+    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)

@@ -1,0 +1,642 @@
+"""The figure of a sweep: lines over a varied quantity, maps over two, distributions and fans over samples.
+
+Many trajectories in one panel: graded by a quantity, or as quantiles over time; and distributions of numbers.
+
+What sensitivities of one case predict of all samples, to first order: means, and standard deviations. The case is the
+one that is nearest to the mean of what varies. Its slopes times the deviations of quantities that are sampled
+independently of each other add up by squares; those of a table may follow each other, so that their covariances take
+part. Source: JCGM 100 (2008), Guide to the expression of uncertainty in measurement, section 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from codegen.show.figures.panels import KINDS
+from codegen.show.figures.picture import letter_size, new_figure
+from codegen.show.figures.style import (
+    AMBER,
+    BLUE,
+    CRIMSON,
+    DARK,
+    GREY,
+    PINK,
+    body_colours,
+    body_map,
+    heading,
+    label,
+    quantity,
+    statuses,
+)
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+NORMAL_90 = 1.6448536269514722
+"""Within so many standard deviations a normal distribution has 90 % of its values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The case `centre` whose slopes predict, the places of varied quantities among them, and how these are spread.
+
+    `offset` (m,) is the mean of m quantities less their values in that case, `covariance` (m, m) that of their samples.
+    """
+
+    centre: int
+    by: list[int]
+    offset: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+    def of(self, data: Dataset, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The mean and the standard deviation (...) of a variable (case, ...) that has derivatives."""
+        centre = np.asarray(data[name].isel(case=self.centre).values, dtype=float)
+        slopes = np.asarray(data[f"d_{name}"].isel(case=self.centre).values, dtype=float)[self.by]
+        mean = centre + np.tensordot(self.offset, slopes, 1)
+        return mean, np.sqrt(np.einsum("i...,ij,j...->...", slopes, self.covariance, slopes))
+
+
+def prediction(data: Dataset, varied: list[str]) -> Prediction | None:
+    """What predicts the samples of a sweep, if every quantity that varies has derivatives, and some case has them."""
+    names = [str(name) for name in data["by"].values] if "d_cost" in data else []
+    columns = {name: np.asarray(data[name].values, dtype=float) for name in varied if np.ptp(data[name].values) > 0.0}
+    own = [name.removesuffix("_") if name not in names else name for name in columns]
+    if not columns or not set(own) <= set(names):
+        return None
+    points = np.column_stack(list(columns.values()))
+    known = (statuses(data) == "solved") & np.isfinite(data["d_cost"].values).all(axis=1)
+    if not known.any():
+        return None
+    mean, deviations = points.mean(axis=0), points.std(axis=0)
+    distances = (((points - mean) / deviations) ** 2).sum(axis=1)
+    centre = int(np.argmin(np.where(known, distances, np.inf)))
+    if data.attrs.get("cases") == "table":
+        covariance = np.atleast_2d(np.cov(points.T, bias=True))
+    else:
+        covariance = np.diag(deviations**2)
+    return Prediction(centre, [names.index(name) for name in own], mean - points[centre], covariance)
+
+
+MOST_PANELS, MOST_TRAJECTORIES, MOST_CASES = 15, 60, 4000
+"""Quantities, trajectories and cases for quantiles that are drawn at most."""
+MOST_CONTROLS = 6
+"""So many controls at most take the place of states, where there are more of both than are drawn."""
+BANDS = ((0.05, 0.95, 0.18), (0.25, 0.75, 0.35))
+"""Quantiles between which a fan is filled, and how strongly."""
+_COLUMNS = {"q": ("coordinate", "state"), "u": ("control", "control")}
+
+
+def groups_of(data: Dataset) -> tuple[list[tuple[str, str]], list[str]]:
+    """The trajectories that are drawn, as (array, column), states and then controls, and the columns for which there is
+    no room.
+    """
+    if "t" not in data:
+        return [], []
+    states, controls = (
+        [(name, str(column)) for column in data[dim].values] if name in data else []
+        for name, (dim, _) in _COLUMNS.items()
+    )
+    few = controls[: max(MOST_CONTROLS, MOST_PANELS - len(states))]
+    drawn = [*states[: MOST_PANELS - len(few)], *few]
+    return drawn, [column for name, column in (*states, *controls) if (name, column) not in drawn]
+
+
+def _curves(data: Dataset, group: tuple[str, str], most: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.intp]]:
+    """Times and values (cases, times) of some cases that are solved, and which these are."""
+    name, column = group
+    solved = np.flatnonzero(statuses(data).ravel() == "solved")
+    solved = solved[:: max(1, -(-solved.size // most))]
+    dim = str(data["status"].dims[0])
+    part = data[["t", name]].isel({dim: solved})
+    t, values = (
+        part["t"].values,
+        part[name].isel({_COLUMNS[name][0]: data[_COLUMNS[name][0]].values.tolist().index(column)}),
+    )
+    if "stage" in values.dims:
+        values = values.mean("stage")
+    table = np.asarray(values.transpose(dim, ...).values, dtype=float)
+    if table.shape[1] == t.shape[1] - 1:
+        t = 0.5 * (t[:, 1:] + t[:, :-1])
+    return t, table, solved
+
+
+def graded(
+    panels: Mapping[str, Any], groups: Sequence[tuple[str, str]], data: Dataset, dim: str, places: NDArray[np.float64]
+) -> ScalarMappable:
+    """Trajectories over time, each in the colour of its case; returns what a colour bar is made from."""
+    solved = places[statuses(data).ravel() == "solved"]
+    least, most = (float(solved.min()), float(solved.max())) if solved.size else (0.0, 1.0)
+    shades = ScalarMappable(Normalize(least, most if most > least else least + 1.0), body_map())
+    for i, group in enumerate(groups):
+        axes = panels[f"g{i}"]
+        t, values, cases = _curves(data, group, MOST_TRAJECTORIES)
+        for times, row, case in zip(t, values, cases):
+            axes.plot(times, row, color=shades.to_rgba(places[case]), linewidth=0.9)
+        _over_time(axes, "time", group)
+    return shades
+
+
+def _over_time(axes: Any, what: str, group: tuple[str, str]) -> None:
+    axes.set_xlabel(what)
+    axes.set_ylabel(label(group[1]))
+    axes.margins(x=0)
+
+
+def fan(axes: Any, data: Dataset, group: tuple[str, str], linear: Prediction | None = None) -> None:
+    """Quantiles of a quantity over time: the median, and bands between others; and what is predicted of the widest."""
+    t, values, _ = _curves(data, group, MOST_CASES)
+    colour = KINDS[_COLUMNS[group[0]][1]]
+    if not t.size:
+        axes.set_visible(False)
+        return
+    ends = np.nanmax(t, axis=1)
+    same = bool(np.allclose(t, t[0], rtol=1e-9, equal_nan=True))
+    times = t[0] if same else np.nanmedian(t / ends[:, None], axis=0)
+    seen = np.isfinite(times)
+    for low, high, strength in BANDS:
+        edges = np.nanquantile(values[:, seen], (low, high), axis=0)
+        axes.fill_between(times[seen], *edges, color=colour, alpha=strength, linewidth=0)
+    axes.plot(times[seen], np.nanmedian(values[:, seen], axis=0), color=colour)
+    _over_time(axes, "time" if same else "time in parts of the duration", group)
+    handles: list[Any] = [Patch(color=colour, alpha=a, label=f"{100 * (h - low):.0f} %") for low, h, a in BANDS]
+    if linear is not None and f"d_{group[0]}" in data:
+        mean, deviation = (_column(table, data, group) for table in linear.of(data, group[0]))
+        for sign in (-1.0, 1.0):
+            edge = mean + sign * NORMAL_90 * deviation
+            axes.plot(times[seen], edge[seen], color=DARK, linestyle="--", linewidth=1.0)
+        handles.append(Line2D([], [], color=DARK, linestyle="--", linewidth=1.0, label="90 %, first order"))
+    axes.legend(handles=handles, loc="best", ncols=2, handlelength=1.2)
+
+
+def _column(table: NDArray[np.float64], data: Dataset, group: tuple[str, str]) -> NDArray[np.float64]:
+    """One column of the array of a case, (times,); the means of stages."""
+    columns = data[_COLUMNS[group[0]][0]].values.tolist()
+    own = table[..., columns.index(group[1])]
+    return own if own.ndim == 1 else own.mean(axis=1)
+
+
+def histogram(
+    axes: Any,
+    name: str,
+    values: NDArray[np.float64],
+    is_wide: bool,
+    linear: tuple[float, float] = (np.nan, np.nan),
+) -> None:
+    """How often values occur, with the median and the quantiles of 5 and 95 %.
+
+    `linear` are the mean and the standard deviation that are predicted to first order, beside those of the samples.
+    """
+    finite = values[np.isfinite(values)]
+    axes.set_xlabel(name)
+    axes.set_ylabel("cases")
+    if not finite.size:
+        axes.text(0.5, 0.5, "no case is solved", transform=axes.transAxes, ha="center", color=DARK)
+        return
+    number = int(np.clip(np.sqrt(finite.size), 5, 60))
+    bins: Any = np.geomspace(finite.min(), finite.max(), number + 1) if is_wide else number
+    axes.hist(finite, bins, color=BLUE, alpha=0.45)
+    if is_wide:
+        axes.set_xscale("log")
+    for share, style in ((0.05, ":"), (0.5, "-"), (0.95, "--")):
+        value = float(np.quantile(finite, share))
+        words = "median" if share == 0.5 else f"{100 * share:.0f} %"
+        axes.axvline(value, color=DARK, linestyle=style, linewidth=1.1, label=f"{words}: {value:.4g}")
+    if linear[1] > 0.0:
+        mean, deviation = linear
+        if not is_wide:
+            low, high = axes.get_xlim()
+            x = np.linspace(low, high, 200)
+            height = finite.size * np.ptp(finite) / number / (deviation * np.sqrt(2.0 * np.pi))
+            axes.plot(x, height * np.exp(-0.5 * ((x - mean) / deviation) ** 2), color=AMBER)
+        axes.plot([], [], color=AMBER, label=f"first order: {mean:.4g} ± {deviation:.2g}")
+        axes.plot([], [], " ", label=f"samples: {finite.mean():.4g} ± {finite.std():.2g}")
+    axes.legend(loc="upper right", handlelength=1.6, frameon=True, framealpha=0.85, edgecolor="none")
+    axes.margins(y=0.3 if not linear[1] > 0.0 else 0.8)  # room for what the legend says
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(visible=False, axis="x")
+
+
+_MOST_MEASURES, _MOST_NAMES = 4, 12
+_WIDE = 100.0
+"""Positive values whose largest is so many times the smallest are drawn on a logarithmic scale."""
+FAILED: dict[str, Any] = {"color": CRIMSON, "marker": "x", "linestyle": "none", "markersize": 4.5, "zorder": 3.0}
+JUMP: dict[str, Any] = {
+    "color": PINK, "marker": "o", "linestyle": "none", "markersize": 7, "markerfacecolor": "none", "zorder": 2.9,
+    "markeredgewidth": 1.6,
+}  # fmt: skip
+
+
+def no_room(data: Dataset, has_curves: bool, others: Sequence[str] = ()) -> str:
+    """For which trajectories, states at the end and `others` there is no room, as the end of a sentence."""
+    ends = [] if _has_cost(data) else [f"{label(str(name))} at the end" for name in data["coordinate"].values]
+    curves = [label(name) for name in groups_of(data)[1]] if has_curves else []
+    names = [*curves, *ends[_MOST_MEASURES:], *others]
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    return f"; no room for {', '.join(names[:_MOST_NAMES])}{more}" if names else ""
+
+
+def _has_cost(data: Dataset) -> bool:
+    return bool(np.isfinite(data["cost"].values).any()) or "q" not in data
+
+
+def measures_of(data: Dataset) -> dict[str, NDArray[np.float64]]:
+    """What a case comes to by its label: the cost, or the state at the end."""
+    if _has_cost(data):
+        return {"cost": data["cost"].values}
+    names = [str(name) for name in data["coordinate"].values][:_MOST_MEASURES]
+    # The last values of q that are numbers: arrays of fewer steps end in NaN.
+    q = data["q"].transpose(..., "node", "coordinate").values
+    number = np.maximum(1, np.isfinite(q[..., 0]).sum(axis=-1)) - 1
+    ends = np.moveaxis(np.asarray(np.take_along_axis(q, number[..., None, None], axis=-2)[..., 0, :]), -1, 0)
+    return {f"{label(name)} at the end": ends[i] for i, name in enumerate(names)}
+
+
+def is_failed(data: Dataset) -> NDArray[np.bool_]:
+    """Which cases have no solution."""
+    return np.asarray(statuses(data) != "solved")
+
+
+def has_jump(data: Dataset) -> NDArray[np.bool_]:
+    """Which cases have a better neighbour beyond a jump of the cost."""
+    return np.asarray(data["jump"].values == 1) if "jump" in data else np.zeros(data["status"].shape, bool)
+
+
+def scale(axes: Any, values: NDArray[np.float64]) -> None:
+    """Draw values over a logarithmic axis where they are wide."""
+    if is_wide(values):
+        axes.set_yscale("log")
+
+
+def is_wide(values: NDArray[np.float64]) -> bool:
+    """Whether values need a logarithmic scale."""
+    finite = values[np.isfinite(values)]
+    return finite.size > 1 and bool(finite.min() > 0.0) and bool(finite.max() > _WIDE * finite.min())
+
+
+_SAME, _MOST = 0.004, 0.5
+"""How close lines coincide, in parts of all that is drawn; in which part of their places at least."""
+_DASH = 8.0
+"""The length of a dash, in widths of the line."""
+
+
+def _coincide(one: NDArray[np.float64], other: NDArray[np.float64], close: float) -> bool:
+    both = np.isfinite(one) & np.isfinite(other)
+    number = int(both.sum())
+    return number > 1 and int((np.abs(one[both] - other[both]) <= close).sum()) >= _MOST * number
+
+
+def looks_of(groups: Sequence[Sequence[int]]) -> dict[int, dict[str, Any]]:
+    """How each line is drawn: as it is where it stands alone, else in dashes and marks that take turns."""
+    found: dict[int, dict[str, Any]] = {}
+    for group in groups:
+        number = len(group)
+        for turn, line in enumerate(group):
+            # The pattern begins with its dash: that of a later turn begins so many dashes before its end.
+            begin = (_DASH * (number - turn)) % (_DASH * number)
+            dashes = (begin, (_DASH, _DASH * (number - 1)))
+            found[line] = {"linestyle": dashes, "markevery": (turn, number)} if number > 1 else {}
+    return found
+
+
+def legend(axes: Any) -> None:
+    """A legend in which lines are whole that are drawn in dashes."""
+    for handle in axes.legend(loc="best").get_lines():
+        if handle.get_linestyle() not in ("None", "none", " ", ""):
+            handle.set_linestyle("-")
+
+
+_APART, _LONG, _LETTERS = 1.4, 6.0, 7.5
+"""How far a label is from other lines and how long its own is, at least, in heights of letters; their size."""
+
+
+def contours(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64], shown: NDArray[Any], norm: Normalize) -> None:
+    """Lines of round values of a table (y, x), with a label each where there is room for it."""
+    levels = _levels(norm)
+    if min(shown.shape) <= 2 or not np.isfinite(shown).any() or not levels.size:
+        return
+    halo = [withStroke(linewidth=2.0, foreground="#ffffffa0")]
+    lines = axes.contour(x, y, np.ma.masked_invalid(shown), levels, colors=DARK, linewidths=0.7)
+    lines.set_path_effects(halo)
+    places = list(_places(axes, lines.allsegs))
+    if places:
+        for text in axes.clabel(lines, fontsize=letter_size(_LETTERS), fmt="%.4g", manual=places):
+            text.set_path_effects(halo)
+
+
+def _places(axes: Any, segments: Sequence[Sequence[NDArray[np.float64]]]) -> Iterator[tuple[float, float]]:
+    """Where labels stand, in data: on each level where there is most room about it, if there is enough.
+
+    `segments` are the lines of each level as points (n, 2). Sizes are those of the panel before its surroundings are
+    laid out, which is near enough.
+    """
+    letter = letter_size(_LETTERS) * axes.figure.dpi / 72.0
+    on_page = [
+        [_dense(axes.transData.transform(line), letter) for line in lines if len(line) > 1] for lines in segments
+    ]
+    placed: list[NDArray[np.float64]] = [_frame(axes.bbox, letter)]
+    for level, lines in enumerate(on_page):
+        others = np.concatenate([*placed, *(line for k, rest in enumerate(on_page) if k != level for line in rest)])
+        # Both ends of a label need room as well as its middle.
+        inner = [line[2:-2] for line in lines if len(line) >= 2 * _LONG]
+        if not inner:
+            continue
+        points = np.concatenate(inner)
+        room = np.array([np.sqrt(((others - point) ** 2).sum(axis=1).min()) for point in points])
+        best = int(np.argmax(room))
+        if room[best] > _APART * letter:
+            placed.append(points[[best]])
+            x, y = axes.transData.inverted().transform(points[best])
+            yield float(x), float(y)
+
+
+def _dense(line: NDArray[np.float64], letter: float) -> NDArray[np.float64]:
+    """Points (n, 2) along a line, half a letter apart."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    places = np.linspace(0.0, along[-1], max(2, int(2.0 * along[-1] / letter)))
+    return np.column_stack([np.interp(places, along, column) for column in line.T])
+
+
+def _frame(box: Any, letter: float) -> NDArray[np.float64]:
+    corners = np.array([(box.x0, box.y0), (box.x1, box.y0), (box.x1, box.y1), (box.x0, box.y1), (box.x0, box.y0)])
+    return _dense(corners, letter)
+
+
+def _levels(norm: Normalize) -> NDArray[np.float64]:
+    """Round values between the least and the largest, for contours."""
+    from matplotlib.ticker import LogLocator, MaxNLocator
+
+    least, most = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    if not least < most:
+        return np.zeros(0)
+    few = (1.0,) if most > 1e3 * least else (1.0, 2.0, 5.0)
+    locator: Any = LogLocator(subs=few) if isinstance(norm, LogNorm) else MaxNLocator(8)
+    found = np.asarray(locator.tick_values(least, most), dtype=float)
+    return found[(found > least) & (found < most)]
+
+
+MOST_LINES = 7
+"""A second quantity of so many values is shown as lines; of more, the two span a map."""
+_MOST_MAPS, _MOST_SCATTERS, _MOST_POINTS = 6, 4, 20_000
+_FOOT = 0.035
+"""How much of a panel's height a row of failed cases takes."""
+
+
+def sweep_figure(data: Dataset) -> Figure:
+    """A page about a sweep, as `codegen.sweep` returns it; failed cases are crosses, and jumps of the cost rings.
+
+    What has no cost is shown by its state at the end. Of a grid of more than two quantities the two with the most
+    values are drawn, for several values of the next one, and middle values of the others.
+    """
+    dims = tuple(str(dim) for dim in data["status"].dims)
+    if dims == ("case",):
+        return _samples(data)
+    long = sorted(dims, key=lambda dim: -data.sizes[dim])
+    second = data.sizes[long[1]] if len(long) > 1 else 1
+    drawn, whole = long[: 3 if second > MOST_LINES else 2], data
+    middle = {dim: data.sizes[dim] // 2 for dim in dims if dim not in drawn and data.sizes[dim] > 1}
+    data = data.isel({dim: 0 for dim in dims if dim not in drawn} | middle)
+    figure = _lines(data, drawn) if second <= MOST_LINES else _maps(data, drawn)
+    at = ", ".join(f"{quantity(dim)} = {_named(whole, dim)[k]}" for dim, k in middle.items())
+    heading(figure, whole, (f"; drawn are those at {at}" if at else "") + no_room(data, second == 1))
+    return figure
+
+
+def _axis_places(data: Dataset, dim: str) -> tuple[NDArray[np.float64], NDArray[np.intp], list[str]]:
+    """Where the values of a dimension are drawn, in which order, and their names where they are words."""
+    values = data[dim].values if dim in data.coords else np.arange(data.sizes[dim])
+    if np.asarray(values).dtype.kind not in "fiub":
+        return np.arange(len(values), dtype=float), np.arange(len(values)), [str(value) for value in values]
+    order = np.argsort(values, kind="stable")
+    return np.asarray(values, dtype=float)[order], order, []
+
+
+def _lines(data: Dataset, dims: Sequence[str]) -> Figure:
+    """Measures over one quantity, a line for each value of another, and trajectories graded by the first."""
+    x, order, words = _axis_places(data, dims[0])
+    by = dims[1] if len(dims) > 1 else None
+    measures, (groups, _) = measures_of(data), groups_of(data)
+    columns = _columns(len(groups))
+    rows: list[Any] = [[f"m{i}"] * columns for i in range(len(measures))]
+    names = [f"g{i}" for i in range(len(groups))] if by is None or data.sizes[by] == 1 else []
+    names += ["."] * (-len(names) % columns)
+    rows += [names[first : first + columns] for first in range(0, len(names), columns)]
+    figure = new_figure(max(7.0, 3.6 * columns), 1.1 + 2.9 * len(rows))
+    panels = figure.subplot_mosaic(rows)
+    failed, jumps = (_rows(table, data, dims)[:, order] for table in (is_failed(data), has_jump(data)))
+    for i, (name, values) in enumerate(measures.items()):
+        _measure(panels[f"m{i}"], x, _rows(values, data, dims)[:, order], failed, jumps, data, by, bool(words))
+        panels[f"m{i}"].set_ylabel(name)
+        panels[f"m{i}"].set_xlabel(quantity(dims[0], data))
+        if words:
+            panels[f"m{i}"].set_xticks(x, words)
+    if any(name != "." for name in names):
+        flat = data if by is None else data.isel({by: 0})
+        shades = graded(panels, groups, flat.isel({dims[0]: order}), dims[0], x)
+        bar = figure.colorbar(
+            shades, ax=[panels[f"g{i}"] for i in range(len(groups))], label=quantity(dims[0], data), aspect=30
+        )
+        bar.outline.set_visible(False)
+        if words:
+            bar.set_ticks(x.tolist(), labels=words)
+    return figure
+
+
+def _rows(table: NDArray[Any], data: Dataset, dims: Sequence[str]) -> NDArray[Any]:
+    """A table over the cases as (values of the second dimension, of the first)."""
+    own = [str(dim) for dim in data["status"].dims]
+    kept = np.moveaxis(table, own.index(dims[0]), -1)
+    return kept.reshape(-1, kept.shape[-1])
+
+
+def _measure(
+    axes: Any,
+    x: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    failed: NDArray[np.bool_],
+    jumps: NDArray[np.bool_],
+    data: Dataset,
+    by: str | None,
+    is_of_words: bool,
+) -> None:
+    """Lines of one measure, failed cases below, in a row for each line and its colour, and jumps where they are."""
+    scale(axes, rows)
+    marker = "o" if is_of_words else "." if x.size <= 60 else ""
+    values = [] if by is None else _named(data, by)
+    # Which of the lines (lines, n) coincide, each with those it does, in their order; NaN is nowhere.
+    is_log = axes.get_yscale() == "log"
+    with np.errstate(invalid="ignore", divide="ignore"):
+        heights = np.log(rows) if is_log else rows
+    finite = heights[np.isfinite(heights)]
+    close = _SAME * float(np.ptp(finite)) if finite.size else 0.0
+    same: list[list[int]] = []
+    for line in range(len(rows)):
+        own = next((group for group in same if _coincide(heights[line], heights[group[0]], close)), None)
+        if own is None:
+            same.append([line])
+        else:
+            own.append(line)
+    looks = looks_of(same)
+    for i, (row, colour) in enumerate(zip(rows, body_colours(len(rows), BLUE))):
+        name = f"{quantity(by)} = {values[i]}" if by is not None and len(rows) > 1 else None
+        look = {**looks[i], **({"linestyle": "none"} if is_of_words else {})}
+        axes.plot(x, row, marker, **{"linestyle": "-", **look}, color=colour, markersize=5, label=name)
+    if len(same) < len(rows):
+        axes.plot([], [], " ", label="in turn where they coincide")
+    if jumps.any():
+        places = np.nonzero(jumps)
+        axes.plot(x[places[1]], rows[places], **JUMP, label="jump")
+    for i, (row, colour) in enumerate(zip(failed, body_colours(len(rows), CRIMSON))):
+        if row.any():
+            foot, look = np.full(int(row.sum()), 0.03 + _FOOT * i), {**FAILED, "color": colour}
+            (marks,) = axes.plot(x[row], foot, **look, transform=axes.get_xaxis_transform(), clip_on=False)
+            marks.set_label("failed" if len(rows) == 1 else "")
+    if failed.any() and len(rows) > 1:
+        axes.plot([], [], **FAILED, label="failed")
+    if len(rows) > 1 or failed.any() or jumps.any():
+        legend(axes)
+    axes.margins(x=0.02, y=0.05 + _FOOT * len(failed) * failed.any())
+
+
+def _named(data: Dataset, dim: str) -> list[str]:
+    places, order, words = _axis_places(data, dim)
+    return words or [f"{value:.6g}" for value in places[np.argsort(order)]]
+
+
+def _maps(data: Dataset, dims: Sequence[str]) -> Figure:
+    """A heat map with contours over two quantities, for each measure, and for several values of a third."""
+    x, y = _axis_places(data, dims[0]), _axis_places(data, dims[1])
+    chosen: list[Any] = [None]
+    if len(dims) > 2:
+        number = data.sizes[dims[2]]
+        chosen = sorted({round(i) for i in np.linspace(0, number - 1, min(number, _MOST_MAPS))})
+    panels = [(data if k is None else data.isel({dims[2]: k}), k) for k in chosen]
+    shown = [(part, k, name, values) for part, k in panels for name, values in measures_of(part).items()]
+    columns = _columns(len(shown))
+    size = max(6.4, 4.3 * columns), 1.2 + 3.7 * math.ceil(len(shown) / columns)
+    figure = new_figure(*size)
+    grid = figure.subplots(math.ceil(len(shown) / columns), columns, squeeze=False)
+    for axes in grid.ravel()[len(shown) :]:
+        axes.set_visible(False)
+    drawn: dict[str, list[Any]] = {}
+    for axes, (part, k, name, values) in zip(grid.ravel(), shown):
+        norm = _norm(np.concatenate([other[3].ravel() for other in shown if other[2] == name]))
+        shades = _map(axes, part, dims, (x, y), values, norm)
+        drawn.setdefault(name, [shades]).append(axes)
+        if k is not None:
+            axes.set_title(f"{quantity(dims[2])} = {_named(data, dims[2])[k]}")
+    for name, (shades, *panels_of) in drawn.items():
+        figure.colorbar(shades, ax=panels_of, label=name).outline.set_visible(False)
+    marks = {name: mark for axes in grid.ravel() for mark, name in zip(*axes.get_legend_handles_labels())}
+    if marks:
+        figure.legend(list(marks.values()), list(marks), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _columns(panels: int) -> int:
+    return {0: 1, 4: 2}.get(panels, min(panels, 3))
+
+
+def _norm(values: NDArray[np.float64]) -> Normalize:
+    finite = values[np.isfinite(values)]
+    least, most = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return LogNorm(least, most) if is_wide(values) else Normalize(least, most)
+
+
+def _map(
+    axes: Any, data: Dataset, dims: Sequence[str], places: Sequence[Any], values: NDArray[np.float64], norm: Normalize
+) -> Any:
+    """One map; returns what a colour bar is made from."""
+    (x, columns, x_words), (y, rows, y_words) = places
+    own = [str(dim) for dim in data["status"].dims]
+    turned = own.index(dims[1]) > own.index(dims[0])
+
+    def laid(table: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray((table.T if turned else table)[np.ix_(rows, columns)])
+
+    shown = laid(values)
+    shades = axes.pcolormesh(x, y, shown, shading="nearest", cmap=body_map(), norm=norm, rasterized=True)
+    contours(axes, x, y, shown, norm)
+    for table, look, name in ((laid(is_failed(data)), FAILED, "failed"), (laid(has_jump(data)), JUMP, "jump")):
+        if table.any():
+            i, j = np.nonzero(table)
+            axes.plot(
+                x[j], y[i], **{**look, "markersize": max(1.5, look["markersize"] * _crowd(table.size))}, label=name
+            )
+    axes.grid(visible=False)
+    axes.set_xlabel(quantity(dims[0], data))
+    axes.set_ylabel(quantity(dims[1], data))
+    for words, at, put in ((x_words, x, axes.set_xticks), (y_words, y, axes.set_yticks)):
+        if words:
+            put(at, words)
+    return shades
+
+
+def _crowd(cells: int) -> float:
+    return min(1.0, math.sqrt(900.0 / cells))
+
+
+def _samples(data: Dataset) -> Figure:
+    """The distribution of each measure with quantiles, the measure over quantities, fans of trajectories.
+
+    With sensitivities, what those of one case predict stands beside.
+    """
+    stride = max(1, -(-data.sizes["case"] // _MOST_POINTS))
+    data = data.isel(case=slice(None, None, stride))
+    measures, (groups, _) = measures_of(data), groups_of(data)
+    own = {"status", "message", *map(str, data.sizes)}
+    varied = [str(name) for name, values in data.coords.items() if values.dims == ("case",) and str(name) not in own]
+    varied = [name for name in varied if data[name].dtype.kind in "fiub"]
+    every, varied = varied, varied[:_MOST_SCATTERS]
+    columns = max(3 if len(groups) > 6 else 2, min(4, 1 + len(varied)))
+    blocks = [[f"m{i}", *(f"s{i},{j}" for j in range(len(varied)))] for i in range(len(measures))]
+    blocks.append([f"g{i}" for i in range(len(groups))])
+    rows: list[Any] = [
+        [*block[first : first + columns], *["."] * (columns - len(block[first : first + columns]))]
+        for block in blocks for first in range(0, len(block), columns)
+    ]  # fmt: skip
+    figure = new_figure(3.6 * columns, 1.0 + 2.9 * len(rows))
+    panels = figure.subplot_mosaic(rows)
+    marked, linear = (is_failed(data), has_jump(data)), prediction(data, every)
+    for i, (name, values) in enumerate(measures.items()):
+        mean, deviation = linear.of(data, "cost") if linear is not None else (np.nan, np.nan)
+        histogram(panels[f"m{i}"], name, values, is_wide(values), (float(mean), float(deviation)))
+        for j, varied_one in enumerate(varied):
+            _scatter(panels[f"s{i},{j}"], data[varied_one].values, values, *marked)
+            panels[f"s{i},{j}"].set_xlabel(quantity(varied_one, data))
+            panels[f"s{i},{j}"].set_ylabel(name)
+    for i, group in enumerate(groups):
+        fan(panels[f"g{i}"], data, group, linear)
+    heading(figure, data, no_room(data, True, [f"the cost over {quantity(name)}" for name in every[_MOST_SCATTERS:]]))
+    return figure
+
+
+def _scatter(
+    axes: Any,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    failed: NDArray[np.bool_],
+    jumps: NDArray[np.bool_],
+) -> None:
+    scale(axes, y)
+    axes.plot(x, y, ".", color=BLUE, markersize=max(1.0, 5.0 * _crowd(x.size)), alpha=0.5, rasterized=True)
+    if jumps.any():
+        axes.plot(x[jumps], y[jumps], **JUMP, label="jump")
+    if failed.any():
+        foot = axes.get_xaxis_transform()
+        number = int(failed.sum())
+        axes.plot(x[failed], np.full(number, 0.03), **FAILED, transform=foot, clip_on=False, label=f"{number} failed")
+    if failed.any() or jumps.any():
+        axes.legend(loc="best", labelcolor=GREY)

@@ -1,0 +1,85 @@
+"""The registry of drivers: ways to solve what a generated module describes.
+
+`newton` is the generated solver itself; the others hand the module's functions to scipy, so that its answers can be
+cross-checked. Importing this file imports no driver, and neither numpy nor numba nor scipy.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from codegen.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Name, summary, and by task the options of a request that it takes; its file has a function named after each.
+
+    The one that is `generated` is the module's own solver: it calls nothing of a module but that, and explains itself.
+    """
+
+    name: str
+    file: str
+    summary: str
+    options: Mapping[str, tuple[str, ...]]
+    generated: bool = False
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """Those that it applies to."""
+        return tuple(self.options)
+
+    def takes(self, task: str, option: str) -> bool:
+        """Whether an option means something to it for a task."""
+        return option in self.options.get(task, ())
+
+    def function(self, task: str) -> Callable[..., Any]:
+        """The function (module, run) -> attempt for a task, imported when it is asked for."""
+        return getattr(import_module(f"codegen.solving.drivers.{self.file}"), task)  # type: ignore[no-any-return]
+
+
+_ROWS = (
+    Driver(
+        "newton", "newton", "the generated solver",
+        {
+            "control": ("tolerance", "max_iterations", "time_limit", "scaling", "log", "watch"),
+            "simulate": ("max_iterations",),
+            "connect": ("tolerance",),
+        },
+        generated=True,
+    ),
+    Driver(
+        "slsqp", "slsqp", "scipy's sequential least-squares programming, dense",
+        {"control": ("max_iterations",), "connect": ()},
+    ),
+    Driver(
+        "trust-constr", "trust_constr", "scipy's trust-region SQP, sparse with exact Hessians",
+        {"control": ("max_iterations",), "connect": ()},
+    ),
+    Driver(
+        "ipopt", "ipopt", "IPOPT, an interior point method; needs cyipopt (extra: ipopt)",
+        {"control": ("tolerance", "max_iterations", "time_limit")},
+    ),
+    Driver("fsolve", "fsolve", "MINPACK's hybrid Powell method, dense", {"control": (), "simulate": (), "connect": ()}),
+    Driver("fmin", "fmin", "Nelder and Mead's simplex method, for a few particles", {"connect": ()}),
+)  # fmt: skip
+
+DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
+"""Every driver by name; tests run over this table."""
+
+
+def find(name: str, task: str | None = None) -> Driver:
+    """The driver of that name, which must apply to the task; ArgumentError tells which do."""
+    if not isinstance(name, str) or name not in DRIVERS:
+        close = difflib.get_close_matches(str(name), DRIVERS, 1)
+        remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(DRIVERS)}"
+        raise ArgumentError(f"there is no driver {name!r}", remedy)
+    driver = DRIVERS[name]
+    if task is not None and task not in driver.tasks:
+        names = [other.name for other in DRIVERS.values() if task in other.tasks]
+        raise ArgumentError(f"driver {name} does not apply to a {task} problem", f"use one of {', '.join(names)}")
+    return driver

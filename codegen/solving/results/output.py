@@ -1,0 +1,333 @@
+"""What `codegen solve` leaves behind: one JSON object, a table, an archive of arrays.
+
+What a user should know of a module although it solves its problem: one line for each, from its metadata.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from codegen.errors import ArgumentError
+from codegen.files import replacing
+from codegen.runtime import record
+from codegen.runtime.record import ControlRecord, Record, Task
+from codegen.solving.results import estimates, sensitivities
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from codegen.solving.results.result import Result
+
+ARCHIVES = (".npz",)
+
+
+def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
+    """Refuse, before anything is solved, a file that could not be written; ArgumentError names the option."""
+    if path.suffix.lower() not in kinds:
+        raise ArgumentError(f"{option} {path}: unknown kind of file", f"let it end in {' or '.join(kinds)}")
+    if path.is_dir():
+        raise ArgumentError(f"{option} {path}: is a directory", "give the name of a file")
+    require_folder(path.absolute().parent, option)
+
+
+def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None:
+    """Refuse a folder that does not exist (unless it can be made), is none, or is not writable."""
+    while may_be_made and not folder.exists() and folder != folder.parent:
+        folder = folder.absolute().parent
+    if not folder.exists():
+        raise ArgumentError(f"{option}: there is no folder {folder}", "make it, or choose another")
+    if not folder.is_dir():
+        raise ArgumentError(f"{option}: {folder} is not a folder", "choose a folder")
+    try:
+        # Permissions alone do not tell: the file system may be read-only.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        finding = f"{option}: nothing can be written to {folder} ({error.strerror})"
+        raise ArgumentError(finding, "choose another folder") from error
+
+
+def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
+    """The JSON object of `--json`: keys as documented, every number finite or null."""
+    names = ("problem", "task", "method", "scheme", "driver", "steps", "status", "message")
+    return {
+        **{name: getattr(result, name) for name in names},
+        **({"parameters": dict(result.parameters)} if result.parameters else {}),
+        "cost": _finite(result.cost),
+        "residual": _finite(result.residual),
+        "iterations": result.iterations,
+        "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
+        "summary": {name: _finite(value) for name, value in result.summary.items()},
+        **({"notes": list(result.notes)} if result.notes else {}),
+        **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
+        **({"accuracy": _accuracy(result)} if result.accuracy else {}),
+        **({"estimates": estimates.as_record(result.estimates)} if result.estimates else {}),
+        **({"sensitivities": sensitivities.as_record(found, result)} if (found := result.sensitivity) else {}),
+    }
+
+
+def _accuracy(result: Result) -> dict[str, Any]:
+    """What came of a request for accuracy, with the times of all nodes."""
+    found = result.accuracy
+    assert found is not None
+    levels = [
+        {"intervals": level.intervals, "status": level.status, "error": _finite(level.error),
+         "iterations": level.iterations, "seconds": _finite(level.seconds)}
+        for level in found.levels
+    ]  # fmt: skip
+    return {
+        "request": found.request, "reached": not found.reason, "estimate": _finite(found.estimate),
+        "largest": {"quantity": found.quantity, "t": _finite(found.time)}, "reason": found.reason, "history": levels,
+        "t": [_finite(time) for time in result.t],
+    }  # fmt: skip
+
+
+def _level(level: Result) -> dict[str, Any]:
+    """How the solution on one grid of a refinement ended."""
+    words = {name: getattr(level, name) for name in ("steps", "status", "message", "iterations")}
+    numbers = {"cost": level.cost, "residual": level.residual, "seconds": level.seconds_solve}
+    return words | {name: _finite(number) for name, number in numbers.items()}
+
+
+def as_json(record: Mapping[str, Any]) -> str:
+    """One line of strict JSON."""
+    return json.dumps(record, allow_nan=False)
+
+
+def with_unit(number: str, unit: str) -> str:
+    """A number with the unit behind it that its author gave, if any."""
+    return f"{number} {unit}" if unit else number
+
+
+def given(result: Result) -> str:
+    """The parameters that a solve was given, for people."""
+    own = [(name, with_unit(_number(value), result.unit_of(name))) for name, value in result.parameters.items()]
+    return ", ".join(f"{name} = {value}" for name, value in own)
+
+
+def _finite(number: float | None) -> float | None:
+    return float(number) if number is not None and math.isfinite(number) else None
+
+
+def as_table(record: Mapping[str, Any], result: Result) -> Table:
+    """The same record for people to read, with the number of steps and the summary in the words of the result."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_header=False)
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    table.add_row("problem", f"{record['problem']} ({record['task']})")
+    table.add_row("discretisation", f"{record['method']}, {record['scheme']}, {result.intervals}")
+    if result.parameters:
+        table.add_row("given", _escaped(given(result)))
+    style = "green" if record["status"] == "solved" else "bold red"
+    table.add_row("status", f"[{style}]{record['status']}[/]")
+    table.add_row("", _escaped(record["message"]))
+    for note in record.get("notes", ()):
+        table.add_row("[bold red]note[/]", f"[bold red]{_escaped(note)}[/]")
+    if record["cost"] is not None:
+        table.add_row("cost", with_unit(f"{record['cost']:.12g}", result.units.get("cost", "")))
+    table.add_row("residual", _number(record["residual"]))
+    table.add_row("iterations", f"{record['iterations']} ({record['driver']})")
+    for level in record.get("levels", ()):
+        cost = "" if level["cost"] is None else f", cost {level['cost']:.12g}"
+        table.add_row("grid", f"{level['steps']} steps: {level['status']}{cost}, {level['iterations']} iterations")
+    if accuracy := record.get("accuracy"):
+        for level in accuracy["history"]:
+            words = f"{level['intervals']} intervals: {level['status']}, error {_number(level['error'])}"
+            table.add_row("grid", f"{words}, {level['iterations']} iterations, {_duration(level['seconds'])}")
+        largest = f"{_number(accuracy['estimate'])}, largest of {accuracy['largest']['quantity']}"
+        table.add_row("estimated error", f"{largest} at t = {_number(accuracy['largest']['t'])}")
+    for name, value in record["summary"].items():
+        table.add_row(_escaped(result.label(name)), with_unit(_number(value), result.unit_of(name)))
+    seconds = record["seconds"]
+    table.add_row("time", ", ".join(f"{name} {_duration(value)}" for name, value in seconds.items()))
+    return table
+
+
+def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
+    """Free parameters with what measurements say of them, then, of several, how far they depend on each other."""
+    from rich import box
+    from rich.table import Table
+
+    title: dict[str, Any] = {"title_justify": "left", "title_style": "bold", "box": box.SIMPLE_HEAD}
+    table, names = Table(title="Estimates", **title), list(record["parameters"])
+    if record["deviation_is_estimated"]:
+        errors = f"standard deviation of errors {_number(record['deviation'])}"
+        table.caption = f"{errors}, {record['degrees_of_freedom']} degrees of freedom"
+        table.caption_justify = "left"
+    table.add_column("parameter", style="cyan", no_wrap=True)
+    for heading in ("value", "standard error", f"{100 * record['confidence']:g} % interval"):
+        table.add_column(heading, justify="right")
+    for name, found in record["parameters"].items():
+        low, high = found["interval"]
+        interval = "not available" if low is None else f"{_number(low)} to {_number(high)}"
+        table.add_row(name, _number(found["value"]), _number(found["standard_error"]), interval)
+    if not 1 < len(names) <= _CORRELATED:
+        return [table]
+    beside = Table(title="Correlations", **title)
+    beside.add_column("", style="cyan", no_wrap=True)
+    for name in names[:-1]:
+        beside.add_column(name, justify="right")
+    for number, (name, row) in enumerate(zip(names, record["correlations"], strict=True)):
+        if number:
+            beside.add_row(name, *("" if entry is None else f"{entry:.3f}" for entry in row[:number]))
+    return [table, beside]
+
+
+def sensitivities_table(record: Mapping[str, Any]) -> Table:
+    """Derivatives of the cost, of free numbers and of the state at the end, a row for each quantity."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="Sensitivities", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    rows = record["by"]
+    first = next(iter(rows.values()))
+    free, end = list(first["free_parameters"]), list(first["end"])[:_SHOWN]
+    table.add_column("by", style="cyan", no_wrap=True)
+    for heading in ("cost", *free, *(f"{name} at the end" for name in end)):
+        table.add_column(heading, justify="right")
+    for name, found in rows.items():
+        numbers = [found["cost"], *found["free_parameters"].values(), *(found["end"][key] for key in end)]
+        table.add_row(_escaped(name), *map(_number, numbers))
+    return table
+
+
+_SHOWN = 4
+"""States whose sensitivities at the end are shown; of more of them those in `--json`."""
+_CORRELATED = 10
+"""Parameters whose correlations are shown; of more of them those in `--json`."""
+
+
+def log_table(result: Result) -> Table:
+    """The iterates of the generated solver."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="Iterations", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    rows = result.log if result.log is not None else ()
+    headings = ["iteration", "cost", "residual", "stationarity", "shift", "step"]
+    if any(len(row) > len(headings) - 1 for row in rows):  # of the interior point method
+        headings.append("barrier")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for k, row in enumerate(rows):
+        cost, residual, stationarity, shift, length, *barrier = row
+        errors = f"{residual:.2e}", f"{stationarity:.2e}"
+        weight = (f"{mu:.1e}" for mu in barrier)
+        table.add_row(str(k), f"{cost:.12g}", *errors, f"{shift:.1e}" if shift else "", f"{length:g}", *weight)
+    return table
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _number(value: float | None) -> str:
+    return "not available" if value is None else f"{value:.6g}"
+
+
+def _duration(seconds: float | None) -> str:
+    if seconds is None:
+        return "not available"
+    for limit, factor, unit in ((1e-3, 1e6, "µs"), (1.0, 1e3, "ms")):
+        if seconds < limit:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
+    """Write all arrays to an .npz archive, with the record of the run as JSON text under `result`."""
+    import numpy as np
+
+    names = ("t", "q", "p", "u", "multipliers", "energy", "log", "unknowns")
+    arrays: dict[str, Any] = {name: getattr(result, name) for name in names if getattr(result, name) is not None}
+    if result.u is not None:
+        arrays["u_times"] = result.control_times
+    if result.sensitivity is not None:
+        arrays |= sensitivities.as_arrays(result.sensitivity)
+    labels: dict[str, Any] = {f"{name}_names": np.array(columns) for name, columns in result.names.items() if columns}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays, **labels, result=np.array(as_json(record)))
+
+
+NAME = 40
+"""Characters of a condition that people are shown; interior angles of a polygon fill six lines."""
+
+
+def notes(of: Record) -> list[str]:
+    """Unused symbols, what was left out of a control problem, controls that its cost does not see; none as a rule."""
+    found = []
+    if unused := of.unused:
+        found.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
+    if of.task != Task.CONTROL:
+        return found
+    metadata = cast(ControlRecord, of)
+    if redundant := metadata.redundant_conditions:
+        named = ", ".join(f"number {number} ({shortened(name)})" for number, name in redundant)
+        verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
+        count = f"{len(redundant)} of {metadata.coupling_conditions}"
+        found.append(f"{count} conditions between bodies {verb} left out: {named}")
+    for quantity, where in metadata.dependent_values:
+        found.append(
+            f"{shortened(quantity)} at the {where} follows from the path equalities with the other values at the ends, "
+            "and was left out"
+        )
+    for condition, where in metadata.decided_conditions:
+        found.append(
+            f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
+        )
+    for name, value, last in metadata.history_jumps:
+        found.append(f"{name} starts at {value}, where its history ends at {last}: its values of the past jump there")
+    if kinks := metadata.kinks:
+        named = ", ".join(map(shortened, kinks))
+        found.append(
+            f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
+            "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
+        )
+    if borders := metadata.discontinuities:
+        named = ", ".join(map(shortened, borders))
+        found.append(
+            f"something jumps where {named} changes, which derivatives do not see: make it smooth, as by "
+            "(1 + tanh(s/width))/2, or give each side a phase of its own"
+        )
+    for function, what, where in metadata.singular_at_guess:
+        inside, instead = function.removeprefix("sqrt(")[:-1], ""
+        if function.startswith("sqrt(") and " + " in inside:
+            instead = f"; for a length in the cost, a control c >= 0 in its place with path {inside} <= c**2"
+        found.append(
+            f"{shortened(function)} has no finite {what} at the guess, {where}, where a search cannot begin: give "
+            f"another guess, or bounds that keep away from there{instead}"
+        )
+    if unseen := metadata.unseen_controls:
+        found.append(
+            f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
+            "found may be no optimum; codegen check explains, and --controls interval has no such mode"
+        )
+    return found
+
+
+def notes_of_file(path: Path) -> list[str]:
+    """The same of a generated module that need not be imported."""
+    return notes(record_in(path.read_text(encoding="utf-8")))
+
+
+def record_in(text: str) -> Record:
+    """Return the record in the text of a generated module."""
+    assigned = (node for node in ast.parse(text).body if isinstance(node, ast.Assign))
+    made = next(node.value for node in assigned if getattr(node.targets[0], "id", "") == "metadata")
+    return cast(Record, eval(compile(ast.Expression(made), "metadata", "eval"), dict(vars(record))))
+
+
+def shortened(name: str, limit: int = NAME) -> str:
+    """The beginning of a long name."""
+    return name if len(name) <= limit else name[:limit].rstrip() + " ..."

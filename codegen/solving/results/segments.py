@@ -1,0 +1,145 @@
+"""The motion of a problem with delays, put together from its segments.
+
+A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.segments`). Its
+module has columns for the quantities of each segment. A user sees the author's quantities over the whole duration.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from codegen.runtime.record import ControlRecord, Kind, Method, Record
+from codegen.solving.interfaces import Matrix, Vector
+from codegen.solving.results.result import Accuracy, Result
+
+_STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"
+"""What names of multipliers, momenta and shared unknowns begin with, before that of the quantity."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """How many segments there are, and of each of their quantities its name in the author's problem and its segment."""
+
+    number: int
+    names: Mapping[str, tuple[str, int]]
+
+    def steps(self, total: int) -> int:
+        """The intervals of each segment where there are `total` in all, or a few more, so that all have as many."""
+        return -(-total // self.number)
+
+    def columns(self, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names without segments, and the columns (segments, names) that belong to them."""
+        found: dict[str, list[int]] = {}
+        for index, name in enumerate(names):
+            found.setdefault(self.split(name)[0], []).append(index)
+        return tuple(found), np.array([*found.values()], dtype=int).reshape(-1, self.number).T
+
+    def in_order(self, table: Matrix, columns: np.ndarray, at_nodes: bool) -> Matrix:
+        """The rows of all segments, one after the other; the node at which two meet is the end of the first."""
+        parts = [table[int(at_nodes and i > 0) :, own] for i, own in enumerate(columns)]
+        return np.concatenate(parts)
+
+    def times(self, t: Vector) -> Vector:
+        """The times of the nodes of all segments."""
+        return np.concatenate([t + 0.0, *(t[1:] + i * (t[-1] - t[0]) for i in range(1, self.number))])
+
+    def text(self, text: str, steps: int, duration: float) -> str:
+        """A message in the author's names, with the nodes, intervals and times of the whole motion."""
+        named = "|".join(sorted(map(re.escape, self.names), key=len, reverse=True))
+        place = r"(?: (?:at node|on interval|of interval) \d+ \(t = [^)]*\))"
+        # Where a segment ends, the next one begins.
+        met = rf"(the continuity of (?:the momentum of )?)({named})\b"
+        text = re.sub(met, lambda found: self._met(found, duration), text)
+        pattern = rf"(?:\b((?:{_STEM})*(?:{named})(?:_stage\d+)?)\b| in segment (\d+))([^,;]*?{place})?"
+        text = re.sub(pattern, lambda found: self._in_own_names(found, steps, duration), text)
+        active = r"(?<=bounds active on )[^;]+"
+        return re.sub(active, lambda found: ", ".join(dict.fromkeys(found[0].split(", "))), text)
+
+    def _met(self, found: re.Match[str], duration: float) -> str:
+        own, segment = self.names[found[2]]
+        return f"{found[1]}{own} at t = {segment * duration:.3g}"
+
+    def _in_own_names(self, found: re.Match[str], steps: int, duration: float) -> str:
+        name, segment = self.split(found[1]) if found[1] else ("", int(found[2]))
+        name, rest = name.removeprefix("joined_"), found[3] or ""
+        rest = re.sub(r"( in segment \d+)", "", rest)
+        rest = re.sub(rf"\b({'|'.join(map(re.escape, self.names))})\b", lambda other: self.names[other[1]][0], rest)
+
+        def shifted(place: re.Match[str]) -> str:
+            time = float(place[3]) + (segment - 1) * duration
+            return f"{place[1]}{int(place[2]) + (segment - 1) * steps} (t = {time:.3g})"
+
+        return name + re.sub(r"((?:at node|on interval|of interval) )(\d+) \(t = ([^)]*)\)", shifted, rest)
+
+    def split(self, name: str) -> tuple[str, int]:
+        """A name without its segment, and the segment; that of no quantity of a segment as it is, and the first."""
+        inner, stage = re.fullmatch(r"(.+?)((?:_stage\d+)?)", name).groups()  # type: ignore[union-attr]
+        stem = ""
+        while inner not in self.names and (found := re.match(_STEM, inner)):
+            stem, inner = stem + found[0], inner[found.end() :]
+        own, segment = self.names.get(inner, (inner, 1))
+        return stem + own + stage, segment
+
+
+def segments_of(metadata: Record) -> Segments | None:
+    """How a module's problem was cut, if it was."""
+    found = metadata.segments
+    return Segments(found.number, found.names) if found else None
+
+
+def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
+    """What the `count` columns of multipliers are called."""
+    if metadata.method == Method.VARIATIONAL:
+        return [f"lambda_{name}" for name in metadata.coordinates]
+    own = metadata.interval
+    first = next(i for i, name in enumerate(own) if metadata.kind(name) == Kind.STEP)
+    return list(own[first : first + count])
+
+
+def put_together(result: Result, metadata: Record) -> Result:
+    """The result of a problem with delays as its author sees it; that of others as it is."""
+    segments = segments_of(metadata)
+    if segments is None:
+        return result
+    number, duration = segments.number, float(result.t[-1] - result.t[0])
+    assert result.u is not None
+    assert result.multipliers is not None
+    tables, names = dict[str, Matrix](), dict[str, tuple[str, ...]]()
+    for kind, table in (("q", result.q), ("p", result.p), ("u", result.u)):
+        names[kind], columns = segments.columns(result.names[kind])
+        tables[kind] = segments.in_order(table, columns, at_nodes=kind != "u")
+    labels = multiplier_names(cast(ControlRecord, metadata), result.multipliers.shape[1])
+    of_multipliers = segments.columns(labels)[1]
+    return replace(
+        result,
+        steps=number * result.steps,
+        message=segments.text(result.message, result.steps, duration),
+        t=segments.times(result.t),
+        q=tables["q"],
+        p=tables["p"],
+        u=tables["u"],
+        multipliers=segments.in_order(result.multipliers, of_multipliers, len(result.multipliers) == result.t.size),
+        names=names,
+        summary={**result.summary, "duration": number * result.summary["duration"]},
+        levels=tuple(put_together(level, metadata) for level in result.levels),
+        grid=None if result.grid is None else np.tile(result.grid / number, number),
+        accuracy=result.accuracy and _accuracy(result, result.accuracy, segments),
+        by_segments=result,
+    )
+
+
+def _accuracy(result: Result, accuracy: Accuracy, segments: Segments) -> Accuracy:
+    duration = float(result.t[-1] - result.t[0])
+    quantity, segment = segments.split(accuracy.quantity)
+    return replace(
+        accuracy,
+        quantity=quantity,
+        time=accuracy.time + (segment - 1) * duration,
+        reason=segments.text(accuracy.reason, result.steps, duration),
+        levels=tuple(replace(level, intervals=segments.number * level.intervals) for level in accuracy.levels),
+    )

@@ -1,0 +1,332 @@
+"""Files of tables: a line of column names, then rows of numbers, and nothing else but comments after `#`.
+
+A table of two inputs has a row for every pair of the grid, in any order. Reading needs neither sympy nor a module.
+
+A table as numbers: breakpoints, and at each of them what the piecewise polynomials through it are made of.
+
+Derivatives of a table in any arithmetic: floating-point and complex arrays, numbers with many digits.
+
+What has branches goes by real parts, so that complex steps and differences with many digits see one polynomial. Source:
+de Boor (2001), A practical guide to splines, chapter 4, for Hermite's form.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codegen.errors import TableError
+
+KINDS = {
+    "cubic": "a cubic spline with two continuous derivatives",
+    "monotone": "cubics with one continuous derivative that are monotone where the data are",
+    "linear": "straight lines, whose slope jumps at every breakpoint",
+    "steps": "the value of the breakpoint before, with a slope of zero",
+}
+"""How values between breakpoints follow, and what that says of derivatives."""
+OUTSIDE = {
+    "error": "a solution that reads it outside its range is no solution",
+    "clamp": "outside it has the value at the edge, and the slope zero",
+    "extend": "outside the outermost polynomials go on",
+}
+"""What holds beyond the first and the last breakpoint."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What of a table a generated module is built for: everything but its numbers.
+
+    `inputs` are one or two, `sizes` the numbers of breakpoints of each.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    output: str
+    kind: str
+    outside: str
+    sizes: tuple[int, ...]
+
+    @property
+    def lookup(self) -> str:
+        """The emitted function that looks the table up."""
+        return f"table_{self.name}"
+
+    @property
+    def width(self) -> int:
+        """How many numbers stand at a breakpoint: the value, and for cubics what it needs of slopes."""
+        return 1 if self.kind in ("linear", "steps") else 2 ** len(self.sizes)
+
+    @property
+    def count(self) -> int:
+        """How many numbers the table is."""
+        return sum(self.sizes) + int(np.prod(self.sizes)) * self.width
+
+
+@dataclass(frozen=True)
+class TableData:
+    """A table: its shape, the file that it comes from, and its numbers, shape (count,).
+
+    First come the breakpoints of each input; then, at every breakpoint (of two inputs the second runs fastest), the
+    value, and for cubics the slopes: of one input f, f'; of two f, its slopes by the first and by the second, and the
+    mixed second derivative. Cubic polynomials in Hermite's form follow from them, whatever the kind of spline.
+    """
+
+    shape: Shape
+    source: str
+    numbers: tuple[float, ...]
+
+    @property
+    def summary(self) -> str:
+        """What the table is, on one line."""
+        shape = self.shape
+        ranges = " and ".join(
+            f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
+            for name, axis in zip(shape.inputs, self.axes, strict=True)
+        )
+        return f"{shape.name} = {shape.output} of {ranges}, {shape.kind}, from {self.source}"
+
+    @property
+    def axes(self) -> list[NDArray[np.float64]]:
+        """The breakpoints of each input."""
+        ends = np.cumsum(self.shape.sizes)
+        return np.split(np.array(self.numbers[: ends[-1]]), ends[:-1])
+
+    @property
+    def heights(self) -> NDArray[np.float64]:
+        """What stands at breakpoints, shape (*sizes, width)."""
+        return np.array(self.numbers[sum(self.shape.sizes) :]).reshape(*self.shape.sizes, self.shape.width)
+
+
+def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) -> TableData:
+    """The table through values, shape `sizes`, at the breakpoints of its axes.
+
+    Cubic splines have the end conditions "not a knot"; of two inputs they are products of those of one. Sources: de
+    Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for constructing
+    local monotone piecewise cubic interpolants, SIAM J. Sci. Stat. Comput. 5.
+    """
+    heights = [values]
+    if shape.width > 1:
+        heights = [values, *(_slopes(shape.kind, axis, values, index) for index, axis in enumerate(axes))]
+        if len(axes) == 2:
+            heights.append(_slopes(shape.kind, axes[1], heights[1], 1))
+    stacked = np.stack(heights, axis=-1)
+    numbers = np.concatenate([*axes, stacked.ravel()])
+    return TableData(shape, source, tuple(map(float, numbers)))
+
+
+def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+    """The slopes at the breakpoints of the spline along one axis."""
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
+    spline = (CubicSpline if kind == "cubic" else PchipInterpolator)(axis, values, axis=index)
+    return np.asarray(spline(axis, nu=1), dtype=float)
+
+
+MOST = 20_000
+"""Rows: what is measured more often is to be smoothed, or thinned out, before it is fitted."""
+_LEAST = {"cubic": 4, "monotone": 2, "linear": 2, "steps": 1}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of a file by name, each of shape (rows,), and the line of every row."""
+
+    path: Path
+    values: dict[str, NDArray[np.float64]]
+    lines: tuple[int, ...]
+
+    def refused(self, row: int, finding: str, remedy: str) -> TableError:
+        """What is said of a row."""
+        return TableError(f"{self.path}:{self.lines[row]}: {finding}", remedy)
+
+
+def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str] = ()) -> Columns:
+    """Read some columns of a file, or all of them; NaN stands for empty cells of `optional` ones.
+
+    Raises TableError, naming the file and the line, when the file is missing or no text, lacks a column, has ragged
+    rows, or holds what is no finite number in a column that is read.
+    """
+    if not path.is_file():
+        raise TableError(f"{path}: {'is a directory' if path.is_dir() else 'no such file'}", "give a table as text")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(_rows(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TableError(f"{path} cannot be read ({error})", "give a table of numbers as text") from error
+    if not rows:
+        raise TableError(f"{path} is empty", "name the columns in the first line, and give rows of numbers")
+    (first, header), body = rows[0], rows[1:]
+    chosen = _indices(path, first, header, names)
+    if len(body) > MOST:
+        raise TableError(f"{path} has {len(body)} rows", f"give at most {MOST}, by means over neighbours for example")
+    empty = {chosen[name] for name in optional}
+    values = [
+        [_number(path, line, row, header, index, index in empty) for index in chosen.values()] for line, row in body
+    ]
+    table = np.array(values).reshape(len(body), len(chosen))
+    return Columns(path, {name: table[:, i] for i, name in enumerate(chosen)}, tuple(line for line, _ in body))
+
+
+def _rows(lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
+    """The fields of every line that holds any, with its number."""
+    without = (line.partition("#")[0] for line in lines)
+    for number, row in enumerate(csv.reader(without), 1):
+        fields = [field.strip() for field in row]
+        if any(fields):
+            yield number, fields
+
+
+def _indices(path: Path, line: int, header: Sequence[str], names: Sequence[str]) -> dict[str, int]:
+    listed = ", ".join(header)[:100]
+    for name in header:
+        if header.count(name) > 1:
+            raise TableError(f"{path}:{line}: two columns are called {name!r}", "give each another name")
+    for name in names:
+        if name not in header:
+            raise TableError(f"{path}:{line}: there is no column {name!r}", f"name one of {listed}, or add it")
+    return {name: header.index(name) for name in names or header}
+
+
+def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], index: int, optional: bool) -> float:
+    if len(row) != len(header):
+        raise TableError(
+            f"{path}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)[:100]} in every row"
+        )
+    if optional and not row[index]:
+        return math.nan
+    try:
+        number = math.nan if "_" in row[index] else float(row[index])
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise TableError(f"{path}:{line}: {header[index]} is {row[index][:30]!r}", "give finite numbers")
+    return number
+
+
+def read_table(
+    path: Path, source: str, name: str, inputs: Sequence[str], output: str, kind: str, outside: str
+) -> TableData:
+    """Read a file and fit the spline of a table; TableError names the line of what is unusable."""
+    columns = read_columns(path, [*inputs, output])
+    if len(inputs) == 1:
+        axes, values = [columns.values[inputs[0]]], columns.values[output]
+        _require_ascending(columns, inputs[0])
+    else:
+        axes, values = _grid(columns, inputs, output)
+    least = _LEAST[kind]
+    for column, axis in zip(inputs, axes, strict=True):
+        if axis.size < least:
+            finding = f"{path} has {axis.size} value{'s' * (axis.size != 1)} of {column}"
+            raise TableError(finding, f"a {kind} table needs {least} or more; give more, or another kind")
+    shape = Shape(name, tuple(inputs), output, kind, outside, tuple(axis.size for axis in axes))
+    return fitted(shape, source, axes, values)
+
+
+def _require_ascending(columns: Columns, name: str) -> None:
+    axis = columns.values[name]
+    for row in range(1, axis.size):
+        if not axis[row] > axis[row - 1]:
+            what = "twice" if axis[row] == axis[row - 1] else f"after {axis[row - 1]:g}"
+            raise columns.refused(row, f"{name} is {axis[row]:g} {what}", "sort the rows, each value once")
+
+
+def _grid(
+    columns: Columns, inputs: Sequence[str], output: str
+) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
+    """The breakpoints of two inputs and the values at all pairs; TableError for a pair that is missing or twice."""
+    found = [np.unique(columns.values[name], return_inverse=True) for name in inputs]
+    axes = [axis for axis, _ in found]
+    pairs = np.stack([index.ravel() for _, index in found], axis=1)
+    rows = np.full([axis.size for axis in axes], -1)
+    for row, (i, j) in enumerate(pairs):
+        if rows[i, j] >= 0:
+            what = " and ".join(f"{name} {axis[k]:g}" for name, axis, k in zip(inputs, axes, (i, j), strict=True))
+            first = columns.lines[rows[i, j]]
+            raise columns.refused(row, f"{what} stand in line {first} already", "give each pair once")
+        rows[i, j] = row
+    if (rows < 0).any():
+        i, j = np.argwhere(rows < 0)[0]
+        what = " and ".join(f"{name} {axis[k]:g}" for name, axis, k in zip(inputs, axes, (i, j), strict=True))
+        # The line is that of the first row with the same value of the first input.
+        line = columns.lines[int(rows[i][rows[i] >= 0].min())]
+        raise TableError(
+            f"{columns.path}:{line}: there is no row with {what}",
+            f"give all {rows.size} pairs of the grid of {axes[0].size} values of {inputs[0]} and {axes[1].size} of "
+            f"{inputs[1]}",
+        )
+    return axes, columns.values[output][rows]
+
+
+DEGREE = 3
+ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
+    1: ((0,), (1,), (2,), (3,)),
+    2: ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)),
+}
+"""The derivatives that a look-up returns, in their order, by the number of inputs."""
+_HERMITE = ((1, 0, -3, 2), (0, 1, -2, 1), (0, 0, 3, -2), (0, 0, -1, 1))
+"""Coefficients of 1, s, s^2, s^3 of the cubics that are 1 in the value, then the slope, at s = 0, then at s = 1."""
+_BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}
+
+
+def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: Callable[[Any], Any]) -> Any:
+    """The derivative of an `order` by each input, at numbers or arrays; `real` gives the real part of a number."""
+    kind, heights = table.shape.kind, table.heights
+    if kind == "steps":
+        before = np.searchsorted(table.axes[0], np.asarray(real(at[0]), dtype=float), side="right") - 1
+        return at[0] * 0 + (0.0 if order[0] else heights[np.clip(before, 0, table.shape.sizes[0] - 1), 0])
+    parts = [_part(axis, table, o, x, real) for axis, o, x in zip(table.axes, order, at, strict=True)]
+    if len(parts) == 1:
+        cell, weights = parts[0]
+        width = 2 if kind in ("cubic", "monotone") else 1
+        terms = [_plain(heights[cell + i // width, i % width]) * weight for i, weight in enumerate(weights)]
+        return sum(terms[1:], terms[0])
+    (row, down), (column, across) = parts
+    width = 2 if kind == "cubic" else 1
+    terms = []
+    for i, one in enumerate(down):
+        for j, other in enumerate(across):
+            # By the first input before by the second: f, f_1, f_2, f_12.
+            height = heights[row + i // width, column + j // width, i % width + 2 * (j % width)]
+            terms.append(_plain(height) * one * other)
+    return sum(terms[1:], terms[0])
+
+
+def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real: Callable[[Any], Any]) -> Any:
+    """The cell of an input, and the weights, differentiated, of what stands at its ends."""
+    flat, at, factor = np.asarray(real(x), dtype=float), x, None
+    if table.shape.outside == "clamp":
+        inside = (flat >= axis[0]) & (flat <= axis[-1])
+        edge = np.where(flat < axis[0], axis[0], axis[-1])
+        at = np.where(inside, x, edge) if flat.ndim else (x if inside else x * 0 + float(edge))
+        factor = (np.where(inside, 1.0, 0.0) if flat.ndim else int(inside)) if order else None
+    cell: Any = np.clip(np.searchsorted(axis, flat, side="right") - 1, 0, axis.size - 2)
+    left, length = _plain(axis[cell]), _plain(np.diff(axis)[cell])
+    s = (at - left) / length
+    weights = [_differentiated(polynomial, order, s) for polynomial in _BASES.get(table.shape.kind, _HERMITE)]
+    for number in (1, 3) if len(weights) == len(_HERMITE) else ():
+        weights[number] = weights[number] * length
+    for _ in range(order):
+        weights = [weight / length for weight in weights]
+    return cell, weights if factor is None else [weight * factor for weight in weights]
+
+
+def _plain(height: Any) -> Any:
+    return float(height) if np.ndim(height) == 0 else height
+
+
+def _differentiated(polynomial: Sequence[int], order: int, s: Any) -> Any:
+    """The derivative of a polynomial."""
+    coefficients = list(polynomial)
+    for _ in range(order):
+        coefficients = [k * c for k, c in enumerate(coefficients)][1:] or [0]
+    total = s * 0 + coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        total = total * s + coefficient
+    return total

@@ -1,0 +1,312 @@
+"""Conditions as sums of terms, and terms sorted into a few kinds.
+
+Terms that differ only in the quantities that they read, such as the squared differences in the sides of a polygon, are
+instances of one kind: what is done for each kind does not grow with the number of bodies.
+
+A pair term as a function of few scalars: squared distance, scalar products, distance from a boundary.
+
+The scalars are polynomials in the coordinates and momenta of two particles, so that their derivatives are short and
+exact; what is left is a function of three or four variables. Digits are lost neither where points nearly meet nor
+near a boundary, because each part is differentiated by itself: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k.
+
+Two functions of which the difference that defines them would lose all digits, and where they occur. For small x, both x
+- log(1 + x) and log(1 + x) - x/(1 + x) are about x^2/2. Kernels of plates, among others, are made of them, and so are
+their derivatives.
+
+A number for each of many identical bodies, as a function of the body's number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+import sympy
+from sympy import Add, Dummy, Expr, Symbol
+from sympy.codegen.cfunctions import log1p
+from sympy.core.random import seed
+
+
+@dataclass(frozen=True)
+class Kind:
+    """An expression of arguments a0, a1, ... that stand for the quantities which an instance reads."""
+
+    expression: Expr
+    arguments: tuple[Symbol, ...]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One term: its kind, the condition (row) to which it belongs, and the indices of the quantities that it reads."""
+
+    kind: int
+    row: int
+    indices: tuple[int, ...]
+
+
+def sorted_terms(
+    conditions: Sequence[Expr], indices: Mapping[Symbol, int]
+) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
+    """The kinds of the terms of conditions, in order of appearance, and all terms; `indices` number the quantities."""
+    symbols = set().union(*(condition.free_symbols for condition in conditions))
+    taken = {symbol.name for symbol in symbols - indices.keys()}
+    fresh = (Symbol(f"a{i}", real=True) for i in count() if f"a{i}" not in taken)
+    arguments: list[Symbol] = []
+    kinds: dict[Kind, int] = {}
+    instances = []
+    for row, condition in enumerate(conditions):
+        for term in Add.make_args(condition):
+            read = sorted(term.free_symbols & indices.keys(), key=lambda symbol: indices[symbol])
+            arguments += [next(fresh) for _ in read[len(arguments) :]]
+            general = _signed(term.xreplace(dict(zip(read, arguments, strict=False))))
+            kind = kinds.setdefault(Kind(general, tuple(arguments[: len(read)])), len(kinds))
+            instances.append(Instance(kind, row, tuple(indices[symbol] for symbol in read)))
+    return tuple(kinds), tuple(instances)
+
+
+def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[int, ...]:
+    """The indices of those conditions that do not merely repeat an earlier one with other quantities."""
+    indices = {symbol: index for index, symbol in enumerate(quantities)}
+    arguments = [Dummy(f"a{i}", real=True) for i in range(len(quantities))]
+    first: dict[Expr, int] = {}
+    for index, condition in enumerate(conditions):
+        read = sorted(condition.free_symbols & indices.keys(), key=lambda symbol: indices[symbol])
+        first.setdefault(_signed(condition.xreplace(dict(zip(read, arguments, strict=False)))), index)
+    return tuple(first.values())
+
+
+def _signed(expression: Expr) -> Expr:
+    """An equal expression in which (b - a)^2 is (a - b)^2, so that both are seen to be the same."""
+    return expression.replace(
+        lambda e: e.is_Pow and e.exp.is_even and e.base.could_extract_minus_sign(), lambda e: (-e.base) ** e.exp
+    )
+
+
+class x_minus_log1p(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+    """x - log(1 + x); the second argument is log(1 + x), so that it is shared with whoever else needs it."""
+
+    nargs = 2
+
+    def _eval_evalf(self, precision: int) -> Any:
+        x, log = self.args
+        return (x - log).evalf(sympy.core.evalf.prec_to_dps(precision) + 30)
+
+
+class log1p_minus_ratio(sympy.Function):  # type: ignore[misc]
+    """log(1 + x) - x/(1 + x); the second argument is log(1 + x)."""
+
+    nargs = 2
+
+    def _eval_evalf(self, precision: int) -> Any:
+        x, log = self.args
+        return (log - x / (1 + x)).evalf(sympy.core.evalf.prec_to_dps(precision) + 30)
+
+
+def without_cancellation(expression: Expr) -> Expr:
+    """The same value with rational parts over common denominators and the two differences taken out.
+
+    Decides nothing where logarithms enter other than linearly.
+    """
+    logs = sorted(expression.atoms(sympy.log), key=sympy.default_sort_key)
+    if not logs:
+        # The expression or its factored form, whichever has fewer operations.
+        candidates = [expression, sympy.factor_terms(expression)]
+        if not expression.has(sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max):
+            candidates.append(_rational(expression))
+        return min(candidates, key=lambda e: (e.count_ops(), len(str(e))))
+    expanded = sympy.expand(expression, deep=False, mul=True, log=False, power_base=False)
+    try:
+        polynomial = sympy.Poly(expanded, *logs)
+    except sympy.PolynomialError:
+        return expression
+    if polynomial.total_degree() > 1 or any(c.has(sympy.log) for c in polynomial.coeffs()):
+        return expression
+    rest = _rational(polynomial.coeff_monomial(1))
+    total = sympy.S.Zero
+    for log in logs:
+        factor = _rational(polynomial.coeff_monomial(log))
+        x = _rational(log.args[0] - 1)
+        if _rational(rest + factor * x) == 0:
+            total, rest = total - factor * x_minus_log1p(x, log1p(x)), sympy.S.Zero
+        elif _rational(rest + factor * x / (1 + x)) == 0:
+            total, rest = total + factor * log1p_minus_ratio(x, log1p(x)), sympy.S.Zero
+        else:
+            total += factor * log1p(x)
+    return total + rest
+
+
+def _rational(expression: Expr) -> Expr:
+    """Factors over a common denominator.
+
+    Wang's algorithm evaluates polynomials at random integers, and with some it does not come to an end for hours; with
+    the same ones every time, a build takes the same way every time.
+    """
+    seed(0)
+    return sympy.factor(sympy.together(expression))
+
+
+_SINGULAR = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
+
+
+@dataclass(frozen=True)
+class Invariants:
+    """`outer` is a function of `symbols`, each of which stands for one of the `polynomials` in moving symbols.
+
+    `first` and `second` are the moving symbols (coordinates, momenta) of both particles.
+    """
+
+    first: tuple[Symbol, ...]
+    second: tuple[Symbol, ...]
+    symbols: tuple[Symbol, ...]
+    polynomials: tuple[Expr, ...]
+    outer: Expr
+
+    @classmethod
+    def of(cls, term: Expr, first: Sequence[Symbol], second: Sequence[Symbol] = ()) -> Invariants:
+        """Find the scalars of a term: its longest sums that are polynomials in moving symbols."""
+        moving = {*first, *second}
+        found: dict[Expr, Symbol] = {}
+
+        def named(polynomial: Expr) -> Symbol:
+            if polynomial not in found:
+                found[polynomial] = Symbol(f"s{len(found)}", real=True)
+            return found[polynomial]
+
+        def replaced(part: Expr) -> Expr:
+            if not part.free_symbols & moving:
+                return part
+            if part in moving:
+                return named(part)
+            if part.is_Add:
+                short = [term for term in part.args if _is_quadratic(term, moving)]
+                rest = [term for term in part.args if term not in short]
+                if any(term.free_symbols & moving for term in rest):
+                    numbers = [term for term in short if not term.free_symbols & moving]
+                    rest, short = [*rest, *numbers], [term for term in short if term not in numbers]
+                if not short:
+                    return sympy.Add(*map(replaced, rest))
+                content, primitive = _directed(sympy.Add(*short))
+                return content * named(primitive) + sum(map(replaced, rest), sympy.S.Zero)
+            return part.func(*map(replaced, part.args))
+
+        outer = replaced(term)
+        return cls(tuple(first), tuple(second), tuple(found.values()), tuple(found), outer)
+
+    @property
+    def moving(self) -> tuple[Symbol, ...]:
+        """All symbols by which derivatives are taken."""
+        return (*self.first, *self.second)
+
+    @property
+    def value(self) -> Expr:
+        """The outer function, rewritten so that no digits cancel."""
+        return without_cancellation(self.outer)
+
+    def slope(self, k: int) -> Expr:
+        """The derivative of the outer function by its k-th variable."""
+        return without_cancellation(sympy.diff(self.outer, self.symbols[k]))
+
+    def curvature(self, k: int, m: int) -> Expr:
+        """A second derivative of the outer function."""
+        return without_cancellation(sympy.diff(self.outer, self.symbols[k], self.symbols[m]))
+
+    def distances(self) -> tuple[int, ...]:
+        """Indices of the squared distances: what vanishes where both particles meet, and is nowhere negative."""
+        return tuple(k for k in self._vanishing() if _is_square(self.polynomials[k], self.moving))
+
+    def _vanishing(self) -> tuple[int, ...]:
+        """Indices of the scalars that vanish where both particles meet, such as a difference of coordinates."""
+        if not self.second:
+            return ()
+        return tuple(
+            k for k, polynomial in enumerate(self.polynomials) if sympy.expand(polynomial.xreplace(self._meeting)) == 0
+        )
+
+    @property
+    def _meeting(self) -> dict[Symbol, Symbol]:
+        half = len(self.first) // 2
+        return dict(zip(self.second[:half], self.first[:half], strict=True))
+
+    def coincidence(self) -> tuple[Expr | None, bool]:
+        """The limit of the term where both particles meet, None if it has none; whether its gradient follows.
+
+        The limit is taken in the squared distance s from above. The gradient of s is of the size of its root, so that
+        the gradient of the term is that of the limit if f_s sqrt(s) tends to zero. Of a difference, which has two
+        signs, the value and the slope at zero are taken.
+        """
+        indices = self._vanishing()
+        if len(indices) > 1:
+            return None, False
+        values = {s: p.xreplace(self._meeting) for s, p in zip(self.symbols, self.polynomials, strict=True)}
+        if not indices:
+            return self.outer.xreplace(values), True
+        if not self.distances():
+            values[self.symbols[indices[0]]] = sympy.S.Zero
+            value, slope = self.outer.xreplace(values), self.slope(indices[0]).xreplace(values)
+            return (None, False) if value.has(*_SINGULAR) else (value, not slope.has(*_SINGULAR))
+        # What has the same value where both meet is one symbol; that of a term in its domain is positive.
+        same = {value: Symbol(f"m{k}", positive=True) for k, value in enumerate(dict.fromkeys(values.values()))}
+        positive = {s: same[values[s]] for s in self.symbols}
+        distance, outer = positive[self.symbols[indices[0]]], self.outer.xreplace(positive)
+        limit = sympy.limit(outer, distance, 0, "+")
+        if limit.has(*_SINGULAR):
+            return None, False
+        pull = sympy.limit(sympy.diff(outer, distance) * sympy.sqrt(distance), distance, 0, "+")
+        return limit.xreplace({symbol: value for value, symbol in same.items()}), bool(pull == 0)
+
+
+def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
+    """Whether a polynomial of degree two is a sum of squares: of a lower degree or indefinite, it has both signs."""
+    own = [symbol for symbol in moving if symbol in polynomial.free_symbols]
+    if not own or sympy.Poly(polynomial, *own).total_degree() != 2:
+        return False
+    eigenvalues = np.linalg.eigvalsh(np.array(sympy.hessian(polynomial, own), float))
+    return bool(eigenvalues.min() >= -1e-12 * eigenvalues.max())
+
+
+def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
+    """Whether a term is a polynomial of degree two at most in moving symbols, with numbers as coefficients."""
+    if not term.is_polynomial(*moving) or term.free_symbols - moving:
+        return False
+    own = sorted(term.free_symbols & moving, key=str)
+    return not own or int(sympy.Poly(term, *own).total_degree()) <= 2
+
+
+def _directed(polynomial: Expr) -> tuple[Expr, Expr]:
+    """Content and primitive part, the sign of squares that stand alone taken into the content."""
+    content, primitive = polynomial.primitive()
+    if primitive.as_coeff_Add()[0] == 0 and primitive.could_extract_minus_sign():
+        return -content, -primitive
+    return content, primitive
+
+
+class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+    """The value of body 0, 1, ... among those that follow the body's number.
+
+    Printers of sympy ask for a base class by its name if that ends in Base.
+    """
+
+    is_real = True
+
+    @classmethod
+    def eval(cls, body: Expr, *values: Expr) -> Expr | None:
+        """The value itself where the number is known, or where all are the same."""
+        if body.is_number:
+            number = int(body)
+            return values[number] if 0 <= number < len(values) else sympy.nan
+        return values[0] if len(set(values)) == 1 else None
+
+    def fdiff(self, argindex: int = 1) -> Expr:
+        """Nothing is differentiated by a body's number."""
+        return sympy.S.Zero
+
+    def _sympystr(self, printer: Any) -> str:
+        return f"each_body({', '.join(map(printer._print, self.args[1:]))})"
+
+
+def value_counts(expression: Expr) -> set[int]:
+    """For how many bodies an expression has values of their own."""
+    return {len(function.args) - 1 for function in expression.atoms(EachBodyBase)}

@@ -1,0 +1,387 @@
+"""Which values vanish identically although their expressions do not show it: the one place where that is decided.
+
+A value counts as zero only where that is proved, in exact arithmetic (`residues`), or where values with ever more
+digits become smaller as fast as digits grow, at points of many magnitudes. How small a value is never matters.
+
+Expressions evaluated in finite fields, where a value is zero only if the expression is, but for a chance of 1e-15.
+Symbols are drawn at random; sums, products and fractions are exact. A function becomes a random map with its algebraic
+laws: exp(a) is the power of a random element whose order is a prime s, with `a` evaluated modulo s, so that exp(a + b)
+is exp(a) exp(b) and exp(a/2)^2 is exp(a); sines and cosines are made of such powers with the square root of -1, and
+tan, sinh, cosh and tanh follow. The root of u is an element whose square is u, with a random sign. Of any other
+function it is known only that equal arguments have equal values. Sources: Schwartz (1980), Fast probabilistic
+algorithms for verification of polynomial identities, JACM 27; Gonnet (1984), Determining equivalence of expressions in
+random polynomial time, STOC; Monagan and Gonnet (1994), Signature functions for algebraic numbers, ISSAC.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import mpmath
+import sympy
+from sympy import Expr
+from sympy.codegen.cfunctions import expm1, log1p
+from sympy.ntheory import sqrt_mod
+
+from codegen.symbolic.graph import Call, Graph, Leaf, Node, Product, Sum, argument, arguments
+
+PRIMES = (936163401400647582669834523849, 22851088688748476436971161, 5146641596564972170489, 2305843009213697209)
+"""Each divides the one before it less 1, and modulo each of them -1, 2, 3, 5, 7, 11 and 13 are squares.
+
+Arguments of exponentials and angles are evaluated modulo the next prime, theirs modulo the one after it, and so on.
+"""
+_ARGUMENT = argument(0)
+
+
+class Residues:
+    """One random evaluation of the nodes of a graph; ZeroDivisionError where it meets a pole."""
+
+    def __init__(self, graph: Graph, seed: int) -> None:
+        levels = range(len(PRIMES))
+        self.graph = graph
+        self.generator = random.Random(seed)
+        self.values: list[dict[int, int]] = [{} for _ in levels]
+        self.uncertain: list[set[int]] = [set() for _ in levels]
+        self._opaque: dict[tuple[Any, ...], int] = {}
+        self._radicands: list[set[int]] = [set() for _ in levels]
+        self._fractions: dict[tuple[Fraction, int], int] = {}
+        self._imaginary = [int(sqrt_mod(prime - 1, prime)) for prime in PRIMES]
+        self._steps = [self._in_subgroup(level) for level in levels], [self._in_subgroup(level) for level in levels]
+
+    def evaluate(self, roots: Iterable[int], level: int = 0) -> Mapping[int, int]:
+        """Values modulo the prime of a level, of the nodes and of all that they are computed from."""
+        known = self.values[level]
+        for number in self._missing(roots, known):
+            node = self.graph.nodes[number]
+            known[number] = self._value(number, node, level)
+            if any(a in self.uncertain[level] for a in arguments(node)):
+                self.uncertain[level].add(number)
+        return known
+
+    def is_certain(self, root: int) -> bool:
+        """Whether a value that is not zero belongs to an expression that is not: no law was left out."""
+        return root not in self.uncertain[0]
+
+    def _missing(self, roots: Iterable[int], known: Mapping[int, int]) -> list[int]:
+        waiting, found = list(roots), set[int]()
+        while waiting:
+            number = waiting.pop()
+            if number not in found and number not in known:
+                found.add(number)
+                waiting += arguments(self.graph.nodes[number])
+        return sorted(found)
+
+    def _value(self, number: int, node: Node, level: int) -> int:
+        prime, known = PRIMES[level], self.values[level]
+        if isinstance(node, Sum):
+            total = self._fraction(node.constant, level) if node.constant else 0
+            for term, coefficient in node.terms:
+                total += known[term] * self._fraction(coefficient, level)
+            return total % prime
+        if isinstance(node, Product):
+            result = 1
+            for factor, exponent in node.factors:
+                result = result * self._power(number, known[factor], exponent, level) % prime
+            return result
+        if isinstance(node, Leaf):
+            return self._leaf(number, node.expression, level)
+        return self._call(number, node, level)
+
+    def _fraction(self, value: Fraction, level: int) -> int:
+        if value.denominator == 1:
+            return value.numerator
+        key = value, level
+        if key not in self._fractions:
+            self._fractions[key] = value.numerator * _inverse(value.denominator, PRIMES[level]) % PRIMES[level]
+        return self._fractions[key]
+
+    def _leaf(self, number: int, expression: sympy.Expr, level: int) -> int:
+        if expression.is_Float:
+            return self._fraction(Fraction(*map(int, sympy.Rational(expression).as_numer_denom())), level)
+        if expression == sympy.E and level + 1 < len(PRIMES):
+            return self._steps[0][level]
+        if not (expression.is_Symbol or expression == sympy.pi):
+            self.uncertain[level].add(number)
+        return self._drawn(("leaf", expression), level, self._in_subgroup)
+
+    def _call(self, number: int, call: Call, level: int) -> int:
+        prime, function, arguments = PRIMES[level], call.template.func, call.template.args
+        if arguments == (_ARGUMENT,) and level + 1 < len(PRIMES) and function in _EXPONENTIAL:
+            argument_node = call.arguments[0]
+            exponent = self.evaluate([argument_node], level + 1)[argument_node]
+            if argument_node in self.uncertain[level + 1]:
+                self.uncertain[level].add(number)
+            circular, value = _EXPONENTIAL[function]
+            power = pow(self._steps[circular][level], exponent, prime)
+            return value(power, _inverse(power, prime), self._imaginary[level], prime) % prime
+        if call.template == sympy.Pow(_ARGUMENT, argument(1)) and level + 1 < len(PRIMES):
+            return self._symbolic_power(number, call, level)
+        self.uncertain[level].add(number)
+        values = tuple(self.values[level][a] for a in call.arguments)
+        if call.template == log1p(_ARGUMENT):
+            return self._drawn((sympy.log(_ARGUMENT), (values[0] + 1) % prime), level)
+        return self._drawn((call.template, *values), level)
+
+    def _symbolic_power(self, number: int, call: Call, level: int) -> int:
+        """base^exponent, with the laws of powers where the base is a power of the elements that symbols are."""
+        base, exponent = call.arguments
+        value = self.values[level][base]
+        if pow(value, PRIMES[level + 1], PRIMES[level]) == 1:
+            if exponent in self.uncertain[level + 1]:
+                self.uncertain[level].add(number)
+            return pow(value, self.evaluate([exponent], level + 1)[exponent], PRIMES[level])
+        self.uncertain[level].add(number)
+        return self._drawn(("power", value, self.values[level][exponent]), level)
+
+    def _power(self, number: int, value: int, exponent: Fraction, level: int) -> int:
+        prime = PRIMES[level]
+        if exponent.denominator == 1:
+            if exponent < 0 and value == 0:
+                raise ZeroDivisionError
+            return value if exponent == 1 else pow(value, int(exponent), prime)
+        if value == 0:
+            if exponent < 0:
+                raise ZeroDivisionError
+            return 0
+        # Roots of several radicands may depend on each other, as those of x, y and x y do.
+        self._radicands[level].add(value)
+        if len(self._radicands[level]) > 1:
+            self.uncertain[level].add(number)
+        return pow(self._root(number, value, exponent.denominator, level), exponent.numerator, prime)
+
+    def _root(self, number: int, value: int, degree: int, level: int) -> int:
+        """A root of an element, the same one for equal elements; half of them have no square root in the field."""
+        prime = PRIMES[level]
+        if degree & (degree - 1) == 0:
+            if degree > 2:
+                value = self._root(number, value, degree // 2, level)
+            key = "root", level, value
+            if key not in self._opaque:
+                found = sqrt_mod(value, prime)
+                if found is not None:
+                    self._opaque[key] = int(found) * self.generator.choice((-1, 1)) % prime
+            if key in self._opaque:
+                return self._opaque[key]
+        elif level + 1 < len(PRIMES) and pow(value, PRIMES[level + 1], prime) == 1:
+            return pow(value, _inverse(degree, PRIMES[level + 1]), prime)
+        self.uncertain[level].add(number)
+        return self._drawn(("root", value, degree), level)
+
+    def _drawn(self, key: tuple[Any, ...], level: int, draw: Callable[[int], int] | None = None) -> int:
+        """The random element that stands for something unknown."""
+        key = (level, *key)
+        if key not in self._opaque:
+            self._opaque[key] = draw(level) if draw else self.generator.randrange(2, PRIMES[level])
+        return self._opaque[key]
+
+    def _in_subgroup(self, level: int) -> int:
+        """A random element whose order is the next prime; any element where there is none."""
+        element = self.generator.randrange(2, PRIMES[level])
+        if level + 1 == len(PRIMES):
+            return element
+        return pow(element, (PRIMES[level] - 1) // PRIMES[level + 1], PRIMES[level])
+
+
+def _inverse(value: int, prime: int) -> int:
+    if value % prime == 0:
+        raise ZeroDivisionError
+    return pow(value, -1, prime)
+
+
+_EXPONENTIAL: dict[Any, tuple[int, Callable[[int, int, int, int], int]]] = {
+    sympy.exp: (0, lambda e, f, i, p: e),
+    expm1: (0, lambda e, f, i, p: e - 1),
+    sympy.sinh: (0, lambda e, f, i, p: (e - f) * _inverse(2, p)),
+    sympy.cosh: (0, lambda e, f, i, p: (e + f) * _inverse(2, p)),
+    sympy.tanh: (0, lambda e, f, i, p: (e - f) * _inverse(e + f, p)),
+    sympy.coth: (0, lambda e, f, i, p: (e + f) * _inverse(e - f, p)),
+    sympy.sin: (1, lambda e, f, i, p: (e - f) * _inverse(2 * i, p)),
+    sympy.cos: (1, lambda e, f, i, p: (e + f) * _inverse(2, p)),
+    sympy.tan: (1, lambda e, f, i, p: (e - f) * _inverse(i * (e + f), p)),
+    sympy.cot: (1, lambda e, f, i, p: i * (e + f) * _inverse(e - f, p)),
+    sympy.sec: (1, lambda e, f, i, p: 2 * _inverse(e + f, p)),
+    sympy.csc: (1, lambda e, f, i, p: 2 * i * _inverse(e - f, p)),
+}
+"""Functions by e = exp(a) and f = 1/e, where the first entry is 0, or exp(i a), where it is 1."""
+
+
+_DRAWS = 2
+"""Evaluations in finite fields that have to be zero; each is so by chance once in 1e15 times."""
+_ATTEMPTS = 6
+_DIGITS = (40, 80, 160, 320)
+_POINTS, _NEEDED = 12, 4
+_STABLE, _SHRUNK = 1e-6, 1e-20
+_LARGEST = 1e9
+"""Of arguments of exponentials and angles: beyond it high precision takes too long."""
+_SATURATING = (sympy.tanh, sympy.coth, sympy.atan, sympy.acot, sympy.erf, sympy.erfc)
+_GROWING = (sympy.exp, sympy.codegen.cfunctions.expm1, sympy.sin, sympy.cos, sympy.tan, sympy.sinh, sympy.cosh)
+_ANALYTIC = (
+    *(sympy.sin, sympy.cos, sympy.tan, sympy.cot, sympy.sec, sympy.csc, sympy.exp, sympy.log, sympy.Pow),
+    *(sympy.asin, sympy.acos, sympy.atan, sympy.sinh, sympy.cosh, sympy.tanh, sympy.coth),
+    *(sympy.asinh, sympy.acosh, sympy.atanh, sympy.codegen.cfunctions.log1p, sympy.codegen.cfunctions.expm1),
+)
+
+
+def identically_zero(expression: Expr) -> bool:
+    """Whether an expression is proved to be zero everywhere; False also where that is not known."""
+    if expression.has(sympy.DiracDelta):  # of kinks; zero almost everywhere, and emitted so
+        expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
+    if expression.is_Number or expression.is_Symbol:
+        return bool(expression.is_zero)
+    if expression.is_Mul:
+        return any(map(identically_zero, expression.args))
+    if expression.is_Pow:
+        return bool(expression.exp.is_positive) and identically_zero(expression.base)
+    graph = Graph()
+    return bool(vanishing(graph, [graph.of(expression)]))
+
+
+def vanishing(graph: Graph, roots: Iterable[int]) -> set[int]:
+    """Those of the nodes whose values are proved to be zero, whatever their symbols are."""
+    scaled = {root: graph.scaled(root) for root in roots}
+    structural = {root for root, (factor, core) in scaled.items() if core is None and factor == 0}
+    exact, doubtful = _by_residues(graph, {root for root, (_, core) in scaled.items() if core is not None})
+    return structural | exact | _by_digits(graph, sorted(doubtful))
+
+
+def _by_residues(graph: Graph, roots: set[int]) -> tuple[set[int], set[int]]:
+    """Nodes that vanish in exact arithmetic, and those of which it does not know all laws."""
+    zeros, doubtful, met = set(roots), set[int](), 0
+    for seed in range(_ATTEMPTS):
+        field = Residues(graph, seed + 1)
+        try:
+            values = field.evaluate(zeros)
+        except ZeroDivisionError:  # a pole by chance, or everywhere
+            continue
+        met += 1
+        doubtful |= {root for root in zeros if values[root] and not field.is_certain(root)}
+        zeros = {root for root in zeros if not values[root]}
+        if met == _DRAWS or not zeros:
+            return zeros, doubtful
+    return set(), doubtful
+
+
+def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
+    """Nodes whose values are nothing but rounding, at several points and with ever more digits.
+
+    An analytic function that vanishes at random points vanishes everywhere; one with branches is not asked for. A point
+    says nothing about a node that reads a sum in which a term was lost beside larger ones.
+    """
+    order = graph.reachable(roots)
+    branched = _dependent(graph, order, lambda call: not isinstance(call.template, _ANALYTIC))
+    candidates = {root: 0 for root in roots if root not in branched}
+    generator = random.Random(1)
+    for trial in range(_POINTS):
+        left = [root for root, count in candidates.items() if count < _NEEDED]
+        if not left:
+            break
+        verdicts = _verdicts(graph, left, generator, trial)
+        candidates = {root: count for root, count in candidates.items() if verdicts.get(root, 0) >= 0}
+        for root, verdict in verdicts.items():
+            if root in candidates:
+                candidates[root] += verdict
+    return {root for root, count in candidates.items() if count >= _NEEDED}
+
+
+def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, trial: int) -> dict[int, int]:
+    """For nodes: 1 where the value at a random point is rounding only, -1 where it is not or in doubt, else 0."""
+    order, verdicts = graph.reachable(roots), dict[int, int]()
+    symbols = [node.expression for node in map(graph.nodes.__getitem__, order) if isinstance(node, Leaf)]
+    point = {symbol: _drawn(generator, trial) for symbol in symbols if symbol.is_Symbol}
+    former: dict[int, Any] = {}
+    for digits in _DIGITS:
+        waiting = [root for root in roots if root not in verdicts]
+        evaluation = _Evaluation(graph, point, digits)
+        try:
+            with mpmath.workdps(digits):
+                values = evaluation.values(graph.reachable(waiting))
+        except (ArithmeticError, ValueError, TypeError):  # no value there
+            return verdicts
+        for root in waiting if former else ():
+            new, old = values[root], former[root]
+            if abs(new - old) < _STABLE * abs(new):
+                verdicts[root] = -1
+            elif abs(new) <= _SHRUNK * abs(old):
+                verdicts[root] = 0 if root in evaluation.absorbed else 1
+        if len(verdicts) == len(roots):
+            return verdicts
+        former = {root: values[root] for root in waiting}
+    return dict.fromkeys(roots, -1) | verdicts
+
+
+def _drawn(generator: random.Random, trial: int) -> float:
+    """Ordinary numbers first, then numbers of all magnitudes."""
+    if trial % 3 == 0:
+        return generator.uniform(0.4, 1.6)
+    return generator.choice((-1, 1) if trial % 3 == 1 else (1,)) * 10 ** generator.uniform(-8, 8 if trial > 6 else 2)
+
+
+class _Evaluation:
+    """Values of nodes at a point.
+
+    `absorbed` are those that lost a term of a sum beside larger ones, or what a saturated function differs from 1 by.
+    """
+
+    def __init__(self, graph: Graph, point: Mapping[Expr, float], digits: int) -> None:
+        self.graph, self.point, self.digits = graph, point, digits
+        self.absorbed: set[int] = set()
+        self.functions: dict[Expr, Callable[..., Any]] = {}
+
+    def values(self, order: Sequence[int]) -> dict[int, Any]:
+        """Values of nodes in the order of computation; ValueError where one is not real or out of reach."""
+        known: dict[int, Any] = {}
+        for number in order:
+            node = self.graph.nodes[number]
+            if isinstance(node, Leaf):
+                symbolic = node.expression in self.point
+                value = mpmath.mpf(self.point[node.expression]) if symbolic else self._constant(node.expression)
+            elif isinstance(node, Sum):
+                terms = [precise(node.constant), *(precise(c) * known[a] for a, c in node.terms)]
+                value = mpmath.fsum(terms)
+                self._note(number, [abs(term) for term in terms if term])
+            elif isinstance(node, Product):
+                value = mpmath.fprod(known[a] ** precise(exponent) for a, exponent in node.factors)
+            else:
+                value = self._called(number, node, [known[a] for a in node.arguments])
+            if not mpmath.isfinite(value) or isinstance(value, mpmath.mpc):
+                raise ValueError("no real value")
+            if any(a in self.absorbed for a in arguments(node)):
+                self.absorbed.add(number)
+            known[number] = value
+        return known
+
+    def _note(self, number: int, sizes: Sequence[Any]) -> None:
+        if sizes and min(sizes) < max(sizes) * mpmath.mpf(10) ** (10 - self.digits):
+            self.absorbed.add(number)
+
+    def _called(self, number: int, call: Call, values: Sequence[Any]) -> Any:
+        function = call.template.func
+        if function in _GROWING + _SATURATING and abs(values[0]) > _LARGEST:
+            raise ValueError("out of reach")
+        if function in _SATURATING and abs(values[0]) > self.digits / 2:
+            self.absorbed.add(number)
+        if call.template not in self.functions:
+            arguments = [argument(i) for i in range(len(call.arguments))]
+            self.functions[call.template] = sympy.lambdify(arguments, call.template, "mpmath")
+        return self.functions[call.template](*values)
+
+    def _constant(self, expression: Expr) -> Any:
+        return mpmath.mpmathify(expression.evalf(self.digits + 5))
+
+
+def _dependent(graph: Graph, order: Sequence[int], chosen: Callable[[Call], bool]) -> set[int]:
+    """The nodes that are computed from a function of a kind."""
+    found: set[int] = set()
+    for number in order:
+        node = graph.nodes[number]
+        if (isinstance(node, Call) and chosen(node)) or any(a in found for a in arguments(node)):
+            found.add(number)
+    return found
+
+
+def precise(fraction: Fraction) -> Any:
+    """A fraction as a number of mpmath."""
+    return mpmath.mpf(fraction.numerator) / fraction.denominator

@@ -1,1 +1,0 @@
-"""Tables of numbers: reading their files, fitting splines, and values with derivatives. Nothing here needs sympy."""

@@ -1,1 +1,0 @@
-"""Equations and values that follow from others: left out, or refused, before a solver meets a singular matrix."""

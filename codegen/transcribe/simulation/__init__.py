@@ -1,1 +1,0 @@
-"""One step of a simulation, solved explicitly as far as possible."""
