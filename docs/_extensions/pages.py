@@ -263,7 +263,7 @@ def make(app: Any) -> None:
     """Write all pages that are made."""
     makers = [
         *Path(__file__).parent.glob("*.py"),
-        *(ROOT / "codegen" / "notebooks").glob("*.py"),
+        *(ROOT / "codegen/show").glob("notebook_*.py"),
         ROOT / "codegen/symbolic/latex.py",
     ]
     gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())

@@ -17,7 +17,7 @@ import codegen
 
 
 def found(name: str) -> Any:
-    """The object of a dotted name in `codegen`, or in a module of it, as in `solutions.result:Result`."""
+    """The object of a dotted name in `codegen`, or in a module of it, as in `solving.results.result:Result`."""
     module, _, own = name.rpartition(":")
     return reduce(getattr, own.split("."), import_module(f"codegen.{module}" if module else "codegen"))
 

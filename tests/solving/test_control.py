@@ -72,7 +72,7 @@ def test_orbital_transfer_reproduces_reference_costs(orbital_transfer, revolutio
 def test_orbital_transfer_solves_thirty_thousand_intervals(orbital_transfer):
     solution = orbital_transfer.solve(30000, revolutions=2.0)
     assert solution.status == "solved"
-    # The continuous optimum, by shooting from scipy's collocation at 1e-10 (tests/analysis).
+    # The continuous optimum, by shooting from scipy's collocation at 1e-10 (tests/evidence).
     assert solution.cost == pytest.approx(0.0244339769446, abs=1e-10)
     assert solution.residual < 5e-9
 
@@ -118,7 +118,7 @@ def test_every_scheme_converges_to_the_exact_motion_at_its_order(interpreted, ex
 def test_every_scheme_solves_the_nonlinear_transfer(interpreted, method, scheme):
     solution = interpreted("orbital_transfer", method=method, scheme=scheme).solve(60)
     assert solution.status == "solved"
-    # The continuous optimum is 0.0487491711595 (collocation of the maximum principle, tests/analysis).
+    # The continuous optimum is 0.0487491711595 (collocation of the maximum principle, tests/evidence).
     assert solution.cost == pytest.approx(0.0487491711595, rel=3e-3 if METHODS[method][scheme].order >= 2 else 8e-2)
     assert solution.residual < 1e-9
 

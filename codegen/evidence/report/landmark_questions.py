@@ -137,7 +137,7 @@ def _ansatz(store: Store) -> Section:
     word = "vanishes up to the error of the differences" if worst < 1e-6 else "does NOT vanish"
     text = (
         f"The left side of the weak equation {word}: at most {number(worst, 2)} of its first term. That it vanishes "
-        "for every kernel and every test function is proved by computer algebra (tests/analysis/test_weak_solution.py)."
+        "for every kernel and every test function is proved by computer algebra (tests/evidence/test_weak_solution.py)."
     )
     table = Table(
         "Fifteen random test functions along the motion: the largest left side, and the largest first term alone.",

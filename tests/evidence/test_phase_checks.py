@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from checks.conftest import PROBLEMS
+from evidence.conftest import PROBLEMS
 from interpreted import Interpreted
 
 from codegen.discretise import schemes, transcribe

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from checks.conftest import PROBLEMS
+from evidence.conftest import PROBLEMS
 
 from codegen.discretise import transcribe
 from codegen.discretise.model.from_file import load_problem

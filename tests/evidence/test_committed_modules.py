@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from checks.conftest import PROBLEMS
+from evidence.conftest import PROBLEMS
 from control_variants import ANTIPHASE
 
 from codegen.evidence import checks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from checks.test_damage import failures, line_with, negated, text_from
+from evidence.test_damage import failures, line_with, negated, text_from
 
 from codegen.evidence.checks import assembly
 
