@@ -31,8 +31,8 @@ from PIL import Image
 from references import STORED, Known, digest, known_of, problem_files
 
 import codegen
+from codegen.drawing import Item
 from codegen.machine import machine
-from codegen.problem.drawing import Item
 from codegen.problem.sources import ProblemFile
 from codegen.show.figures import shapes
 

@@ -10,7 +10,7 @@ OptimTraj's demo "acrobot" (Kelly, 2015). There are many local optima; the guess
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinates, parameters, time
-from codegen.problem.drawing import Mass, Rod, Trail
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:

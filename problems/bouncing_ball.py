@@ -11,7 +11,7 @@ such terms is least, over both durations, both velocities of the impact and its 
 """
 
 from codegen import Control, Phases, controls, coordinates, free_parameter, parameters
-from codegen.problem.drawing import Arrow, Ground, Mass, Trail
+from codegen.drawing import Arrow, Ground, Mass, Trail
 
 
 def problem() -> Phases:

@@ -9,7 +9,7 @@ T* = 1.801603122 s.
 from sympy import cos, pi, sin
 
 from codegen import Control, control, free_parameter, parameters, states, time
-from codegen.problem.drawing import Mark, Mass, Trail
+from codegen.drawing import Mark, Mass, Trail
 
 
 def problem() -> Control:

@@ -14,7 +14,7 @@ from typing import Literal
 from sympy import cos, sin
 
 from codegen import Control, control, coordinates, parameters
-from codegen.problem.drawing import Arrow, Box, Ground, Mass, Rod, Trail
+from codegen.drawing import Arrow, Box, Ground, Mass, Rod, Trail
 
 
 def problem(form: Literal["plain", "holonomic"] = "plain") -> Control:

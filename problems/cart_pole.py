@@ -11,7 +11,7 @@ value: 58.8839489745 N^2 s, dymos's test of the same data (there with 40 segment
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinates, parameters
-from codegen.problem.drawing import Arrow, Box, Ground, Mass, Rod, Trail
+from codegen.drawing import Arrow, Box, Ground, Mass, Rod, Trail
 
 
 def problem() -> Control:

@@ -8,7 +8,7 @@ range convex, so that there is one optimum.
 """
 
 from codegen import Control, control, controls, coordinate, coordinates, parameters, together
-from codegen.problem.drawing import Arrow, Box, Ground, Mass, Trail
+from codegen.drawing import Arrow, Box, Ground, Mass, Trail
 
 
 def problem() -> Control:

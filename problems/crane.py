@@ -9,7 +9,7 @@ Goh and Wong (1991). Data and published value 5.1513e-3 of PSOPT's example "cran
 from sympy import cos, sin
 
 from codegen import Control, controls, parameters, states
-from codegen.problem.drawing import Box, Ground, Rod, Trail
+from codegen.drawing import Box, Ground, Rod, Trail
 
 
 def problem() -> Control:

@@ -10,7 +10,7 @@ quantities are nondimensional. Reference: the same linkage with the crank's angl
 from sympy import acos, cos, pi, sin
 
 from codegen import Control, control, coordinates, parameters
-from codegen.problem.drawing import Mark, Rod, Trail
+from codegen.drawing import Mark, Rod, Trail
 
 
 def problem() -> Control:

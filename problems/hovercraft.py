@@ -17,7 +17,7 @@ from typing import Literal
 from sympy import Expr, acos, cos, pi, sin, sqrt
 
 from codegen import Control, body_number, controls, coordinates, parameters, time
-from codegen.problem.drawing import Arrow, Circle, Mark, Mass, Trail
+from codegen.drawing import Arrow, Circle, Mark, Mass, Trail
 
 
 def problem(craft: int = 3, conditions: Literal["minimal", "redundant"] = "minimal") -> Control:

@@ -8,7 +8,7 @@ control, chapter 5), and its optimum is known in closed form, J* = 4.53076098108
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinate
-from codegen.problem.drawing import Mass, Rod, Trail
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:

@@ -10,7 +10,7 @@ and gravitational parameter are 1 at the start. The largest radius is 1.5252777 
 from sympy import Eq, cos, pi, sin
 
 from codegen import Control, controls, coordinates, parameters, time
-from codegen.problem.drawing import Arrow, Circle, Mass, Trail
+from codegen.drawing import Arrow, Circle, Mass, Trail
 
 
 def problem() -> Control:

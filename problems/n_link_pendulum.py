@@ -11,7 +11,7 @@ from typing import Literal
 from sympy import cos, pi, sin
 
 from codegen import Control, controls, coordinates, parameters
-from codegen.problem.drawing import Mass, Rod, Trail
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem(links: int = 2, motors: Literal["every", "first"] = "every") -> Control:

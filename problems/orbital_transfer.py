@@ -10,7 +10,7 @@ analysis, ESAIM: COCV 17. All quantities are nondimensional.
 from sympy import cos, pi, sin, sqrt
 
 from codegen import Control, control, coordinates, parameters
-from codegen.problem.drawing import Arrow, Circle, Mass, Trail
+from codegen.drawing import Arrow, Circle, Mass, Trail
 
 
 def problem(revolutions: float = 1) -> Control:

@@ -9,7 +9,7 @@ from typing import Literal
 from sympy import Expr, cos, sin
 
 from codegen import Simulate, canonical_pair, coordinate
-from codegen.problem.drawing import Item, Mass, Rod, Trail
+from codegen.drawing import Item, Mass, Rod, Trail
 
 
 def drawing(q: Expr) -> list[Item]:

@@ -9,7 +9,7 @@ guess here, which swings ever wider, leads to 9.31395.
 from sympy import cos, pi, sin
 
 from codegen import Control, control, coordinate, parameters, time
-from codegen.problem.drawing import Mass, Rod, Trail
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:

@@ -9,7 +9,7 @@ one; here the mass is 2 m.
 from sympy import Expr, cos, sin
 
 from codegen import Control, controls, coordinates, parameters
-from codegen.problem.drawing import Arrow, Box, Trail
+from codegen.drawing import Arrow, Box, Trail
 
 
 def problem() -> Control:

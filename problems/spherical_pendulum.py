@@ -12,7 +12,7 @@ from typing import Literal
 from sympy import Expr, cos, pi, sin, sqrt
 
 from codegen import Control, controls, coordinates, parameters, time
-from codegen.problem.drawing import Arrow, Item, Mass, Rod, Trail
+from codegen.drawing import Arrow, Item, Mass, Rod, Trail
 
 
 def seen(x: Expr, y: Expr, z: Expr) -> tuple[Expr, Expr]:

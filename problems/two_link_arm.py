@@ -10,7 +10,7 @@ limit is 2.9823.
 from sympy import Rational, cos, sin
 
 from codegen import Control, controls, coordinates, free_parameter, parameters
-from codegen.problem.drawing import Mass, Rod, Trail
+from codegen.drawing import Mass, Rod, Trail
 
 
 def problem() -> Control:

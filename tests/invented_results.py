@@ -11,7 +11,7 @@ from made_records import control_record
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from codegen.problem.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
+from codegen.drawing import Arrow, Box, Circle, Ground, Mark, Mass, Rod, Scene, Trail
 from codegen.runtime.record import Form, Kind, Meaning, Method
 from codegen.solving.results.result import Result, component_names
 

@@ -19,7 +19,7 @@ PACKAGE = Path(__file__).parents[1] / "codegen"
 FLOORS = (
     ("__init__", "deferred", "identifiers", "runtime"),
     ("errors", "machine"),
-    ("files", "symbolic"),
+    ("drawing", "files", "symbolic"),
     ("problem", "terminal"),
     ("discretise",),
     ("emit",),
@@ -38,7 +38,7 @@ FLOORS = (
 NUMERIC = (
     "symbolic/tables",
     "symbolic/measurements",
-    "problem/drawing",
+    "drawing",
     "solving/tasks",
     "solving/interfaces",
     "solving/loading",

@@ -23,7 +23,7 @@ from codegen import (
     Trajectory,
     Waypoint,
 )
-from codegen.problem.drawing import Mass
+from codegen.drawing import Mass
 
 
 def double_integrator() -> Control:

@@ -276,7 +276,7 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
         unit = unit_of(request.source)
     if animation is not None and not (model and model.drawing):
         finding = f"--animate {animation}: {request.problem} says nothing about how to draw it"
-        raise ArgumentError(finding, "add drawing=[...] with items of codegen.problem.drawing to the problem")
+        raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     return Pictures(plot, animation, model, unit, style)
 
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import sympy
 
+from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, ProblemFileError, SymbolError
-from codegen.problem.drawing import Item
 from codegen.problem.problem import Control, Expression, Problem, Relations, Waypoint, form_of
 from codegen.problem.symbols import (
     BodyNumber,

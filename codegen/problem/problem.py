@@ -11,9 +11,9 @@ from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import wraps
 from typing import Any, ClassVar, TypeVar
 
+from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
 from codegen.problem.base import AuthorObject, perhaps
-from codegen.problem.drawing import Item
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
@@ -87,7 +87,7 @@ class Problem(AuthorObject):
     state of a first-order system to its derivative, x' = f(x, u, t). `force` maps a coordinate to the generalised
     force on it (the covector component of f in the Lagrange-d'Alembert principle). `duration` is T; `steps` is the
     default number N of intervals. `start` maps coordinates and velocities (or momenta, or states) to their values at
-    t = 0. `drawing` lists what a picture of the system shows (see `codegen.problem.drawing`); nothing else depends
+    t = 0. `drawing` lists what a picture of the system shows (see `codegen.drawing`); nothing else depends
     on it.
     """
 

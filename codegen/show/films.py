@@ -16,8 +16,8 @@ import sympy
 from numpy.typing import NDArray
 
 from codegen.discretise.model.definitions import Model
+from codegen.drawing import Item, Scene
 from codegen.errors import ArgumentError
-from codegen.problem.drawing import Item, Scene
 from codegen.problem.sources import ProblemFile, Source
 from codegen.show import figures
 from codegen.show.figures import shapes
@@ -114,7 +114,7 @@ def save_film(
     """
     if not (isinstance(model, Model) and model.drawing):
         finding = f"{result.problem} says nothing about how to draw it"
-        raise ArgumentError(finding, "add drawing=[...] with items of codegen.problem.drawing to the problem")
+        raise ArgumentError(finding, "add drawing=[...] with items of codegen.drawing to the problem")
     title = result.title if result.solved else f"{result.title.rstrip('.')} (NOT SOLVED: {result.status})"
     shapes.save(scene(model.authored, result, shapes.scene_times(result.t)), title, path, progress)
 

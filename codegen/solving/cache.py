@@ -161,7 +161,16 @@ def kept_text(store: Path) -> str:
     return text if rendering.is_whole(text) else ""
 
 
-GENERATORS = ("symbolic", "problem", "discretise", "emit", "runtime", "identifiers.py", "solving/compiler.py")
+GENERATORS = (
+    "symbolic",
+    "problem",
+    "discretise",
+    "emit",
+    "runtime",
+    "drawing.py",
+    "identifiers.py",
+    "solving/compiler.py",
+)
 """The parts of this package on which generated texts depend."""
 
 

@@ -1,7 +1,7 @@
 """Lift a mass from rest to rest with the least effort."""
 
 from codegen import Control, control, coordinate, parameters
-from codegen.problem.drawing import Arrow, Box, Ground
+from codegen.drawing import Arrow, Box, Ground
 
 
 def problem(height: float = 1) -> Control:

@@ -14,10 +14,10 @@ from sympy import sin
 
 from codegen import Control, Simulate, body_number, canonical_pair, control, coordinate, parameter, time
 from codegen.discretise.model.phases import normalise
+from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.emit.lower.module import Origin
 from codegen.emit.naming import Choices
 from codegen.errors import ExpressionError, SymbolError
-from codegen.problem.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.solving.compiler import generate_from_model
 
 

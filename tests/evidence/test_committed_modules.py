@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from evidence.conftest import PROBLEMS
 from control_variants import ANTIPHASE
+from evidence.conftest import PROBLEMS
 
 from codegen.evidence import checks
 

@@ -135,7 +135,7 @@ MALFORMED_DELAYS = (
         "drawn",
         ExpressionError,
         "depends on x.delayed(1/2)",
-        "from codegen.problem.drawing import Mass",
+        "from codegen.drawing import Mass",
         drawing="[Mass((x.delayed(0.5), 0), 1)]",
     ),
     _past("inner-times", ExpressionError, "at or waypoints beside the delay 1/2 of x", at="{0.25: [x >= 0]}"),

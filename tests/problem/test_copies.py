@@ -23,9 +23,9 @@ from codegen import (
     together,
 )
 from codegen.discretise.model.phases import normalise
+from codegen.drawing import Circle
 from codegen.errors import CodegenError
 from codegen.problem.bodies import has_path_couplings
-from codegen.problem.drawing import Circle
 
 
 def discs(**changes: Any) -> Control:

@@ -71,13 +71,13 @@ CHANGES = {
     "a function": {"cost": lambda x, v, u, m: u**2 + sympy.cos(x)},
     "another function": {"cost": lambda x, v, u, m: u**2 + sympy.sin(x)},
     "steps": {"steps": lambda x, v, u, m: 5},
-    "a drawing": {"drawing": lambda x, v, u, m: [codegen.problem.drawing.Mass((x, 0), 1)]},
-    "a label": {"drawing": lambda x, v, u, m: [codegen.problem.drawing.Mass((x, 0), 1, label="cart")]},
+    "a drawing": {"drawing": lambda x, v, u, m: [codegen.drawing.Mass((x, 0), 1)]},
+    "a label": {"drawing": lambda x, v, u, m: [codegen.drawing.Mass((x, 0), 1, label="cart")]},
 }
 
 
 def test_whatever_an_author_changes_makes_another_problem():
-    import codegen.problem.drawing  # noqa: F401
+    import codegen.drawing  # noqa: F401
 
     texts = {"as it is": described(control()), **{name: described(control(**own)) for name, own in CHANGES.items()}}
     same = {text: name for name, text in texts.items()}

@@ -152,7 +152,7 @@ def test_every_argument_is_tried():
     ],
 )  # fmt: skip
 def test_every_argument_of_a_problem_refuses_a_rate(tmp_path, argument, text, rate, end):
-    lines = "from codegen import Measurements, Table\nfrom codegen.problem.drawing import Circle"
+    lines = "from codegen import Measurements, Table\nfrom codegen.drawing import Circle"
     files = (("m.csv", "x,y\n0,0\n1,1\n2,4\n3,9\n"),)
     written = optimal(lines, **{argument: text.replace("RATE", rate)})
     error = refusal(Malformed("rate", written, ExpressionError, end, files).write(tmp_path))

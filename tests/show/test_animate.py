@@ -13,8 +13,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from codegen.cli import main, solve
+from codegen.drawing import Mass, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.problem.drawing import Mass, Scene, Trail
 from codegen.show.figures import shapes
 from codegen.solving.outcome import outcome_of
 from codegen.solving.request import Request

@@ -10,8 +10,8 @@ import pytest
 from invented_results import BOUNDED, PAIR, column, invented, overlaps, picture, unsolved
 from matplotlib.figure import Figure
 
+from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.problem.drawing import Arrow, Mass, Scene, Trail
 from codegen.show import figures
 from codegen.show.figures import panels, style
 from codegen.show.figures.picture import STYLE, Picture, using, words_of

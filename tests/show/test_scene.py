@@ -15,7 +15,7 @@ from codegen import Control, body_number, control, coordinates, free_parameter, 
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.from_file import load_problem
 from codegen.discretise.model.phases import normalise
-from codegen.problem.drawing import Arrow, Circle, Mass, Rod, Trail
+from codegen.drawing import Arrow, Circle, Mass, Rod, Trail
 from codegen.problem.symbols import recorded_declarations
 from codegen.show.films import fine_times, scene
 from codegen.solving.results.result import Result

@@ -7,7 +7,7 @@ import numpy as np
 from invented_results import picture
 from matplotlib.figure import Figure
 
-from codegen.problem.drawing import Arrow, Box, Ground, Mass, Scene, Trail
+from codegen.drawing import Arrow, Box, Ground, Mass, Scene, Trail
 from codegen.show.figures import shapes
 
 

@@ -12,8 +12,8 @@ from conftest import PROBLEMS
 from sympy import cos, sin
 
 import codegen
+from codegen.drawing import Mass
 from codegen.errors import ArgumentError, NumericsError
-from codegen.problem.drawing import Mass
 
 pytestmark = pytest.mark.usefixtures("uncompiled")
 

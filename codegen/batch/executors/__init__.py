@@ -42,7 +42,7 @@ LOCAL = "local"
 ENGINES = {
     row.name: row
     for row in (
-        Row("here", "one chunk after the other in this process"),
+        Row("serial", "one chunk after the other in this process"),
         Row("processes", "processes on this machine, each with one thread"),
         Row("dask", "workers of a cluster of dask, on any machines"),
     )
@@ -55,7 +55,7 @@ def engine_for(workers: int, cluster: Any = None) -> Engine:
     if cluster is not None:
         running: Any = ENGINES["dask"].running
         return partial(running, cluster=cluster)
-    return ENGINES["here" if workers == 1 else "processes"].running
+    return ENGINES["serial" if workers == 1 else "processes"].running
 
 
 def connected(cluster: Any) -> AbstractContextManager[Any]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import sympy
 
 from codegen.discretise.model.relations import short, text
-from codegen.problem.drawing import Item
+from codegen.drawing import Item
 from codegen.symbolic.measurements import MeasurementData
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import sympy
 
 from codegen.discretise.model.definitions import Model
+from codegen.drawing import Item
 from codegen.errors import ExpressionError, SymbolError
-from codegen.problem.drawing import Item
 from codegen.problem.problem import Problem
 from codegen.problem.symbols import BodyNumber, Coordinate, Delayed, EndValue, Momentum, Quantity, State, Time, Velocity
 from codegen.symbolic import checks as expressions
@@ -31,7 +31,7 @@ def checked_drawing(problem: Problem) -> tuple[Item, ...]:
     if not isinstance(problem.drawing, (list, tuple)):
         raise ExpressionError(
             f"drawing is a {type(problem.drawing).__name__}",
-            "write drawing=[...] with items of codegen.problem.drawing",
+            "write drawing=[...] with items of codegen.drawing",
         )
     return tuple(_checked(item, f"drawing[{index}]") for index, item in enumerate(problem.drawing))
 
@@ -71,9 +71,7 @@ def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, s
 
 def _checked(item: Any, where: str) -> Item:
     if not isinstance(item, Item) or type(item) is Item:
-        raise ExpressionError(
-            f"{where} is a {type(item).__name__}", "use items of codegen.problem.drawing, such as Rod"
-        )
+        raise ExpressionError(f"{where} is a {type(item).__name__}", "use items of codegen.drawing, such as Rod")
     where = f"{where}, a {type(item).__name__},"
     if not isinstance(item.label, str):
         raise ExpressionError(f"{where} has the label {item.label!r}", "give text")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
-from codegen.problem.drawing import Scene
+from codegen.drawing import Scene
 from codegen.show.figures.closed_loop import closed_loop_figure
 from codegen.show.figures.control import Drawings, control_figure
 from codegen.show.figures.pareto import Objective, objectives_of, pareto_figure, require_objectives

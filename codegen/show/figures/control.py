@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
-from codegen.problem.drawing import Scene
+from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
 from codegen.show.figures.picture import letter_size, new_figure
 from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments

@@ -21,8 +21,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
+from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.problem.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.show.figures.picture import STYLE, letter_size
 from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
 

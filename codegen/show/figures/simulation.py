@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from codegen.problem.drawing import Scene
+from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
 from codegen.show.figures.picture import letter_size, new_figure
 from codegen.show.figures.style import AMBER, BLUE, DARK, GREY, RED, Units, title
