@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 from sympy import Rational, S
 
-from codegen.schemes.base import FIRST_ORDER, Scheme
-from codegen.schemes.base import FieldPoint, Step, Update
+from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
+from codegen.discretise.schemes.base import FieldPoint, Step, Update
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ MARQUARDT = '''"""The method of Levenberg and Marquardt on the KKT equations, wh
 import numpy as np
 from scipy.optimize import root
 
-from codegen.drivers.shared import ScaledProblem
-from codegen.solutions.result import ControlAttempt
+from codegen.solving.drivers.shared import ScaledProblem
+from codegen.solving.results.result import ControlAttempt
 
 
 def control(module, run):
@@ -74,7 +74,7 @@ SUM_OF_SHARES = '''"""Evidence for the cost of a result: the midpoint rule on it
 
 import numpy as np
 
-from codegen.checks.base import Finding, does_not_apply
+from codegen.evidence.checks.base import Finding, does_not_apply
 
 
 def check(context):
@@ -91,11 +91,11 @@ def check(context):
 STANDSTILL = '''"""What stands still at the end."""
 
 from codegen.errors import ExpressionError
-from codegen.model.conditions.base import Kind
-from codegen.model.relations import MOVING, STATIC, Entry, checked_sequence
+from codegen.discretise.conditions.base import ConditionKind
+from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence
 
 
-class Standstill(Kind):
+class Standstill(ConditionKind):
     """Rates that are zero at the end; conditions there impose it."""
 
     argument, field, words = "standstill", "end_conditions", "conditions at its ends"
@@ -111,14 +111,15 @@ class Standstill(Kind):
         return iter(())
 '''
 
-BALANCE = '''"""What is balanced at every node; `transcribe.conditions.balance` imposes it."""
+BALANCE = '''"""Equations that hold at every node."""
 
-from codegen.author.symbols import Coordinate, State
-from codegen.model.conditions.base import Kind
-from codegen.model.relations import STATIC
+from codegen.problem.symbols import Coordinate, State
+from codegen.discretise.conditions.base import ConditionKind
+from codegen.discretise.conditions.path import nodal_equalities
+from codegen.discretise.model.relations import STATIC
 
 
-class Balance(Kind):
+class Balance(ConditionKind):
     """Equations between coordinates or states."""
 
     argument = field = "balance"
@@ -127,14 +128,10 @@ class Balance(Kind):
 
     def sentences(self, model):
         return [f"{c.name} at every node" for c in model.balance]
-'''
-
-SHARE_OF_BALANCE = '''"""Balances have a multiplier on each node."""
-
-from codegen.transcribe.conditions.path_conditions import nodal_equalities
 
 
 def balances(model, names):
+    """Balances have a multiplier on each node."""
     return nodal_equalities(model, model.balance, "lambda_balance", names)
 '''
 
@@ -143,7 +140,7 @@ BALANCE_OF_NODES = '''"""Evidence that balances hold at the nodes of a result.""
 import numpy as np
 import sympy
 
-from codegen.checks.base import Finding
+from codegen.evidence.checks.base import Finding
 
 
 def check(context):
@@ -161,23 +158,22 @@ import typer
 
 def orders() -> None:
     """List schemes with their orders."""
-    from codegen import schemes
+    from codegen.discretise import schemes
 
     for name, scheme in schemes.METHODS["hamiltonian"].items():
         typer.echo(f"{name} {scheme.order}")
 '''
 
 FILES = {
-    "schemes/radau.py": RADAU,
-    "drivers/marquardt.py": MARQUARDT,
-    "checks/solution/cost_of_motion.py": SUM_OF_SHARES,
-    "model/conditions/standstill.py": STANDSTILL,
+    "discretise/schemes/radau.py": RADAU,
+    "solving/drivers/marquardt.py": MARQUARDT,
+    "evidence/checks/cost_of_motion.py": SUM_OF_SHARES,
+    "discretise/conditions/standstill.py": STANDSTILL,
     "cli/orders.py": ORDERS,
-    "model/conditions/balance.py": BALANCE,
-    "transcribe/conditions/balance.py": SHARE_OF_BALANCE,
-    "checks/solution/balance_of_nodes.py": BALANCE_OF_NODES,
+    "discretise/conditions/balance.py": BALANCE,
+    "evidence/checks/balance_of_nodes.py": BALANCE_OF_NODES,
 }
-"""One file for each, and for a field of the model another with its share of the Lagrangian."""
+"""One file for each."""
 
 HALTON = """
 def _halton(number, dimensions, rng):
@@ -187,37 +183,41 @@ def _halton(number, dimensions, rng):
 
 
 METHODS"""
-_OF_SOLUTIONS = "from codegen.checks.solution import "
 REGISTRIES = {
-    "schemes/__init__.py": [
+    "discretise/schemes/__init__.py": [
         ("from codegen.discretise.schemes import ", "from codegen.discretise.schemes import radau, "),
         ("_FAMILIES = (", "_FAMILIES = (radau, "),
     ],
-    "drivers/__init__.py": [
+    "solving/drivers/__init__.py": [
         ("_ROWS = (", '_ROWS = (Driver("marquardt", "marquardt", "least squares", {"control": ("max_iterations",)}),')
     ],
-    "checks/__init__.py": [
-        (_OF_SOLUTIONS, f"{_OF_SOLUTIONS}balance_of_nodes, cost_of_motion, "),
+    "evidence/checks/__init__.py": [
+        ("from codegen", "from codegen.evidence.checks import balance_of_nodes, cost_of_motion\nfrom codegen"),
         ("_ROWS = (", '_ROWS = (Check("balance of nodes", balance_of_nodes.check),'),
         ("_ROWS = (", '_ROWS = (Check("cost of the motion", cost_of_motion.check, without=NO_REGULATORS),'),
         ("_ROWS", 'NO_REGULATORS = {"simulate": "it minimises nothing", "lagrangian": "it is no regulator"}\n\n_ROWS'),
     ],
-    "model/conditions/table.py": [
-        ("from codegen", "from codegen.model.conditions.balance import Balance\nfrom codegen"),
-        ("from codegen", "from codegen.model.conditions.standstill import Standstill\nfrom codegen"),
-        ("CONDITIONS: tuple[Kind, ...] = (", "CONDITIONS: tuple[Kind, ...] = (Standstill(), Balance(),"),
+    "discretise/conditions/__init__.py": [
+        ("from codegen", "from codegen.discretise.conditions.balance import Balance\nfrom codegen"),
+        ("from codegen", "from codegen.discretise.conditions.standstill import Standstill\nfrom codegen"),
+        (
+            "CONDITIONS: tuple[ConditionKind, ...] = (",
+            "CONDITIONS: tuple[ConditionKind, ...] = (Standstill(), Balance(),",
+        ),
     ],
     "cli/__init__.py": [("COMMANDS = (", 'COMMANDS = ("orders", ')],
-    "author/problem.py": [
+    "problem/problem.py": [
         ("    periodic: ", "    standstill: Sequence[Any] = ()\n    periodic: "),
         ("    periodic: ", "    balance: Sequence[Any] = ()\n    periodic: "),
     ],
-    "model/definitions.py": [("    holonomic: ", "    balance: tuple[Condition, ...] = ()\n    holonomic: ")],
-    "transcribe/assembly.py": [
-        ("from codegen", "from codegen.transcribe.conditions.balance import balances\nfrom codegen"),
+    "discretise/model/definitions.py": [
+        ("    holonomic: ", "    balance: tuple[Condition, ...] = ()\n    holonomic: ")
+    ],
+    "discretise/assembly.py": [
+        ("from codegen", "from codegen.discretise.conditions.balance import balances\nfrom codegen"),
         ("    inner = ", "    nodal += balances(model, names)\n    inner = "),
     ],
-    "sweeping/cases.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
+    "batch/cases.py": [("METHODS", HALTON), ('    "random": ', '    "halton": _halton,\n    "random": ')],
 }
 """A row and its import for each; of a condition the argument, of a sampling method the function beside the row.
 
@@ -227,7 +227,7 @@ A field of the model is named there, and its share is added up with the others.
 
 COMMANDS = """
 import json, os, sys
-import codegen.checks, codegen.cli.solve, codegen.compiler, codegen.drivers, codegen.solving.outcome, codegen.verify
+import codegen.cli.solve, codegen.emit.verify, codegen.evidence.checks, codegen.solving.outcome
 from codegen.__main__ import run
 for line in sys.stdin:
     words, *files = json.loads(line)
@@ -256,7 +256,7 @@ class Extended:
                 assert f"\n{old}" in text, (name, old)
                 text = text.replace(f"\n{old}", f"\n{new}", 1)
             path.write_text(text, encoding="utf-8")
-        self.problems = folder / "codegen" / "stress" / "problems"
+        self.problems = folder / "codegen/evidence/stress/problems"
 
         paths = {"PYTHONPATH": str(self.folder), "CODEGEN_CACHE_DIR": str(self.folder / "cache")}
         self.environment = {**os.environ, **paths, "NUMBA_DISABLE_JIT": "1", "COLUMNS": "200"}

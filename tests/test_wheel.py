@@ -81,7 +81,7 @@ def test_it_brings_what_its_parts_read(installed):
 import codegen, json
 from importlib.resources import files
 from codegen.registration.solver import problem_file
-from codegen.stress.families import all_cases
+from codegen.evidence.stress.families import all_cases
 static = files("codegen.registration.app") / "static"
 assert all((static / name).is_file() for name in ("index.html", "style.css", "main.js"))
 assert problem_file().is_file()

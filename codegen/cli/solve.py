@@ -36,7 +36,6 @@ from codegen.cli.options import (
 )
 from codegen.errors import ArgumentError, one_line
 from codegen.files import replacing
-from codegen.solving.results.output import require_writable
 from codegen.solving.tasks import TASKS
 from codegen.terminal import console, following, working
 
@@ -257,6 +256,8 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
     Raises ArgumentError for files that cannot be written, for a film of type .mp4 without ffmpeg and for a film of a
     problem without a drawing, as a generated module is; what the problem file raises.
     """
+    from codegen.solving.results.output import require_writable
+
     if plot is not None:
         require_writable(plot, PLOTS, "--plot")
     if animation is not None:

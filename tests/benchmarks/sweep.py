@@ -34,7 +34,7 @@ STEPS = 100
 TIMED = """
 import time
 from types import SimpleNamespace
-from codegen.sweeping import case
+from codegen.batch import case
 case.time = SimpleNamespace(perf_counter=time.process_time)  # what a solve is said to take is processor time
 from codegen.__main__ import run
 run()

@@ -14,7 +14,7 @@ from command_lines import ORBIT, PENDULUM
 
 COUNTED = """
 import sys
-from codegen.drivers import DRIVERS, Driver
+from codegen.solving.drivers import DRIVERS, Driver
 
 calls, original = [], Driver.function
 def counting(self, task):

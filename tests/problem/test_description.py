@@ -22,7 +22,7 @@ DIGESTS = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from written_objects import FILES, object_of
-from codegen.author.sources import input_digest
+from codegen.problem.sources import input_digest
 for file in FILES:
     print(file.stem, input_digest(object_of(file), {}))
 """

@@ -18,7 +18,7 @@ from codegen.solving.machine_code.parts import parts_of
 COUNT = """
 import sys
 from codegen.cli import main
-from codegen.loading import load, machine_code_counts
+from codegen.solving.loading import load, machine_code_counts
 before = set(sys.modules)
 try:
     main(sys.argv[1:])

@@ -65,9 +65,9 @@ def script(tmp_path):
     return f"""
 import sys
 from contextlib import nullcontext
-from codegen.machine_code import ahead_of_time
-from codegen.compiler import build
-from codegen.loading import load
+from codegen.solving.machine_code import ahead_of_time
+from codegen.solving.compiler import build
+from codegen.solving.loading import load
 
 made = build({str(PROBLEM)!r}, out={str(tmp_path / "modules")!r})
 module = load(made.path)

@@ -14,7 +14,7 @@ GENERATED = Path(__file__).parents[2] / "generated"
 
 USE = """
 import sys
-from codegen.loading import load, machine_code_counts
+from codegen.solving.loading import load, machine_code_counts
 module = load(sys.argv[1])
 solution = module.solve(200)
 assert "codegen.solving.drivers" not in sys.modules
