@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 __version__ = "0.2.0.dev0"
 
-_HOMES = {
+_MODULES = {
     **dict.fromkeys(["Control", "Phases", "Simulate", "Waypoint"], "codegen.problem.problem"),
     **dict.fromkeys(
         "body_number canonical_pair canonical_pairs control controls coordinate coordinates each_body free_parameter "
@@ -99,8 +99,12 @@ if TYPE_CHECKING:
     from codegen.solving.loading import load
 
 
-def __getattr__(name: str) -> Any:
-    # Imported on first use, so that `codegen --help` and generated modules' users never wait for sympy.
-    if name not in _HOMES:
+def __getattr__(name: str) -> object:
+    # Imports happen on first use, so that `codegen --help` and users of generated modules do not wait for sympy.
+    if name not in _MODULES:
         raise AttributeError(f"module 'codegen' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -32,7 +32,7 @@ def text(name: str) -> str:
     thing = found(name)
     if not is_alias(thing):
         return inspect.getdoc(thing) or ""
-    body = ast.parse(inspect.getsource(import_module(codegen._HOMES[name]))).body
+    body = ast.parse(inspect.getsource(import_module(codegen._MODULES[name]))).body
     below = [
         after.value.value
         for before, after in pairwise(body)
