@@ -24,9 +24,8 @@ from codegen.discretise.transcribe import transcribe
 from codegen.emit.naming import Choices
 from codegen.errors import ArgumentError, SchemeError
 from codegen.evidence.checks.one_step import has_symplectic_table
-from codegen.solving.compiler import build, generate
+from codegen.solving.compiler import generate
 from codegen.solving.drivers.fsolve import simulate as fsolve
-from codegen.solving.loading import load
 from codegen.solving.results.result import Run
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -207,10 +206,10 @@ def test_only_single_schemes_are_repeated_and_more_than_once(name: str) -> None:
         schemes.find(name, schemes.FIRST_ORDER)
 
 
+@pytest.mark.usefixtures("uncompiled")
 def test_a_control_is_held_over_repeated_steps() -> None:
     """Nodes of an optimum are what the textbook's recursion makes of its controls, with two steps for each."""
-    module = load(build(PROBLEMS / "van_der_pol.py", {}, scheme="2-steps-of-rk4").path)
-    solution = module.solve(20)
+    solution = codegen.solve(PROBLEMS / "van_der_pol.py", scheme="2-steps-of-rk4", steps=20)
     h, x = 5.0 / 40, np.array(solution.q[0])
     assert solution.status == "solved"
 
@@ -226,6 +225,8 @@ def test_a_control_is_held_over_repeated_steps() -> None:
         np.testing.assert_allclose(solution.q[k + 1], x, atol=1e-9)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize("name", ["3-steps-of-rk4", "2-steps-of-hermite-simpson"])
 def test_checks_prove_repeated_steps(name: str) -> None:
     findings = codegen.compile(PROBLEMS / "van_der_pol.py", scheme=name).check()
@@ -247,11 +248,13 @@ def stiff(name: str) -> float:
     return float(result.q[-1, 0] - np.cos(2.0))
 
 
+@pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize("name", ["radau-3", "radau-5", "sdirk-4"])
 def test_stiff_components_vanish_with_l_stable_schemes(name: str) -> None:
     assert abs(stiff(name)) < 1e-7
 
 
+@pytest.mark.usefixtures("uncompiled")
 @pytest.mark.parametrize("name", ["gauss-4", "gauss-8"])
 def test_stiff_components_stay_with_gauss_collocation(name: str) -> None:
     """The stability function tends to 1 with an even number of points."""
