@@ -2,22 +2,77 @@
 
 A kernel reads and fills arrays by pointers to their first entries; its other arguments are numbers. What is common to
 all problems calls it by an integer, the address, which does not take part in numba's cache on disk.
+
+Arguments of kernels that follow from others: how many particles there are, and how many columns an array has.
+
+Packed operations: what this module has compiled lets LLVM put neighbouring operations into one instruction.
+
+numba leaves that out unless it is asked for it, and asks for all code alike. With it, factorisations take 15 to 30
+percent less time. Machine code that is on the disk already is as it was compiled. The option is one for all threads and
+modules of a process: the first block to begin sets it, and the last to end restores what it was, unless it was changed.
 """
 
 import ctypes
 import inspect
+from collections.abc import Iterable
+from contextlib import contextmanager
 from functools import cached_property
 from importlib import import_module
+from threading import Lock
 from typing import Any, ClassVar
 
 import numpy as np
 from numba import cfunc, config, njit, types
 
 from codegen.runtime.addresses import CTYPES, REALS, Reals, callback
-from codegen.runtime.arguments import with_counts
 from codegen.runtime.identity import name_by_text
 from codegen.runtime.kept_code import add_checksums, fresh_folder, start_of, statistics_of
-from codegen.runtime.packing import packed_operations
+
+
+def with_counts(names: Iterable[str], values: Iterable[Any]) -> list[Any]:
+    """Return the values of all arguments of a kernel, those that are called `count` and `columns` included.
+
+    `count` is the last dimension but one of the array before it, `columns` the last dimension.
+    """
+    waiting, found = list(values), list[Any]()
+    for name in names:
+        if name in ("count", "columns"):
+            found.append(found[-1].shape[-2 if name == "count" else -1])
+        else:
+            found.append(waiting.pop(0))
+    return found
+
+
+# Of all modules together, and so kept beside the option: how many blocks run, and what it was before them.
+PACKING = vars(config).setdefault("_packing_of_codegen", {"lock": Lock(), "blocks": 0, "before": 0})
+
+
+def begin_packing():
+    """Begin a block: the first one sets the option."""
+    with PACKING["lock"]:
+        if not PACKING["blocks"]:
+            PACKING["before"] = getattr(config, "SLP_VECTORIZE", 0)
+            config.SLP_VECTORIZE = 1
+        PACKING["blocks"] += 1
+
+
+def end_packing():
+    """End a block: the last one restores the option."""
+    with PACKING["lock"]:
+        PACKING["blocks"] -= 1
+        if not PACKING["blocks"] and config.SLP_VECTORIZE == 1:
+            config.SLP_VECTORIZE = PACKING["before"]
+
+
+@contextmanager
+def packed_operations():
+    """Have operations packed in whatever numba compiles while the block, or a function that it decorates, runs."""
+    begin_packing()
+    try:
+        yield
+    finally:
+        end_packing()
+
 
 NUMBERS = {
     "t": types.float64, "count": types.int64, "columns": types.int64, "fraction": types.float64,

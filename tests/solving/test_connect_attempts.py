@@ -10,7 +10,7 @@ from few_landmarks import START, TARGET, few
 from codegen.errors import ArgumentError, PointsError, SchemeError
 from codegen.problem.points import PointSet, read_points
 from codegen.runtime.particles import cascade, shooting
-from codegen.runtime.particles.trajectory import follow
+from codegen.runtime.particles.steps import follow
 from codegen.solving import api
 from codegen.solving.results.connect import connect_result
 from codegen.solving.results.result import ConnectAttempt, Run

@@ -3,6 +3,11 @@
 The text of a system is that of the files of this folder, in which the shape is a constant in place of an argument.
 Problems of one shape share it. It is kept in the cache folder, and numba keeps its machine code beside it. Constants
 halve the time of a factorisation.
+
+The linear system for problems of any shape, whose numbers are read at run time.
+
+A factorisation takes twice as long as with constants, and nothing is compiled for a new shape: where problems are many
+and small, as in tests, that is quicker.
 """
 
 import ast
@@ -16,10 +21,11 @@ from pathlib import Path
 
 from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kept_code import fingerprint, fresh_folder
-from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.kernels import packed_operations
+from codegen.runtime.kkt.shape import SHAPE, Shape, place_of
+from codegen.runtime.kkt.system import solve_system
 
-FILES = "shape", "tables", "symmetric", "stages", "condensation", "frontal", "substitution", "system"
+FILES = "shape", "symmetric", "stages", "elimination", "system"
 PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
 """Functions whose intermediate code is kept, so that several processes can compile a system."""
 HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
@@ -146,3 +152,30 @@ def compiled_system(shape):
 def system_address(shape):
     """Return the address of the linear system of a shape, which is compiled if it is new to this machine."""
     return compiled_system(shape).address
+
+
+@lru_cache(maxsize=1)
+def compiled_any_shape():
+    """Return the compiled function, which has the address."""
+
+    def system(
+        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
+    ):  # fmt: skip
+        """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+        p = place_of(tables, SHAPE)
+        shape = Shape(
+            tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],
+            tables[p + 7], tables[p + 8], tables[p + 9], tables[p + 10], tables[p + 11], tables[p + 12], tables[p + 13],
+        )  # fmt: skip
+        return solve_system(
+            shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders,
+            step, is_wanted,
+        )  # fmt: skip
+
+    return entry_of(SYSTEM, system)
+
+
+def any_shape_address():
+    """Return the address of the linear system of any shape."""
+    return compiled_any_shape().address

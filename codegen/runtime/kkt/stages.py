@@ -26,16 +26,7 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead
-from codegen.runtime.kkt.shape import block_size, padded, row_count, tail_of
-from codegen.runtime.kkt.symmetric import (
-    backward_once,
-    clear,
-    eliminate_once,
-    forward_once,
-    subtract_products,
-    subtract_row,
-)
-from codegen.runtime.kkt.tables import (
+from codegen.runtime.kkt.shape import (
     CROSS_COLUMNS,
     CROSS_ROWS,
     CROSSED,
@@ -47,8 +38,20 @@ from codegen.runtime.kkt.tables import (
     SLOPE_COLUMNS,
     SLOPE_ROWS,
     STAGED,
+    block_size,
     count_of,
+    padded,
     place_of,
+    row_count,
+    tail_of,
+)
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    clear,
+    eliminate_once,
+    forward_once,
+    subtract_products,
+    subtract_row,
 )
 
 HAS_STAGES = True

@@ -6,13 +6,8 @@ Linking variables are the separator between bodies, eliminated last from the Sch
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead
-from codegen.runtime.kkt.condensation import condense, recover_condensed
-from codegen.runtime.kkt.frontal import eliminate_body
-from codegen.runtime.kkt.shape import block_size, last_size, last_width, padded, row_count, row_width
-from codegen.runtime.kkt.stages import stage_sizes, stage_views
-from codegen.runtime.kkt.substitution import backward, forward
-from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
-from codegen.runtime.kkt.tables import (
+from codegen.runtime.kkt.elimination import backward, condense, eliminate_body, forward, recover_condensed
+from codegen.runtime.kkt.shape import (
     COUNTS,
     END_COLUMNS,
     END_SHARED,
@@ -22,9 +17,17 @@ from codegen.runtime.kkt.tables import (
     START_ROWS,
     START_SHARED,
     START_TIED,
+    block_size,
     count_of,
+    last_size,
+    last_width,
+    padded,
     place_of,
+    row_count,
+    row_width,
 )
+from codegen.runtime.kkt.stages import stage_sizes, stage_views
+from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
 
 SINGULAR = 1 << 40
 """The excess of negative pivots of a matrix that is singular, or whose condensed block is not positive definite."""

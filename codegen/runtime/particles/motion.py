@@ -6,9 +6,8 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.addresses import data_of, reals_at
-from codegen.runtime.packing import packed_operations
-from codegen.runtime.particles.steps import advance
-from codegen.runtime.particles.trajectory import energy_of
+from codegen.runtime.kernels import packed_operations
+from codegen.runtime.particles.steps import advance, energy_of
 from codegen.runtime.search.grid import checked_count, checked_times
 from codegen.runtime.stepping.motion import Solution, describe, require_finite
 from codegen.runtime.stepping.steps import checked, stored, stored_last

@@ -16,7 +16,7 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import call, data_of, reals_at
-from codegen.runtime.particles.trajectory import defects
+from codegen.runtime.particles.steps import defects
 
 MOST = 30  # iterations of Newton's method
 SETTLED = 1e-15  # a change of a position, in units of length, that is not made any more

@@ -1,9 +1,20 @@
-"""The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed."""
+"""The globalisation cascade: searches for a local minimum that begin in other ways where those before them failed.
+
+Saddle points of the cost on the set where the equations hold: directions of negative curvature and escape steps.
+
+The end of an interior-point method: bounds, which were relaxed on the way, hold exactly.
+
+An unknown that is outside its bound, by the relaxation, is moved onto it. Where equations are steep or multipliers
+large, even a move of 1e-12 costs digits of the optimality conditions. Newton's steps of the barrier problem without
+relaxation then lead back to its optimum.
+"""
 
 import numpy as np
+from numba import njit
 
-from codegen.runtime.search.convergence import is_at_rounding_level, is_solved
+from codegen.runtime.search import descent
 from codegen.runtime.search.descent import (
+    FLAT,
     FROM_AFAR,
     IS_BESIDE,
     LEAST_RELAXATION,
@@ -12,7 +23,6 @@ from codegen.runtime.search.descent import (
     X,
     begin_beside,
 )
-from codegen.runtime.search.exact_bounds import within_bounds
 from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.iterates import (
     CASCADE,
@@ -25,18 +35,146 @@ from codegen.runtime.search.iterates import (
     central_duals,
     keep_storage,
     measured_point,
+    moved,
+    newton_step,
     newton_system,
     on_grid,
     predicted_cost,
     search_on,
     stored,
+    with_tied_values,
 )
-from codegen.runtime.search.linear_system import factor_kkt
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
 from codegen.runtime.search.newton import UNLUCKY, descend, restored
-from codegen.runtime.search.point import evaluate
+from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.restoration import NONE_HELD, least_violation
-from codegen.runtime.search.saddle_points import ESCAPES, LEFT, escape_steps, is_below
-from codegen.runtime.search.termination import VIOLATED
+from codegen.runtime.search.termination import VIOLATED, is_at_rounding_level, is_solved
+
+INVERSE_ITERATIONS = 4
+ESCAPES = 3  # how often a saddle point is left
+LEFT = ("solved", "saddle point", "unbounded")  # ends of a descent beside a saddle point that tell about it
+
+
+def least_delta_w(grid, unknowns, system, curvature=0.0):
+    """Return a delta_w that makes the Hessian on the equations' null space positive definite, and factor with it.
+
+    `curvature` is added to the diagonal first. The result is at most ten times as much as is needed, and infinite where
+    none is enough.
+    """
+    delta_w = FLAT
+    while delta_w < 1e20:
+        diagonal = np.where(grid.is_multiplier, -FLAT, delta_w + curvature)
+        if factor_kkt(grid, unknowns, 1.0, diagonal, system) == 0:
+            return delta_w
+        delta_w *= 10.0
+    return np.inf
+
+
+def negative_curvature_direction(grid, unknowns, curvature=0.0):
+    """Return the direction (n,) of most negative curvature while the equations hold to first order.
+
+    By inverse iteration with the shifted KKT matrix from a fixed random vector; zero where no shift helps. `curvature`
+    is what a barrier adds to the Hessian's diagonal.
+    """
+    system = allocate_system(grid)
+    direction = np.random.default_rng(1).uniform(0.5, 1.0, unknowns.size)
+    if least_delta_w(grid, unknowns, system, curvature) == np.inf:
+        return np.zeros(unknowns.size)
+    free = free_unknowns(grid) & ~grid.is_multiplier
+    for _ in range(INVERSE_ITERATIONS):
+        right = np.where(free, direction / np.abs(direction[free]).max(initial=1e-300), 0.0)
+        direction = np.empty(unknowns.size)
+        solve_kkt(grid, system, right, direction)
+    return np.where(free, direction, 0.0)
+
+
+def is_below(cost, saddle_cost):
+    """Return True if a cost is lower than at a saddle point, by more than rounding."""
+    return cost < saddle_cost - 1e-9 * max(1.0, abs(saddle_cost))
+
+
+def escape_steps(grid, unknowns, curvature, escapes):
+    """Return steps along the falling direction to both sides; the more escapes there were, the longer.
+
+    The first change each quantity by a tenth of its greatest value at most, or of one where that is smaller: a large
+    one says nothing about how far the others may go.
+    """
+    direction, sizes = negative_curvature_direction(grid, unknowns, curvature), np.maximum(1.0, np.abs(unknowns))
+    for own in views(grid, sizes):
+        own[:] = own.max(axis=1, initial=1.0)[:, None]
+    direction *= 0.1 * 3.0**escapes / max((np.abs(direction) / sizes).max(initial=0.0), 1e-300)
+    return direction, -direction
+
+
+LAST_STEPS = 3
+WORSE = 2.0  # largest growth of an error above the tolerance
+
+
+def within_bounds(search, iterate, tolerance):
+    """Return the point of an iterate inside its bounds, with its errors, or as it is if that costs accuracy."""
+    point = iterate.point
+    if not (search.is_bounded and point.error < np.inf):
+        return point
+    clipped = inside = on_bounds(search, iterate)
+    for _ in range(LAST_STEPS):
+        if inside.error <= max(tolerance, WORSE * point.error):
+            return inside
+        iterate = last_step(search, iterate)
+        if iterate is None:
+            break
+        inside = on_bounds(search, iterate)
+    best = min(inside, clipped, key=lambda found: found.error)
+    return best if best.residual <= max(tolerance, WORSE * point.residual) else point
+
+
+def on_bounds(search, iterate):
+    """Return the point with unknowns beyond a bound moved onto it, and its stationarity with the duals of bounds."""
+    unknowns, gradient = iterate.point.unknowns.copy(), iterate.point.gradient.copy()
+    problem, data, _, bounds = search.arguments
+    measures = clip(
+        problem, data, bounds, iterate.point[2:], iterate.distance, iterate.duals, search.work.vectors, unknowns,
+        gradient,
+    )  # fmt: skip
+    return Point(unknowns, gradient, *measures)
+
+
+@njit(cache=True, error_model="numpy")
+def clip(problem, grid, bounds, known, distance, duals, vectors, unknowns, gradient):
+    """Move those of `unknowns` (n,) that are beyond a bound onto it, and evaluate; return the measures of a point.
+
+    `known` are those of a point at the unknowns with this `gradient` (n,).
+    """
+    indices, lower, upper, moves, measures = bounds[0], bounds[4], bounds[5], False, known
+    for i in indices:
+        clipped = min(max(unknowns[i], lower[i]), upper[i])
+        moves = moves or clipped != unknowns[i]
+        unknowns[i] = clipped
+    if moves:
+        descent.tie(grid, unknowns)
+        measures, _ = descent.evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors)
+    else:
+        measures, _ = descent.measured_again(bounds, grid[4], known, unknowns, gradient, distance, duals, vectors)
+    return measures
+
+
+def last_step(search, iterate):
+    """Return the iterate after a Newton step of the barrier problem with unrelaxed bounds; None if there is no step.
+
+    An unknown that is no farther from its bound than by the relaxation keeps its distance, and is moved instead, so
+    that complementarities stay as they are.
+    """
+    grid, bounds, unknowns = search.grid, search.bounds, iterate.point.unknowns.copy()
+    distance = bounds.side * (unknowns[bounds.indices] - bounds.value)
+    relaxed = iterate.distance - distance
+    close = np.flatnonzero(distance < relaxed)
+    unknowns[bounds.indices[close]] += (bounds.side * relaxed)[close]
+    distance[close] = iterate.distance[close]
+    unknowns = with_tied_values(grid, unknowns)
+    mu = iterate.duals @ distance / max(1, distance.size)
+    iterate = iterate._replace(point=evaluate(grid, unknowns), mu=mu, distance=distance)
+    step = newton_step(search, iterate)
+    return None if step is None else moved(search, iterate, step, step.longest)
+
 
 BULGE = 0.1  # part of its size by which a guess is bent
 WAVES, AMPLITUDE = 3, 0.5  # of a varied guess: sines in a curve, their standard deviation in units of a quantity's size

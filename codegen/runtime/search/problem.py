@@ -10,8 +10,7 @@ from numba import config
 
 from codegen.runtime.addresses import LOOP, callback
 from codegen.runtime.kernels import Addressed, problem_of
-from codegen.runtime.kkt.any_shape import any_shape_address
-from codegen.runtime.kkt.specialised import system_address
+from codegen.runtime.kkt.specialised import any_shape_address, system_address
 from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.search.structure import Structure
 

@@ -26,7 +26,7 @@ from numba import njit
 
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE
-from codegen.runtime.search.parts import fill
+from codegen.runtime.search.point import fill
 
 SAMPLES = 4  # intervals on which derivatives are evaluated
 SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten; neither is round, by intention

@@ -18,8 +18,7 @@ from codegen.runtime.kkt.system import root_index
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE, free_unknowns, plain_grid, views
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, filled_entries
-from codegen.runtime.search.parts import fill, interval_parts
-from codegen.runtime.search.point import evaluate
+from codegen.runtime.search.point import evaluate, fill, interval_parts
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import scaled_unknowns
 

@@ -2,20 +2,150 @@
 
 The same problem is solved in other units, those in which its numbers are of ordinary size (see `scaling`); where they
 are that already, it is solved as it is.
+
+The motion that follows from the given start under the controls of a guess, interval by interval.
+
+Where all states are given at the start and none at the end, a guess by straight lines is constant, and grossly violates
+dynamics that grow or decay: of epidemics, cells and reactions the first steps then go far astray. A motion obeys them,
+but may be no better a start where the dynamics are unstable, so that searches begin there only after others have taken
+long, or failed.
+
+Solve a linear-quadratic problem: one Newton step, and at most two more that remove rounding errors.
 """
 
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search import linear
-from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.cascade import minimise, varied_guess
-from codegen.runtime.search.forward_motion import forward_motion
+from codegen.runtime.search.bounds import bounds_of, with_slacks
+from codegen.runtime.search.cascade import least_delta_w, minimise, varied_guess
+from codegen.runtime.search.descent import FLAT, WORTH_MEASURING
 from codegen.runtime.search.grid import NONE, plain_grid, with_pinned_values
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.runtime.search.messages import describe
-from codegen.runtime.search.point import evaluate, lagrangian
+from codegen.runtime.search.point import evaluate, fill, lagrangian
 from codegen.runtime.search.scaling import scaled_grid
-from codegen.runtime.search.termination import final_status, unscaled_unknowns
+from codegen.runtime.search.termination import final_status, is_solved, unscaled_unknowns
+
+NEWTON_STEPS = 20  # on one interval
+RELATIVE = 1e-10  # part of what is solved for that the last of them may be
+BEYOND = 1e6  # a motion that grows by it runs away
+
+
+def motion_entries(s):
+    """Return the entries of an interval's Hessian that belong to the motion: (3, m), with number, row and column."""
+    row, column = ({int(j): i for i, j in enumerate(kind)} for kind in (s.motion_equations, s.motion_unknowns))
+    pairs = list(enumerate(zip(s.rows.tolist(), s.columns.tolist(), strict=True)))
+    found = [(k, row[i], column[j]) for k, (i, j) in pairs if i in row and j in column]
+    found += [(k, row[j], column[i]) for k, (i, j) in pairs if j in row and i in column]
+    return np.array(found).T
+
+
+def forward_motion(grid, unknowns):
+    """Return the unknowns (n,) of the motion under the controls of a guess (n,), without multipliers, or None.
+
+    Controls are moved inside their bounds. Everything is in the problem's own units.
+    """
+    s, (lower, upper) = grid.problem.structure, bounds_of(grid)
+    own = np.minimum(np.maximum(np.where(grid.is_multiplier, 0.0, unknowns), lower), upper)
+    limit, common = BEYOND * max(1.0, np.abs(own).max()), own[own.size - s.root :]
+    piece, inside = np.concatenate([own[: s.element], common]), s.motion_unknowns[s.motion_unknowns < s.stride]
+    entries = motion_entries(s)
+    for k in range(grid.steps):
+        first, solved = k * s.stride, piece[inside]
+        piece[: s.element] = own[first : first + s.element]
+        piece[s.stride : s.element] = piece[: s.node]
+        if k > 0:
+            piece[inside] = solved  # stages begin as those of the interval before
+        if not is_solved_for_motion(grid, k, piece, entries) or not np.abs(piece).max() <= limit:
+            return None
+        own[first + s.motion_unknowns] = piece[s.motion_unknowns]
+    if s.slacks.size:
+        own = with_slacks(grid, own)
+    return own
+
+
+def is_solved_for_motion(grid, k, piece, entries):
+    """Return True if Newton's method finds the state after interval k, and its stages, from the state before it.
+
+    `piece` (element + root,) has the unknowns of the interval and both nodes, and those that no node owns.
+    """
+    s, (entry, row, column) = grid.problem.structure, entries
+    times, gradient, values = grid.nodes[k : k + 2].copy(), np.empty(piece.size), np.empty(s.entry_count(1))
+    data = 1, grid.h, times, grid.parameters
+    matrix = np.zeros((s.motion_equations.size, s.motion_unknowns.size))
+    for _ in range(NEWTON_STEPS):
+        fill(grid.problem.gradient.address, piece, *data, gradient)
+        fill(grid.problem.hessians.address, piece, *data, values)
+        matrix[row, column] = values[entry]
+        if not np.isfinite(matrix).all():
+            return False
+        try:
+            step = np.linalg.solve(matrix, gradient[s.motion_equations])
+        except np.linalg.LinAlgError:
+            return False
+        piece[s.motion_unknowns] -= step
+        if not np.abs(step).max() < np.inf:
+            return False
+        if (np.abs(step) <= RELATIVE * np.maximum(1.0, np.abs(piece[s.motion_unknowns]))).all():
+            return True
+    return False
+
+
+CONTRADICTORY = 1e-6  # least violation of contradictory equations, relative to the first residual
+ROUNDINGS = 4.0  # rounding errors of their terms that one Newton step leaves in the equations
+LARGE = 1e6  # a larger step, relative to the unknowns, means that the problem is unbounded
+
+
+def solve_linear_quadratic(grid, unknowns, tolerance, log, system=None):
+    """Find the minimum; return (status, point, iterations).
+
+    A row (cost, residual, stationarity, Hessian's shift, step length) is
+    appended to `log` at every iterate. `system` is the storage of the linear system, if there is one.
+    """
+    system = system or allocate_system(grid)
+    none, step = np.zeros(unknowns.size), np.empty(unknowns.size)
+    point = evaluate(grid, unknowns)
+    excess = factor_kkt(grid, unknowns, 1.0, none, system, point.gradient, step)
+    for iteration in range(4):
+        log.add(point, float(iteration > 0))
+        if not point.error < np.inf:
+            return "non-finite", point, iteration
+        if excess != 0:
+            return *without_minimum(grid, point, system), iteration
+        if (iteration > 0 or point.error <= WORTH_MEASURING) and is_solved(grid, point, tolerance, ROUNDINGS):
+            return "solved", point, iteration
+        if iteration > 0:
+            solve_kkt(grid, system, point.gradient, step)
+        point = evaluate(grid, point.unknowns + step)
+    return "stalled", point, 3
+
+
+def without_minimum(grid, point, system):
+    """Return (status, point) if the KKT matrix is singular, or has another inertia than at a minimum."""
+    least = nearest_feasible_point(grid, point, system)
+    if least.residual > CONTRADICTORY * point.residual:
+        return "infeasible", least
+    if least_delta_w(grid, point.unknowns, system) > FLAT:
+        return "unbounded", least
+    step = np.empty_like(point.unknowns)
+    solve_kkt(grid, system, least.gradient, step)
+    large = np.abs(step[~grid.is_multiplier]).max() > LARGE * max(1.0, np.abs(least.unknowns).max())
+    return "unbounded" if large else "rank-deficient", least
+
+
+def nearest_feasible_point(grid, point, system):
+    """Return the point nearest to a given one where the equations hold, or where they are violated least."""
+    step = np.empty_like(point.unknowns)
+    point = evaluate(grid, np.where(grid.is_multiplier, 0.0, point.unknowns))
+    for _ in range(5):
+        gradient = np.where(grid.is_multiplier, point.gradient, 0.0)
+        diagonal = np.where(grid.is_multiplier, -FLAT, 1.0)
+        if not is_factored(factor_kkt(grid, point.unknowns, 0.0, diagonal, system, gradient, step)):
+            return point
+        step[grid.is_multiplier] = 0.0
+        point = evaluate(grid, point.unknowns + step)
+    return point
+
 
 # How much steeper equations and cost may be at a solution than at the guess, to powers of a thousand and a million.
 STEEPER, STEEPER_COST = 3e3, 3e6
@@ -102,7 +232,7 @@ def optimise_from(grid, unknowns, tolerance, max_iterations, warm, scaling, log)
 
 def optimise_linear(grid, unknowns, tolerance, log):
     """Minimise a linear-quadratic problem, which needs no scaling: one Newton step is the same in all units."""
-    status, point, iterations = linear.minimise(grid, unknowns, tolerance, log)
+    status, point, iterations = solve_linear_quadratic(grid, unknowns, tolerance, log)
     status = final_status(grid, unknowns, point, status)
     status, message = describe(grid, unknowns, point, status)
     if status == "solved":

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.kkt.tables import packed
+from codegen.runtime.kkt.shape import Shape, packed
 
 NO_INDICES = np.zeros(0, np.int64)
 NO_MASK = np.zeros(0, bool)

@@ -1,19 +1,23 @@
-"""The termination status, corrected by what can be seen only afterwards."""
+"""The termination status, corrected by what can be seen only afterwards.
+
+How large the terms of the equations are: what a residual has to be compared with.
+"""
 
 import numpy as np
 
-from codegen.runtime.search.bounds import at_bounds
-from codegen.runtime.search.callbacks import hessian, jacobian
+from codegen.runtime.search import descent
+from codegen.runtime.search.bounds import HOLDS, at_bounds
+from codegen.runtime.search.descent import UNIT_ROUNDOFF, VANISHED, WORTH_MEASURING
 from codegen.runtime.search.grid import least_duration, multiplier_unknowns, primal_unknowns
+from codegen.runtime.search.iterates import arguments_of
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
-from codegen.runtime.search.point import evaluate
+from codegen.runtime.search.point import evaluate, hessian, jacobian
 
 GROWTH = 1e3  # an unknown diverges if it exceeds this multiple of max(1, |guess|)
 FALL = 0.5  # least fall of the cost, relative to the first one, if an unknown diverges
 HELD = 1e-6  # largest residual, relative to the largest unknown, if an unknown diverges
 HUGE = 1e6  # larger multipliers belong to dependent equations
 VIOLATED = 1e-6  # larger residuals are not rounding errors
-HOLDS = 1e-9  # equations with smaller residuals hold
 
 
 def final_status(grid, guess, point, status):
@@ -91,3 +95,35 @@ def newton_step(grid, point):
     if factor_kkt(grid, point.unknowns, 1.0, shift, system, point.gradient, step) != 0:
         return np.full(step.size, np.inf)
     return step
+
+
+def sizes_of_terms(grid, unknowns, system=None):
+    """Return the largest sums of absolute terms in an equation, and in a stationarity condition, as `terms`, scaled."""
+    problem, data, storage = arguments_of(grid, system or allocate_system(grid))
+    vectors, is_costless = np.empty((descent.VECTORS, unknowns.size)), int(grid.problem.structure.costless)
+    return descent.terms(problem, data, storage, unknowns, is_costless, vectors)
+
+
+def is_solved(grid, point, tolerance, roundings=1.0, system=None):
+    """Return True if residual and stationarity are within the tolerance, or some rounding errors of their terms.
+
+    The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller,
+    so that a problem in small units is not called solved too early.
+    """
+    if not grid.problem.structure.linear_quadratic and point.error > max(tolerance, WORTH_MEASURING):
+        return False
+    equations, stationarity = sizes_of_terms(grid, point.unknowns, system)
+    return is_small(point.residual, equations, tolerance, roundings) and is_small(
+        point.stationarity, stationarity, tolerance, roundings
+    )
+
+
+def is_small(value, size, tolerance, roundings):
+    """Return True if a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    return value <= max(tolerance * min(1.0, size), roundings * UNIT_ROUNDOFF * size, VANISHED)
+
+
+def is_at_rounding_level(grid, point, system=None):
+    """Return True if residual and stationarity are no larger than a thousand rounding errors."""
+    sizes = sizes_of_terms(grid, point.unknowns, system)
+    return point.residual <= 1e3 * UNIT_ROUNDOFF * sizes[0] and point.stationarity <= 1e3 * UNIT_ROUNDOFF * sizes[1]

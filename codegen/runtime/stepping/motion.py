@@ -9,7 +9,7 @@ import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
 from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
-from codegen.runtime.tabulated.table_numbers import table_numbers
+from codegen.runtime.tabulated import table_numbers
 
 TOLERANCE, MOST = 1e-13, 50  # of Newton's method, unless others are given
 FAILURES = {

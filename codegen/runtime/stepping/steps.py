@@ -9,8 +9,8 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
+from codegen.runtime.arithmetic import factor_matrix, solve_factored
 from codegen.runtime.kernels import ONLY_COMPILED
-from codegen.runtime.lu import factor_matrix, solve_factored
 
 NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # why a step fails
 LEAST = 1e-300  # numbers below it are so close to the least ones that they have no relative size

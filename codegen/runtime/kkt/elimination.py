@@ -16,26 +16,27 @@ interior-point methods to model predictive control, for the Riccati view.
 Too many negative pivots show before the end. At a minimum, the rows that are eliminated and the multipliers of all
 equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
 that are still to come it has at most as many (Cauchy's interlacing theorem).
+
+Static condensation of the unknowns inside an interval: Schur complement, right-hand sides, recovery.
+
+With C the block of these unknowns in the Hessian of an interval and B their rows beside all other unknowns, elimination
+leaves K - B' inverse(C) B. C is inverted on each interval, or once where it is the same on all of them.
+
+Solve with the factors of a body's part of the KKT matrix: forward and backward over its blocks.
+
+A right-hand side that took part in the elimination needs no way forward: its column in the factors counts on the way
+back, as if it belonged to one more unknown, with the value -1.
 """
 
+import numpy as np
 from numba import njit
 
-from codegen.runtime.kkt.condensation import invert_block, scatter, subtract_schur_complement
 from codegen.runtime.kkt.shape import (
-    block_size,
-    first_condensed,
-    interval_of,
-    last_size,
-    padded,
-    row_count,
-    tail_of,
-    unknown_of,
-)
-from codegen.runtime.kkt.stages import HAS_STAGES, eliminate_stages
-from codegen.runtime.kkt.symmetric import clear, eliminate_once, eliminate_rows, subtract_products
-from codegen.runtime.kkt.tables import (
     COMMON,
     COUNTS,
+    COUPLED,
+    COUPLED_COLUMNS,
+    COUPLED_ROWS,
     END_COLUMNS,
     END_PINNED,
     END_ROWS,
@@ -43,15 +44,179 @@ from codegen.runtime.kkt.tables import (
     END_TIED,
     ENDING,
     FIRST,
+    FIRST_PINNED,
+    INSIDE,
+    INSIDE_COLUMNS,
+    INSIDE_ROWS,
+    KEPT,
+    KEPT_COLUMNS,
+    KEPT_ROWS,
+    LAST_PINNED,
     MULTIPLIERS,
     START_COLUMNS,
     START_PINNED,
     START_ROWS,
     START_SHARED,
     START_TIED,
+    TOUCHED,
+    block_size,
     count_of,
+    first_condensed,
+    interval_of,
+    last_size,
+    padded,
     place_of,
+    row_count,
+    tail_of,
+    unknown_of,
 )
+from codegen.runtime.kkt.stages import HAS_STAGES, eliminate_stages, recover_stages, reduce_right
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    clear,
+    eliminate_once,
+    eliminate_rows,
+    forward_once,
+    solve_backward,
+    solve_forward,
+    solve_pivots,
+    subtract_products,
+    subtract_row,
+)
+
+
+@njit(error_model="numpy", forceinline=True)
+def scatter(shape, tables, hessian, k, element, couplings):
+    """Put the second derivatives of interval k by unknowns that stay into the element matrix, others into `couplings`.
+
+    `hessian` (entries,), `element` (rows, width), `couplings` (N, condensed, width).
+    """
+    kept, rows, columns = place_of(tables, KEPT), place_of(tables, KEPT_ROWS), place_of(tables, KEPT_COLUMNS)
+    for j in range(count_of(tables, KEPT)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        element[row, column] = element[column, row] = hessian[np.uint64(tables[kept + j])]
+    if shape.condensed:
+        coupling = couplings[k]
+        kept, rows = place_of(tables, COUPLED), place_of(tables, COUPLED_ROWS)
+        columns = place_of(tables, COUPLED_COLUMNS)
+        for j in range(count_of(tables, COUPLED)):
+            row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+            coupling[row, column] = hessian[np.uint64(tables[kept + j])]
+
+
+@njit(error_model="numpy", forceinline=True)
+def invert_block(shape, tables, hessian, diagonal, k, block):
+    """Invert the block C of interval k; return False if it is not positive definite.
+
+    `diagonal` (N stride + node,) is added; `block` (condensed, condensed).
+    """
+    kept, rows, columns = place_of(tables, INSIDE), place_of(tables, INSIDE_ROWS), place_of(tables, INSIDE_COLUMNS)
+    first = first_condensed(shape, k)
+    for a in range(shape.condensed):
+        for b in range(shape.condensed):
+            block[a, b] = 0.0
+        block[a, a] = diagonal[first + a]
+    for j in range(count_of(tables, INSIDE)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        value = hessian[np.uint64(tables[kept + j])]
+        block[row, column] += value
+        if row != column:
+            block[column, row] += value
+    return invert_positive_definite(block, shape.condensed)
+
+
+@njit(error_model="numpy", forceinline=True)
+def invert_positive_definite(block, size):
+    """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; return False if it is not positive definite."""
+    for k in range(size):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(size):
+            block[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(size):
+                    block[i, j] -= factor * block[k, j]
+    return True
+
+
+@njit(error_model="numpy", forceinline=True)
+def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
+    """Subtract B' inverse(C) B from `element` (rows, width); B is `coupling` (condensed, width)."""
+    touched = place_of(tables, TOUCHED)
+    for j in range(count_of(tables, TOUCHED)):
+        i = np.uint64(tables[touched + j])
+        for a in range(shape.condensed):
+            weighted = 0.0
+            for b in range(shape.condensed):
+                weighted += inverse[a, b] * coupling[b, i]
+            subtract_row(weighted, coupling, a, width, element, i)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, right):
+    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and take stages out of it.
+
+    `gradient` (N stride + node,), `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept`
+    and `room` are those of `stages`.
+    """
+    block, tail = block_size(shape), tail_of(shape)
+    for i in range(shape.shared):
+        right[steps * block + shape.node + i] = 0.0
+    for i in range(shape.node):
+        right[steps * block + i] = -gradient[unknown_of(shape, steps, i, steps)]
+    for number in range(steps - 1, -1, -1):
+        k = interval_of(shape, number, steps)
+        for i in range(block):
+            right[number * block + i] = -gradient[unknown_of(shape, number, i, steps)]
+        if shape.condensed:
+            inverse = inverses[min(k, inverses.shape[0] - 1)]
+            for a in range(shape.condensed):
+                weighted = 0.0
+                for b in range(shape.condensed):
+                    weighted += inverse[a, b] * gradient[first_condensed(shape, k) + b]
+                for i in range(block + shape.node):
+                    right[number * block + i] += couplings[k, a, i] * weighted
+                for i in range(shape.shared):
+                    right[steps * block + shape.node + i] += couplings[k, a, tail + i] * weighted
+    if HAS_STAGES and shape.stages:
+        for number in range(steps):
+            k = interval_of(shape, number, steps)
+            reduce_right(shape, tables, gradient, k, number, steps, kept, room, right)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, steps, solved, step):
+    """Fill a body's `step` (N stride + node,) with what is `solved`, -inverse(C) (g_u + B d), and stages.
+
+    Other arguments are those of `condense`.
+    """
+    block, tail = block_size(shape), tail_of(shape)
+    for i in range(shape.node):
+        step[unknown_of(shape, steps, i, steps)] = solved[steps * block + i]
+    for number in range(steps):
+        k = interval_of(shape, number, steps)
+        for i in range(block):
+            step[unknown_of(shape, number, i, steps)] = solved[number * block + i]
+        if shape.condensed:
+            first = first_condensed(shape, k)
+            inverse = inverses[min(k, inverses.shape[0] - 1)]
+            for a in range(shape.condensed):
+                step[first + a] = 0.0
+            for b in range(shape.condensed):
+                forcing = gradient[first + b]
+                for i in range(block + shape.node):
+                    forcing += couplings[k, b, i] * solved[number * block + i]
+                for i in range(shape.shared):
+                    forcing += couplings[k, b, tail + i] * solved[steps * block + shape.node + i]
+                for a in range(shape.condensed):
+                    step[first + a] -= inverse[a, b] * forcing
+        if HAS_STAGES and shape.stages:
+            recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step)
 
 
 # Sums may be taken in any order, which lets them run in parallel in the processor.
@@ -240,3 +405,74 @@ def end_front(shape, rest, remaining, last):
             last[i, j] = rest[i, j]
             if j < last_size(shape):
                 last[j, i] = rest[i, j]
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def forward(shape, tables, upper, inverse, order, steps, right, front, last):
+    """Solve with a body's upper factor, transposed, and the pivots; the share of the last node goes to `last`.
+
+    `upper` (R, width), `inverse` (R, 2), `order` (R,), `right` (N block + node + shared,), `front` (width,), `last`.
+    """
+    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    for i in range(front.size):
+        front[i] = 0.0
+    for i in range(last.size):
+        last[i] = 0.0
+    place = place_of(tables, FIRST_PINNED)
+    for i in range(count_of(tables, FIRST_PINNED)):
+        right[tables[place + i]] = 0.0
+    place = place_of(tables, LAST_PINNED)
+    for i in range(count_of(tables, LAST_PINNED)):
+        right[steps * block + tables[place + i]] = 0.0
+    for k in range(shape.bordered, steps):
+        first, behind = k * block, (k + 1) * block
+        for i in range(block):
+            front[i] = right[first + i]
+        for i in range(shape.node):
+            front[block + i] = right[behind + i]
+        solve_forward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        solve_pivots(inverse[first:behind], order[first:behind], shape.inner, front)
+        for i in range(block):
+            right[first + i] = front[i]
+        for i in range(shape.node):
+            right[behind + i] = front[block + i]
+    first, end = steps * block, last_size(shape)
+    for i in range(shape.node):
+        last[i] = right[first + i]
+    place = place_of(tables, FIRST)
+    for i in range(shape.border):
+        last[shape.node + i] = right[tables[place + i]] + front[size + i]
+    for i in range(shape.shared):
+        last[end + i] = front[tail_of(shape) + i]
+    forward_once(upper[first:], inverse[first:], order[first:], end, last.size, last)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def backward(shape, tables, upper, order, steps, carried, last, front, right):
+    """Solve with a body's upper factor, from its last node and block 0 if it stays to the end, in `last`, backward.
+
+    Arrays as in `forward`; `right` holds what the way forward has left, zeros where the right-hand side was carried.
+    """
+    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    first = steps * block
+    for i in range(front.size):
+        front[i] = 0.0
+    if shape.carried:
+        front[row_count(shape)] = -1.0 if carried else 0.0
+    backward_once(upper[first:], order[first:], last_size(shape), last.size, last)
+    for i in range(shape.node):
+        right[first + i] = last[i]
+    place = place_of(tables, FIRST)
+    for i in range(shape.border):
+        right[tables[place + i]] = front[size + i] = last[shape.node + i]
+    for i in range(shape.shared):
+        front[tail_of(shape) + i] = last[last_size(shape) + i]
+    for k in range(steps - 1, shape.bordered - 1, -1):
+        first, behind = k * block, (k + 1) * block
+        for i in range(block):
+            front[i] = right[first + i]
+        for i in range(shape.node):
+            front[block + i] = right[behind + i]
+        solve_backward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        for i in range(block):
+            right[first + i] = front[i]
