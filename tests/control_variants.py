@@ -53,7 +53,6 @@ def problem() -> Control:
 PUSHED = '''"""A damped pendulum, pushed at a slant, in a forced periodic motion with little effort."""
 from sympy import cos, pi, sin
 from codegen import Control, control, coordinate, time
-from codegen.runtime.search import callbacks
 def problem() -> Control:
     q, v = coordinate("q")
     u, t = control("u"), time()

@@ -33,7 +33,7 @@ from functools import lru_cache
 
 from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kkt.system import solve_system
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.kernels import packed_operations
 
 
 @lru_cache(maxsize=1)

@@ -1,32 +1,23 @@
-"""Linear algebra of many particles: Cholesky factors, products with symmetric matrices, norms.
+"""Arithmetic of steps and kernels: factorisations of small dense matrices, accurate sums, accurate logarithms.
 
-Inner loops run along rows, so that they are vectorised. Source: Golub and Van Loan (2013), Matrix computations,
-algorithm 4.2.2.
+Inner loops of matrices run along rows, so that they are vectorised. Sources: Golub and Van Loan (2013), Matrix
+computations, algorithms 3.4.1 (LU with partial pivoting) and 4.2.2 (Cholesky).
 
-LU factorisation with partial pivoting of a small dense matrix, and solving with its factors.
-
-Source: Golub and Van Loan (2013), Matrix computations, algorithm 3.4.1.
-
-Sums of products to the last digit, for distances from a boundary that are small differences of large numbers.
-
+`accurate_dot` sums products to the last digit. Distances from a boundary are small differences of large numbers.
 Source: Ogita, Rump and Oishi (2005), Accurate sum and dot product, SIAM Journal on Scientific Computing 26, algorithm
 5.3 (Dot2) with Veltkamp's and Dekker's product.
 
-Two differences of functions without cancellation of digits.
+x - log(1 + x) and log(1 + x) - x/(1 + x) are computed without cancellation. With r = x/(2 + x) the logarithm is
+log(1 + x) = 2 (r + r^3/3 + r^5/5 + ...), so that both differences are sums of terms of one sign for small positive x.
 
-With r = x/(2 + x) the logarithm is log(1 + x) = 2 (r + r^3/3 + r^5/5 + ...), so that both differences are sums of terms
-of one sign for small positive x. Source: Muller (2016), Elementary functions, section 4.3 (the series).
-
-log(1 + x), and two differences that it makes, without branches and calls: for several numbers at once.
-
-1 + x = 2^k (1 + f) with 1 + f between 1/sqrt(2) and sqrt(2), and with r = f/(2 + f)
+The packed versions have no branches and no calls, so that several numbers are computed at once. With k such that
+1 + x = 2^k (1 + f) and 1 + f is between 1/sqrt(2) and sqrt(2), and with r = f/(2 + f),
 
     log(1 + f) = 2 atanh(r) = 2 r + 2 r S = f - f r + 2 r S,   S = r^2/3 + r^4/5 + ...,
 
 where S/r^2 is a polynomial that interpolates the series in r^2 at Chebyshev points, with a relative error of 5e-16
-(1.3e-17 of the logarithm). Where k = 0, f is x itself, and what would cancel is left out exactly. The C library's
-functions are called for one number after the other. Source: Muller (2016), Elementary functions, chapters 4 and 11.
-For numbers below 1e300; up to -1 there is no logarithm, and NaN.
+(1.3e-17 of the logarithm). For k = 0, f is x itself, and terms that would cancel are left out exactly. Packed versions
+are for numbers below 1e300, and return NaN up to -1. Source: Muller (2016), Elementary functions, chapters 4 and 11.
 """
 
 import numpy as np
@@ -35,7 +26,7 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def mirror_lower_triangle(matrix):
-    """Copy what is below the diagonal of a matrix, shape (n, n), to above it."""
+    """Copy the entries below the diagonal of a matrix, shape (n, n), to above it."""
     for row in range(matrix.shape[0]):
         for column in range(row):
             matrix[column, row] = matrix[row, column]
@@ -66,7 +57,7 @@ def symmetric_product(matrix, vectors, products):
 
 @njit(cache=True, error_model="numpy")
 def cholesky(matrix):
-    """Replace a symmetric matrix, shape (n, n), by the upper factor L' of matrix = L L'; return whether it has one."""
+    """Replace a symmetric matrix, shape (n, n), by the upper factor L' of L L'; return False if there is none."""
     size = matrix.shape[0]
     for k in range(size):
         if not matrix[k, k] > 0.0:
@@ -83,7 +74,7 @@ def cholesky(matrix):
 
 @njit(cache=True, error_model="numpy")
 def solve_cholesky(factor, vectors):
-    """Solve in place for several right-hand sides, shape (n, m), with the factor that `cholesky` left."""
+    """Solve in place for several right-hand sides, shape (n, m), with the factor from `cholesky`."""
     size, columns = vectors.shape
     for k in range(size):
         for c in range(columns):
@@ -101,7 +92,7 @@ def solve_cholesky(factor, vectors):
 
 @njit(cache=True, error_model="numpy")
 def max_norm(values):
-    """Return max-norm of a vector, shape (n,); infinite when an entry is not a number."""
+    """Return the max-norm of a vector, shape (n,); infinite if an entry is not a number."""
     size = 0.0
     for k in range(values.size):
         if not abs(values[k]) < np.inf:
@@ -112,7 +103,7 @@ def max_norm(values):
 
 @njit(cache=True, error_model="numpy")
 def copy_state(source, target):
-    """Copy a state of shape (2, n, d); return whether it is finite."""
+    """Copy a state of shape (2, n, d); return True if it is finite."""
     finite = True
     for s in range(2):
         for i in range(source.shape[1]):
@@ -124,7 +115,7 @@ def copy_state(source, target):
 
 @njit(cache=True, error_model="numpy")
 def factor_matrix(matrix, pivots):
-    """Factor `matrix` (m, m) in place, fill `pivots` (m,); -1, or the first column whose pivot is zero or NaN."""
+    """Factor `matrix` (m, m) in place, fill `pivots` (m,); return -1, or the first column with a zero or NaN pivot."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = i
@@ -149,7 +140,7 @@ def factor_matrix(matrix, pivots):
 
 @njit(cache=True, error_model="numpy")
 def solve_factored(matrix, pivots, right_hand_side):
-    """Overwrite a right-hand side, shape (n,), by the solution, with the factors that `factor_matrix` left."""
+    """Overwrite a right-hand side, shape (n,), by the solution, with the factors from `factor_matrix`."""
     size = matrix.shape[0]
     for i in range(size):
         pivot = pivots[i]
@@ -191,7 +182,7 @@ def upper_half(x):
 
 @njit(cache=True, error_model="numpy")
 def x_minus_log1p(x, log):
-    """X - log(1 + x), where `log` is log(1 + x)."""
+    """Return x - log(1 + x), where `log` is log(1 + x)."""
     if abs(x) > 0.5:
         return x - log
     r = x / (2.0 + x)
@@ -200,7 +191,7 @@ def x_minus_log1p(x, log):
 
 @njit(cache=True, error_model="numpy")
 def log1p_minus_ratio(x, log):
-    """log(1 + x) - x/(1 + x), where `log` is log(1 + x)."""
+    """Return log(1 + x) - x/(1 + x), where `log` is log(1 + x)."""
     if abs(x) > 0.5:
         return log - x / (1.0 + x)
     r = x / (2.0 + x)
@@ -209,7 +200,7 @@ def log1p_minus_ratio(x, log):
 
 @njit(cache=True, error_model="numpy")
 def odd_series(s):
-    """s/3 + s^2/5 + s^3/7 + ..., for 0 <= s <= 1/9, to the last digit."""
+    """Return s/3 + s^2/5 + s^3/7 + ..., for 0 <= s <= 1/9, to the last digit."""
     total = 0.0
     for k in range(17, 0, -1):
         total = s * (total + 1.0 / (2 * k + 1))
@@ -217,18 +208,10 @@ def odd_series(s):
 
 
 ODD_SERIES = (
-    0.3333333333333335,
-    0.1999999999994962,
-    0.14285714313047945,
-    0.1111110555757208,
-    0.09091445278347801,
-    0.0766583701508393,
-    0.07308518774395825,
-)
-LOG_2_HIGH, LOG_2_LOW = (
-    0.6931471803691238,
-    1.9082149292705877e-10,
-)  # the first has few digits, so that k times it is exact
+    0.3333333333333335, 0.1999999999994962, 0.14285714313047945, 0.1111110555757208, 0.09091445278347801,
+    0.0766583701508393, 0.07308518774395825,
+)  # fmt: skip
+LOG_2_HIGH, LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10  # k times the first, with few digits, is exact
 ROOT_HALF, ONE = 0x3FE6A09E667F3BCD, 0x3FF0000000000000  # the bits of sqrt(1/2) and of 1.0
 HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits, to which smaller integers add
 

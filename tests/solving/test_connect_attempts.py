@@ -65,7 +65,7 @@ def test_points_that_stay(module):
     assert solution.cost == 0.0
 
 
-ATTEMPTS = ("from_velocity", "from_least_action", "from_rest", "by_continuation", "on_all_states", "by_steps")
+ATTEMPTS = ("from_velocity", "from_least_action", "from_momenta", "by_continuation", "on_all_states", "by_steps")
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)

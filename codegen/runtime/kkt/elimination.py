@@ -1,31 +1,31 @@
-"""Frontal factorisation of the KKT matrix: assemble interval by interval, eliminate what is complete, count inertia.
+"""Elimination of the unknowns of a body interval by interval, and substitution with the factors.
 
 The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Its rows are
-those of block k, which is a node and its interval without what is condensed; of the next node; of block 0 if it stays
-to the end; and of the linking variables. One more column is the right-hand side, if it is carried along. Blocks are
-eliminated one after the other, with pivoting inside each; that is the sweep of a Riccati recursion. With `backward`,
-blocks are counted from the end, and each holds a node and the interval before it: the equations of an interval are then
-eliminated with the state at its end, which they determine. With the state at its start, rounding would grow as
-dissipative dynamics do backward in time. Block 0 is singular by itself where its node is given, because its equations
-are matched by later unknowns: then it is `bordered`, and eliminated with the last node. Linking variables border all
-fronts of all bodies; elimination leaves their Schur complement, a dense matrix. The pivots' signs give the inertia of
-the whole, by Sylvester's law. Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth
-(1968), Determination of the inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of
-interior-point methods to model predictive control, for the Riccati view.
+those of block k (a node and its interval without condensed unknowns), of the next node, of block 0 if that stays to the
+end, and of the linking variables. One more column is the right-hand side, if it is carried along. Blocks are eliminated
+one after the other, with pivoting inside each: this is the sweep of a Riccati recursion. The pivots' signs give the
+inertia of the matrix, by Sylvester's law.
 
-Too many negative pivots show before the end. At a minimum, the rows that are eliminated and the multipliers of all
-equations that reach into them make a matrix with one negative eigenvalue for every multiplier; without the multipliers
-that are still to come it has at most as many (Cauchy's interlacing theorem).
+With `backward`, blocks are counted from the end, and each holds a node and the interval before it. The equations of an
+interval are then eliminated with the state at its end, which they determine. With the state at its start, rounding
+errors would grow as dissipative dynamics do backward in time. Block 0 is singular by itself if its node is prescribed,
+because later unknowns match its equations. Then it is `bordered`, and eliminated with the last node. Linking variables
+border all fronts of all bodies; elimination leaves their Schur complement, a dense matrix.
 
-Static condensation of the unknowns inside an interval: Schur complement, right-hand sides, recovery.
+Too many negative pivots show before the end. At a minimum, the eliminated rows and the multipliers of all equations
+that reach into them form a matrix with one negative eigenvalue for every multiplier. Without the multipliers still to
+come, it has at most as many (Cauchy's interlacing theorem).
 
-With C the block of these unknowns in the Hessian of an interval and B their rows beside all other unknowns, elimination
-leaves K - B' inverse(C) B. C is inverted on each interval, or once where it is the same on all of them.
+Unknowns inside an interval are condensed first. With C their block in the Hessian of an interval and B their rows for
+all other unknowns, elimination leaves K - B' inverse(C) B. C is inverted on each interval, or once if it is the same on
+all of them.
 
-Solve with the factors of a body's part of the KKT matrix: forward and backward over its blocks.
+A right-hand side that took part in the elimination needs no forward substitution. Its column in the factors acts in the
+backward substitution as one more unknown with the value -1.
 
-A right-hand side that took part in the elimination needs no way forward: its column in the factors counts on the way
-back, as if it belonged to one more unknown, with the value -1.
+Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth (1968), Determination of the
+inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of interior-point methods to
+model predictive control, for the Riccati view.
 """
 
 import numpy as np
@@ -87,7 +87,7 @@ from codegen.runtime.kkt.symmetric import (
 
 @njit(error_model="numpy", forceinline=True)
 def scatter(shape, tables, hessian, k, element, couplings):
-    """Put the second derivatives of interval k by unknowns that stay into the element matrix, others into `couplings`.
+    """Put the second derivatives of interval k into the element matrix, those with condensed unknowns into `couplings`.
 
     `hessian` (entries,), `element` (rows, width), `couplings` (N, condensed, width).
     """
@@ -159,7 +159,7 @@ def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, right):
-    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and take stages out of it.
+    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and eliminate stages from it.
 
     `gradient` (N stride + node,), `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept`
     and `room` are those of `stages`.
@@ -191,7 +191,7 @@ def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, ri
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, steps, solved, step):
-    """Fill a body's `step` (N stride + node,) with what is `solved`, -inverse(C) (g_u + B d), and stages.
+    """Fill a body's `step` (N stride + node,) with the `solved` unknowns, -inverse(C) (g_u + B d), and stages.
 
     Other arguments are those of `condense`.
     """
@@ -219,20 +219,19 @@ def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, 
             recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step)
 
 
-# Sums may be taken in any order, which lets them run in parallel in the processor.
+# Sums may be taken in any order, so that the processor computes them in parallel.
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def eliminate_body(
     shape, tables, entries, at_start, at_end, gradient, diagonal, steps, upper, inverse, order, inverses, couplings,
     kept, room, element, rest, last,
 ):  # fmt: skip
-    """Run the front over all intervals of a body, then eliminate what remains: the last node and its border.
+    """Run the front over all intervals of a body, then eliminate the last node and its border.
 
     `entries` (N, entries of an interval), `at_start` and `at_end` those of the ends, `gradient` and `diagonal`
     (N stride + node,); the factors `upper` (R, width), `inverse` (R, 2), `order` (R,) have R = N block + last rows;
     `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept` and `room` are those of
     `stages`; `element` (rows, width), `rest` (rows - block, ..) and `last` (last + shared, ..) are work space. Return
-    whether the matrix is regular, the number of negative pivots, and by how many these are too many: then the
-    elimination has stopped.
+    True if the matrix is regular, the number of negative pivots, and its excess: with an excess the elimination stops.
     """
     block_rows, rows, counts = block_size(shape), row_count(shape), place_of(tables, COUNTS)
     remaining, negative = rows - block_rows, 0
@@ -276,7 +275,7 @@ def eliminate_body(
         if found < 0:
             return False, 0, 0
         negative += found
-        # Blocks 0 to k + 1 have as many multipliers left as the last node and one block.
+        # As many multipliers remain in blocks 0 to k + 1 as in the last node and one block.
         if negative > block * multipliers + ending:
             return True, negative, negative - (block * multipliers + ending)
         subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
@@ -292,9 +291,9 @@ def eliminate_body(
 
 @njit(error_model="numpy")
 def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element):
-    """Add the ends' own second derivatives to the first or last `element` (rows, width), and pin what is given.
+    """Add the second derivatives of the ends to the first or last `element` (rows, width), and pin prescribed unknowns.
 
-    Rows and columns of unknowns that a boundary condition gives become those of the unit matrix.
+    Rows and columns of unknowns that a boundary condition prescribes become those of the unit matrix.
     """
     block, tail = block_size(shape), tail_of(shape)
     left, right = (block, 0) if shape.backward else (0, block)
@@ -352,7 +351,7 @@ def pin(shape, tables, of_pinned, first, element):
 
 @njit(error_model="numpy")
 def begin_front(shape, tables, element, rest):
-    """Put the first `element` (rows, width) into `rest`, where block 0 has its place."""
+    """Put the first `element` (rows, width) into `rest`, including block 0."""
     block, rows, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
     size = block + shape.node
     for i in range(shape.border):
@@ -368,10 +367,10 @@ def begin_front(shape, tables, element, rest):
 
 @njit(error_model="numpy", forceinline=True)
 def move_front(shape, element, rest):
-    """Add what borders block k - 1, of which the node is now in block k, to the element matrix of the interval.
+    """Add the front of block k - 1, whose node is now in block k, to the element matrix of the interval.
 
-    Rows and columns of the next node and of the linking variables, in turn, go to what borders block k: `rest`, of
-    which only the upper triangle is in use. `element` is (rows, width).
+    Rows and columns of the next node and of the linking variables then go to the front of block k: `rest`, of which
+    only the upper triangle is used. `element` is (rows, width).
     """
     block, tail, last, remaining = block_size(shape), tail_of(shape), last_size(shape), row_count(shape)
     remaining -= block
@@ -449,9 +448,9 @@ def forward(shape, tables, upper, inverse, order, steps, right, front, last):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def backward(shape, tables, upper, order, steps, carried, last, front, right):
-    """Solve with a body's upper factor, from its last node and block 0 if it stays to the end, in `last`, backward.
+    """Solve with a body's upper factor, backward from the last node, and block 0 if that stays to the end, in `last`.
 
-    Arrays as in `forward`; `right` holds what the way forward has left, zeros where the right-hand side was carried.
+    Arrays as in `forward`; `right` holds the result of `forward`, or zeros if the right-hand side was carried.
     """
     block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
     first = steps * block

@@ -1,9 +1,8 @@
-"""Shapes of linear systems: what the factorisation of the KKT matrix has to know as constants.
+"""Shapes of linear systems, the constants of a factorisation of the KKT matrix, and their index tables.
 
-Index tables of a linear system, one after the other in one array of integers.
-
-The array begins with the place and the length of each table. What depends on the sparsity of a problem stands here, and
-not in the constants of the compiled system, so that problems of one shape share it.
+The index tables lie one after the other in one array of integers, which begins with the place and the length of each
+table. They depend on the sparsity of a problem. Because sparsity is not part of the constants, all problems of one
+shape share a compiled system.
 """
 
 from typing import NamedTuple
@@ -13,7 +12,7 @@ from numba import njit
 
 
 class Shape(NamedTuple):
-    """Numbers of unknowns of an interval and of what borders it.
+    """Numbers of unknowns of an interval and of its borders.
 
     Attributes
     ----------
@@ -27,10 +26,10 @@ class Shape(NamedTuple):
         Linking variables of one body, and of all, with the multipliers of conditions between them.
     backward, bordered, carried, constant : int
         1 if elimination goes from the last interval to the first; if block 0 stays to the end; if the right-hand side
-        takes part in the elimination; if the block of what is condensed is the same on all intervals of one length.
+        takes part in the elimination; if the condensed block is the same on all intervals of one length.
     stages, reach, triangular : int
-        Stages of an interval, with which the multipliers of their equations are eliminated; unknowns that these
-        equations contain, to the next multiple of four; 1 if their Jacobian by the stages is a lower triangle.
+        Stages of an interval, which are eliminated with the multipliers of their equations; unknowns that these
+        equations contain, rounded up to a multiple of four; 1 if their Jacobian by the stages is a lower triangle.
     """
 
     node: int
@@ -57,7 +56,7 @@ def padded(size):
 
 @njit(error_model="numpy", forceinline=True)
 def block_size(shape):
-    """Return the number of unknowns of a block: a node and its interval without stages and what is condensed."""
+    """Return the number of unknowns of a block: a node and its interval without stages and condensed unknowns."""
     return shape.stride - shape.condensed - 2 * shape.stages
 
 
@@ -94,8 +93,8 @@ def last_width(shape):
 
 @njit(error_model="numpy", forceinline=True)
 def unknown_of(shape, block, i, steps):
-    """Return the index, among a body's unknowns, of unknown i of a block; block N is the node that comes last."""
-    of_interval = i >= shape.node  # where stages come first
+    """Return the index, among a body's unknowns, of unknown i of a block; block N is the last eliminated node."""
+    of_interval = i >= shape.node  # stages come first in an interval
     if shape.backward:
         return (steps - block - of_interval) * shape.stride + i + of_interval * 2 * shape.stages
     return block * shape.stride + i + of_interval * 2 * shape.stages
@@ -129,10 +128,10 @@ NAMES = (
 ) = range(36)  # fmt: skip
 """Numbers of the tables.
 
-The entries of an interval's Hessian whose unknowns both stay, one of which is condensed, and both; columns that
-condensation changes; unknowns of block 0 that stay to the end; unknowns that are given in the nodes that come first and
-last, at the start and at the end; those that equal linking variables, and these; rows and columns of an element matrix
-for the entries of the ends' own Hessians; COUNTS; and the numbers of the shape.
+The tables are: entries of an interval's Hessian with no, one and two condensed unknowns; columns that condensation
+changes; unknowns of block 0 that stay to the end; prescribed unknowns of the first and last eliminated nodes, of the
+start and of the end; unknowns that equal linking variables, and these variables; rows and columns of an element matrix
+for the entries of the Hessians of the ends; COUNTS; and the numbers of the shape.
 
 For the stages of an interval: STAGED are the entries of its Hessian with stages, one kind after the other: the Jacobian
 of their equations by stages (rows and columns SLOPE) and by other unknowns (OUTER, whose columns are numbers in REACH,
@@ -145,7 +144,7 @@ and among the linking variables; entries of an interval's Hessian."""
 
 
 def packed(tables):
-    """Return one array of integers with the tables of the given mapping, by the names in NAMES."""
+    """Return one array of integers with the tables of a mapping, by the names in NAMES."""
     parts = [np.asarray(tables[name], dtype=np.int64).ravel() for name in NAMES]
     lengths = np.array([part.size for part in parts])
     places = 2 * len(parts) + np.concatenate([[0], np.cumsum(lengths)[:-1]])
@@ -154,7 +153,7 @@ def packed(tables):
 
 @njit(error_model="numpy", forceinline=True)
 def place_of(tables, number):
-    """Return where a table begins."""
+    """Return the first index of a table."""
     return tables[2 * number]
 
 

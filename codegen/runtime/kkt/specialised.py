@@ -1,13 +1,11 @@
-"""Linear systems with the numbers of their shape as constants, compiled once for each shape.
+"""Compiled linear systems: one for each shape with its numbers as constants, and one for all shapes.
 
-The text of a system is that of the files of this folder, in which the shape is a constant in place of an argument.
-Problems of one shape share it. It is kept in the cache folder, and numba keeps its machine code beside it. Constants
-halve the time of a factorisation.
+The text of a specialised system is that of the files of this folder, with the shape as a constant instead of an
+argument. Problems of one shape share it. The text is kept in the cache folder, with numba's machine code beside it.
+Constants halve the time of a factorisation.
 
-The linear system for problems of any shape, whose numbers are read at run time.
-
-A factorisation takes twice as long as with constants, and nothing is compiled for a new shape: where problems are many
-and small, as in tests, that is quicker.
+The system for all shapes reads the numbers at run time and needs no compilation for a new shape. It is faster for many
+small problems, such as tests.
 """
 
 import ast
@@ -89,7 +87,7 @@ def text_of(shape):
 
 @lru_cache
 def body_of(name):
-    """Return the statements of a file of this folder but imports, docstring and Shape, without arguments `shape`."""
+    """Return the statements of a file of this folder without imports, docstring, Shape, and arguments `shape`."""
     text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
     lines, kept = text.splitlines(), []
     for node in ast.parse(text).body:
@@ -112,7 +110,7 @@ def without_shape(text):
 
 @lru_cache(maxsize=256)
 def system_module(shape):
-    """Return the module with the linear system of a shape, which is written if it is new to this machine."""
+    """Return the module with the linear system of a shape; write it if this machine has none."""
     name = f"kkt_{hashlib.sha256(f'{shape} {fingerprint()}'.encode()).hexdigest()[:16]}"
     path = cache_folder() / "kkt" / f"{name}.py"
     if not is_whole(path):
@@ -129,7 +127,7 @@ def system_module(shape):
 
 
 def is_whole(path):
-    """Return True if a file holds the text that was written, which begins with a digest of the rest."""
+    """Return True if a file is complete: the text begins with a digest of the rest."""
     try:
         first, _, text = path.read_text(encoding="utf-8").partition("\n")
     except (OSError, UnicodeDecodeError):
@@ -144,19 +142,19 @@ def digest_of(text):
 
 @lru_cache(maxsize=256)
 def compiled_system(shape):
-    """Return the compiled linear system of a shape, which has the address."""
+    """Return the compiled linear system of a shape, which has the attribute `address`."""
     with packed_operations():
         return entry_of(SYSTEM, system_module(shape).system)
 
 
 def system_address(shape):
-    """Return the address of the linear system of a shape, which is compiled if it is new to this machine."""
+    """Return the address of the linear system of a shape; compile it if this machine has none."""
     return compiled_system(shape).address
 
 
 @lru_cache(maxsize=1)
 def compiled_any_shape():
-    """Return the compiled function, which has the address."""
+    """Return the compiled linear system of all shapes, which has the attribute `address`."""
 
     def system(
         is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,

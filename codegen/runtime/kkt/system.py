@@ -1,6 +1,6 @@
 """The linear system of a Newton step: factor the KKT matrix of all bodies, and solve with the factors.
 
-Linking variables are the separator between bodies, eliminated last from the Schur complement of all others.
+Linking variables separate the bodies. They are eliminated last, from the Schur complement of all other unknowns.
 """
 
 from numba import carray, njit
@@ -30,7 +30,7 @@ from codegen.runtime.kkt.stages import stage_sizes, stage_views
 from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
 
 SINGULAR = 1 << 40
-"""The excess of negative pivots of a matrix that is singular, or whose condensed block is not positive definite."""
+"""The result for a singular matrix, or for a condensed block that is not positive definite."""
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -49,26 +49,26 @@ def solve_system(
     bodies, steps : int
         Numbers of bodies and of intervals.
     inverses : int
-        Blocks of condensed unknowns that are kept for a body: 1 if they are equal on all intervals, else `steps`.
+        Number of condensed blocks stored for a body: 1 if they are equal on all intervals, else `steps`.
     tables : pointer
-        Index tables, see `tables`.
+        Index tables, see `shape`.
     entries : pointer
         Entries of the lower triangle: (bodies, steps, entries of an interval), those of all starts, of all ends, and
-        the matrix (root, root) of conditions between linking variables if there are any.
+        the matrix (root, root) of coupling conditions, if there are linking variables.
     gradient, diagonal, step : pointer
         Vectors (n,): the right-hand side is minus the gradient; the diagonal is added to that of the matrix.
     equations : int
         Negative eigenvalues at a minimum.
     factors, orders : pointer
-        Work space as `factor_sizes` has it, kept between calls.
+        Work space of the lengths from `factor_sizes`, kept between calls.
     is_wanted : int
         1 if `step` is to be filled, else 0.
 
     Returns
     -------
     int
-        By how many negative pivots are too many, 0 at a minimum; then a positive number may be too low, and there is no
-        step. SINGULAR if there are no factors.
+        Excess of negative pivots, 0 at a minimum. A positive excess may be too low, and there is no step. SINGULAR if
+        there are no factors.
     """
     node, block, width, root = shape.node, block_size(shape), row_width(shape), shape.root
     rows, end, end_width, shared_width = row_count(shape), last_size(shape), last_width(shape), padded(root)
@@ -76,7 +76,7 @@ def solve_system(
     counts, of_chains = place_of(tables, COUNTS), bodies * chain
     own, entry_count = tables[counts + OWN], tables[counts + ENTRIES]
     starts, ends = count_of(tables, START_ROWS), count_of(tables, END_COLUMNS)
-    # Where the parts of the work space begin.
+    # Beginnings of the parts of the work space.
     at_inverse = bodies * size * width
     at_inverses = at_inverse + bodies * size * 2
     at_couplings = at_inverses + bodies * inverses * shape.condensed * shape.condensed
@@ -239,13 +239,13 @@ def solve_system(
 
 @njit(error_model="numpy", forceinline=True)
 def root_index(own, bodies, body, j):
-    """Return the index, among the linking variables, of variable j of a body, of which `own` are the body's alone."""
+    """Return the index among the linking variables of variable j of a body, of which `own` belong to the body alone."""
     return body * own + j if j < own else (bodies - 1) * own + j
 
 
 @njit(error_model="numpy")
 def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
-    """Add right-hand sides of unknowns that equal linking variables to those of the latter."""
+    """Add right-hand sides of unknowns that equal linking variables to those of the linking variables."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         shared[root_index(own, bodies, body, tables[to + i])] += right[first + tables[tied + i]]
@@ -253,7 +253,7 @@ def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared
 
 @njit(error_model="numpy")
 def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
-    """Give unknowns that equal linking variables the values of the latter."""
+    """Copy the values of linking variables to the unknowns that equal them."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         right[first + tables[tied + i]] = shared[root_index(own, bodies, body, tables[to + i])]
@@ -262,7 +262,7 @@ def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, sh
 def factor_sizes(shape, copied, bodies, steps, inverses):
     """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers.
 
-    Of the second derivatives of an interval, those by stages are `copied`.
+    `copied` is the number of an interval's second derivatives by stages, which are copied.
     """
 
     def fours(size):

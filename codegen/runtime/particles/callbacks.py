@@ -1,10 +1,11 @@
-"""What drivers need of a connect problem: residuals and Jacobians of shooting and of all states at once.
+"""Functions of a connect problem for external solvers: shooting, all states at once, and the discrete action.
 
-The discrete action as a minimisation: positions q_1 ... q_N-1 and one momentum P_k on each interval.
+Shooting solves for the initial momenta. The equations of all states contain every step from a state minus the next
+state; their unknowns are the positions at inner nodes, then the momenta at all nodes.
 
-Minimise 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at q = (1 - c) q_k + c q_k+1; c is the
-abscissa. Unknowns are one vector: inner positions, then momenta. At a minimum the multipliers are 2 P_k, and the
-conditions for the positions are the scheme's equations for momenta.
+The discrete action is a minimisation: 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at
+q = (1 - c) q_k + c q_k+1 with the abscissa c. Unknowns are inner positions, then one momentum P_k of each interval. At
+a minimum the multipliers are 2 P_k, and the conditions for the positions are the scheme's equations for momenta.
 """
 
 import numpy as np
@@ -44,25 +45,26 @@ def jacobian(case, momenta):
 
 def path_cost(case, path):
     """Return the discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
-    points, errors = (
-        np.zeros((case.steps * case.problem.points, *path.shape[1:])),
-        np.zeros((case.steps, *path.shape[1:])),
-    )
     h, pairs = case.duration / case.steps, case.problem.pairs
-    defects(pairs, h, case.own, case.parameters, np.array(path, dtype=float), points, errors)
+    points = stepped(case, path)[1]
     return discrete_cost(pairs, h, case.own, case.parameters, points, case.problem.costs)
 
 
 def path_errors(case, path):
     """Return each step from a state minus the next state, (N, 2, n, d), and the residual of the end, (nd,)."""
-    points, errors = (
-        np.zeros((case.steps * case.problem.points, *path.shape[1:])),
-        np.zeros((case.steps, *path.shape[1:])),
-    )
-    h, path = case.duration / case.steps, np.array(path, dtype=float)
-    if defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors) < 0:
+    outcome, _, errors = stepped(case, path)
+    if outcome < 0:
         errors[:] = np.nan
-    return errors, end_residual(path[-1], case.target, case.sigma)
+    return errors, end_residual(np.array(path[-1], dtype=float), case.target, case.sigma)
+
+
+def stepped(case, path):
+    """Make a step from each of the states, (N + 1, 2, n, d); return the outcome, the points, and the defects."""
+    points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
+    errors, h = np.zeros((case.steps, *path.shape[1:])), case.duration / case.steps
+    path = np.array(path, dtype=float)
+    outcome = defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
+    return outcome, points, errors
 
 
 def path_of(case, unknowns):
@@ -93,10 +95,7 @@ def all_equations(case, unknowns):
 def all_equations_jacobian(case, unknowns):
     """Return the derivative of `all_equations`, shape (2ndN, 2ndN)."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
-    points, errors = np.zeros((steps * case.problem.points, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
-    h = case.duration / steps
-    defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
-    linear = Linearised(case, points, None)
+    linear = Linearised(case, stepped(case, path)[1], None)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
     after, variance = np.empty((2 * size, 2 * size)), np.repeat(case.sigma**2, case.start.shape[1])
     for k in range(steps):
@@ -146,7 +145,7 @@ def action_gradients(case, states):
 
 
 def action_cost_gradient(case, unknowns):
-    """Return the gradient of the cost by the unknowns, in the shape of these."""
+    """Return the gradient of the cost by the unknowns, with the same shape."""
     gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
     at_nodes, c = np.zeros((case.steps + 1, *case.start.shape)), case.problem.abscissa
     at_nodes[:-1] += (1.0 - c) * gradients[:, 0]
@@ -170,7 +169,7 @@ def action_blocks(case, states):
 
 
 def action_columns(case, k):
-    """Return the indices of the positions at both ends of interval k, None for given ones, and of its momenta."""
+    """Return the indices of the positions at both ends of interval k, None for prescribed ones, and of its momenta."""
     size, inner = case.start.size, (case.steps - 1) * case.start.size
     left = slice(size * (k - 1), size * k) if k > 0 else None
     right = slice(size * k, size * (k + 1)) if k < case.steps - 1 else None

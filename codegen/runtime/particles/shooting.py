@@ -1,20 +1,19 @@
-"""Newton's method on the initial momenta, by exact tangents of the trajectory.
+"""Newton's method on the initial momenta, by exact tangents of the trajectory, and Broyden's method before it.
 
-The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target; with sigma = 0 points are met exactly. For sigma > 0 this
+The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target. With sigma = 0 points are met exactly. For sigma > 0 this
 is stationarity of the cost's half plus sum |q_N - target|^2/(2 sigma^2), since p_N is its gradient by q_N. The same
-method solves for all states at once (multiple shooting with one step for each interval): then each step may have a
-defect, and states move along the linearised trajectory, which is what elimination of the block-banded Jacobian gives.
+method solves for all states at once (multiple shooting with one step for each interval). Then each step may have a
+defect, and states move along the linearised trajectory: this is elimination of the block-banded Jacobian.
 
-Few unknowns are solved for by tangents in all directions at once. Many are first improved by Broyden's method, then
-solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms
-are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
-steps until the residual decreases.
+Few unknowns are solved for by tangents in all directions at once. Many unknowns are first improved by Broyden's method,
+then solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing
+terms are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2. The line search
+halves steps until the residual decreases.
 
-Broyden's method on the initial momenta: every iteration costs one trajectory and no derivative.
-
-The first approximation of the derivative is duration times H_pp at the start, which differs from it by what the motion
-adds; each step corrects that by a matrix of rank one. Where the residual no longer falls, Newton's method takes over.
-Source: Kelley (1995), Iterative methods for linear and nonlinear equations, section 7.3 (the inverse as a product).
+An iteration of Broyden's method costs one trajectory and no derivative. The first approximation of the derivative is
+duration times H_pp at the start. Each step corrects the approximation by a matrix of rank one. Newton's method takes
+over when the residual no longer falls. Source: Kelley (1995), Iterative methods for linear and nonlinear equations,
+section 7.3 (the inverse as a product).
 """
 
 import numpy as np
@@ -59,9 +58,9 @@ def approximate_inverse(factor, left, right, values, change):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def broyden_steps(pairs, h, own, parameters, target, sigma, factor, tolerance, path, points):
-    """Improve path[0, 1], shape (n, d), as long as the residual falls; return how many steps were made.
+    """Improve path[0, 1], shape (n, d), as long as the residual falls; return the number of steps.
 
-    `path` and `points` belong to the best momenta at the end, whose residual the caller has to look at.
+    At the end `path` and `points` belong to the best momenta. The caller has to evaluate the residual.
     """
     size = target.size
     left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
@@ -116,7 +115,7 @@ VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
-    """Propagate directions, shape (2nd, m), over all steps in place; return whether every step was solved."""
+    """Propagate directions, shape (2nd, m), over all steps in place; return True if every step was solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
         if not advance_directions(pairs, hessians, points, k * pairs.points, h, own, parameters, directions, after):
@@ -181,7 +180,7 @@ class Linearised:
         self.pairs = case.problem.pairs if self.hessians.size else case.problem.pairs_with_products
 
     def advance(self, k, directions, after):
-        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if it cannot be had."""
+        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if that fails."""
         case, first = self.case, k * self.pairs.points
         given = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
         return advance_directions(*given, directions, after)
@@ -226,7 +225,7 @@ class Linearised:
         return result.ravel()
 
     def gmres(self, right, forcing):
-        """Return the same to a relative residual of `forcing`, as far as BASIS directions go."""
+        """Return the result of `solved` to a relative residual of `forcing`, as far as BASIS directions suffice."""
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
         basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
         rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
@@ -246,7 +245,7 @@ class Linearised:
 def preconditioner(case):
     """Return the Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
 
-    It is what `end_residual` changes by where momenta are small. None if it is not definite.
+    The matrix is the derivative of `end_residual` for small momenta. None if it is not definite.
     """
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     matrix = np.empty((size, size))
@@ -263,10 +262,10 @@ def jittered(values):
 
 
 def rounding(case, path):
-    """Return how far the residual moves when the initial momenta move by a unit in the last place.
+    """Return the change of the residual when the initial momenta change by a unit in the last place.
 
-    They cannot be had more exactly, and the trajectory's own rounding errors show as well: no iteration can be expected
-    to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
+    Momenta cannot be more exact, and rounding errors of the trajectory add to this. No iteration can be expected to get
+    below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
     """
     h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
     trial, points = path.copy(), np.empty((case.steps * case.problem.points, *path.shape[1:]))
@@ -278,7 +277,7 @@ def rounding(case, path):
 
 
 def rounding_of_states(case, path, errors):
-    """Return the same for the defects (N, 2, n, d) of all steps, when all states move by a unit in the last place."""
+    """Return the change of the defects (N, 2, n, d) of all steps when all states change by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
     found, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for trial in jittered(path):
@@ -288,30 +287,25 @@ def rounding_of_states(case, path, errors):
 
 
 def without_progress(error, noise):
-    """Return how an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
+    """Return the outcome when steps no longer reduce the residual; rounding errors are VISIBLE at most."""
     return ROUNDED if error <= min(noise, VISIBLE) else STALLED
-
-
-def first_steps(case, h, factor, path, points):
-    """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
-    if factor is None or case.start.size <= DENSE:
-        return 0
-    given = case.problem.pairs, h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance
-    return broyden_steps(*given, path, points)
 
 
 def shoot(case, factor, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
     `factor` is that of `preconditioner`. A row of `log`, one for each iteration, is (residual, tangents, step length).
-    Return how it ended, the iterations and the last residual.
+    Return the outcome, the iterations and the last residual.
     """
     h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
     outcome = follow(case.problem.pairs, h, case.own, case.parameters, path, points, 0.0)
     if outcome < 0:
         return outcome, 0, np.inf
-    made = first_steps(case, h, factor, path, points)
+    made = 0
+    if factor is not None and case.start.size > DENSE:
+        arguments = case.problem.pairs, h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance
+        made = broyden_steps(*arguments, path, points)
     residual, previous = end_residual(path[-1], case.target, case.sigma), np.inf
     for iteration in range(case.max_iterations + 1):
         error, norm = max_norm(residual), np.linalg.norm(residual)
@@ -371,12 +365,11 @@ def all_states(case, factor, path, points, log):
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[:] = path + length * shifts.reshape(path.shape)
-            inside = all(case.problem.domain_margin(z) > 0.0 for z in trial_path)
-            if (
-                inside
-                and defects(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, trial_errors)
-                >= 0
-            ):
+            outcome = -1
+            if all(case.problem.domain_margin(z) > 0.0 for z in trial_path):
+                arguments = case.problem.pairs, h, case.own, case.parameters
+                outcome = defects(*arguments, trial_path, trial_points, trial_errors)
+            if outcome >= 0:
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.hypot(np.linalg.norm(trial_errors), np.linalg.norm(trial)) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True

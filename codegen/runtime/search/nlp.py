@@ -1,7 +1,7 @@
-"""The discretised problem as a nonlinear program, for optimisers from outside.
+"""The discretised problem as a nonlinear program for external optimisers.
 
-Minimise f(x) such that c(x) = 0 and lower <= x <= upper. The unknowns x are the free primal unknowns: values that
-boundary conditions prescribe, and multipliers, are not among them.
+Minimise f(x) such that c(x) = 0 and lower <= x <= upper. The unknowns x are the free primal unknowns, without
+multipliers and without prescribed boundary values.
 """
 
 from dataclasses import dataclass

@@ -1,11 +1,7 @@
-"""A vector of unknowns with the cost, the gradient of the Lagrangian and the norms that are measured there.
+"""The discretised problem at a vector of unknowns: cost, residuals, norms, shares of intervals, sparse derivatives.
 
-Gradients of single intervals: discrete momenta, shares of the cost.
-
-The problem as other optimisers want it: cost, constraints and their derivatives in the free unknowns.
-
-Free primal unknowns and free multipliers are picked out of the vector of all unknowns by index arrays; what is pinned
-by a boundary condition appears in neither. Matrices are returned as (rows, columns, values).
+Sparse derivatives are (rows, columns, values) in the free primal unknowns and the free multipliers. Index arrays pick
+these out of the vector of all unknowns. Unknowns that a boundary condition prescribes are in neither.
 """
 
 from typing import NamedTuple
@@ -21,8 +17,8 @@ from codegen.runtime.search.linear_system import allocate_system, filled_entries
 class Point(NamedTuple):
     """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
-    `residual` is the largest residual of an equation and `violation` the sum of all; `error` is the max-norm of all
-    optimality conditions, infinite where the cost is not finite.
+    `residual` is the largest residual of an equation and `violation` the sum of all. `error` is the max-norm of all
+    optimality conditions, infinite if the cost is not finite.
     """
 
     unknowns: np.ndarray
@@ -94,7 +90,7 @@ def interval_parts(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def fill(loop, unknowns, steps, h, nodes, parameters, filled):
-    """Call the loop at an address, which fills a vector; return what it returns."""
+    """Call the loop at an address, which fills a vector; return the result of the loop."""
     return call_loop(
         loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
         filled.ctypes.data,
@@ -104,8 +100,8 @@ def fill(loop, unknowns, steps, h, nodes, parameters, filled):
 def discrete_momenta(grid, unknowns):
     """Return the momenta (bodies, N + 1, m) by the forced discrete Legendre transforms.
 
-    p_k = -(D1 Ld + f-) of the interval after a node, and D2 Ld + f+ of the last one: both stand beside the multipliers
-    of the equations of motion in an interval's share of the Lagrangian.
+    p_k = -(D1 Ld + f-) of the interval after a node, and D2 Ld + f+ of the last interval. Both are the factors of the
+    multipliers of the equations of motion in an interval's share of the Lagrangian.
     """
     s = grid.problem.structure
     parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))

@@ -1,4 +1,4 @@
-"""What is special about an optimal control problem, as its generated module states it."""
+"""The definition of an optimal control problem: structure, loops and formulas that its generated module passes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from codegen.runtime.kkt.specialised import any_shape_address, system_address
 from codegen.runtime.linking import link_inner_functions
 from codegen.runtime.search.structure import Structure
 
-MOST_KEPT = 4  # searches whose storage is kept, for as many threads
+MOST_KEPT = 4  # searches whose storage is kept, one for each of four threads
 
 
 class Loop(Addressed):
@@ -25,10 +25,11 @@ class Loop(Addressed):
         """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
             return callback(LOOP, self.function)
-        # Functions of the runtime may be called from Python elsewhere.
+        # Only functions of the module itself are linked: Python may call functions of the runtime elsewhere.
         space = self.function.__globals__
-        own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
-        link_inner_functions(own)
+        link_inner_functions(
+            value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space
+        )
         return self.compiled_as(LOOP)
 
 
@@ -39,15 +40,15 @@ def is_inner(value):
 
 @dataclass(frozen=True, eq=False)
 class DataDerivatives:
-    """How the Lagrangian and the formulas of a problem depend on its data, for sensitivities.
+    """Derivatives of the Lagrangian and of the formulas of a problem by its data, for sensitivities.
 
-    Data are all parameters but linking variables, time and length of an interval, and numbers of its left node, which
-    are those of conditions at inner times. Of an end, the unknowns of its node come behind them, as some are pinned.
+    Data are all parameters but linking variables, time and length of an interval, and numbers of its left node from
+    conditions at inner times. For an end, the unknowns of its node follow, since some are pinned.
 
     Attributes
     ----------
     quantities : tuple of str
-        Names of what derivatives of solutions are by.
+        Names of the quantities by which solutions are differentiated.
     count, parametric : int
         Number of data, and of those among the parameters.
     acting, bounding : array of int
@@ -63,7 +64,7 @@ class DataDerivatives:
     durations : callable
         (grid, unknowns, moves, rates, duration) -> (m, D): derivatives of the durations of D phases.
     bounds : callable or None
-        (grid, rates of one quantity) -> lower, upper: derivatives of bounds, where these depend on parameters.
+        (grid, rates of one quantity) -> lower, upper: derivatives of bounds that depend on parameters.
     clock : int or None
         The time of a node among its unknowns.
     """
@@ -87,9 +88,9 @@ class DataDerivatives:
     clock: int | None = None
 
     def tables(self, structure):
-        """Return rows, columns and counts for `sensitivities.change_along`, and the length of what the loop fills.
+        """Return rows, columns and counts for `sensitivities.change_along`, and the length of the result of the loop.
 
-        The length has two parts: of each interval, and of all others.
+        The length has two parts: the numbers of each interval, and all others.
         """
         s, sizes = structure, [part.size for part in (self.rows, self.start_rows, self.end_rows)]
         counts = np.array([self.count, self.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
@@ -102,7 +103,7 @@ class DataDerivatives:
 
 
 class Storage:
-    """Arrays of searches that have ended, for the next searches with as many intervals and bounds.
+    """Arrays of finished searches, used again by searches with as many intervals and bounds.
 
     Threads may take and keep at any time: methods of lists are atomic.
     """
@@ -111,7 +112,7 @@ class Storage:
         self.kept = []
 
     def take(self, key):
-        """Return what was kept last under a key, which nobody else then has, or None."""
+        """Remove and return the arrays that were kept last, or None if their key differs."""
         try:
             kept, arrays = self.kept.pop()
         except IndexError:
@@ -119,14 +120,14 @@ class Storage:
         return arrays if kept == key else None
 
     def keep(self, key, arrays):
-        """Keep arrays under a key, unless enough are kept."""
+        """Keep arrays under a key, unless the storage is full."""
         if len(self.kept) < MOST_KEPT:
             self.kept.append((key, arrays))
 
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
-    """An optimal control problem: its structure, its loops over intervals, and what depends on the author's formulas.
+    """An optimal control problem: structure, loops over intervals, and functions made from the author's formulas.
 
     Attributes
     ----------
@@ -139,7 +140,7 @@ class ControlProblem:
     duration_of : callable
         Length of the time interval: (grid, unknowns) -> float.
     initial_guess, pin_values : callable
-        (grid) -> unknowns, and (grid, unknowns, nodes) -> None, which gives what boundary conditions fix its values.
+        (grid) -> unknowns, and (grid, unknowns, nodes) -> None, which sets prescribed boundary values.
     unpack : callable
         (grid, unknowns) -> times, positions, momenta, controls, multipliers.
     variable_bounds : callable or None
@@ -147,7 +148,7 @@ class ControlProblem:
     phase_durations : callable or None
         (grid, unknowns) -> lengths of all phases.
     inputs : Loop or None
-        Fill the least and greatest inputs of tables with ranges; `ranges` and `range_names` say which these are.
+        Fills the least and greatest inputs of tables with ranges; `ranges` and `range_names` identify the inputs.
     data : DataDerivatives or None
         Derivatives by data, if the module was built with sensitivities.
     """
@@ -176,7 +177,7 @@ class ControlProblem:
 
     @cached_property
     def storage(self):
-        """The storage of searches that have ended."""
+        """The storage of finished searches."""
         return Storage()
 
     @cached_property

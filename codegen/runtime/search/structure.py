@@ -1,7 +1,7 @@
-"""The structure of an optimal control problem: which unknowns there are, and which derivatives may be nonzero.
+"""The structure of an optimal control problem: its unknowns, and the derivatives that may be nonzero.
 
-Unknowns lie in one vector of length n: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
-N stride + node; then the linking variables, which no node owns, with the multipliers of conditions between them.
+Unknowns lie in one vector of length n. For each body this has node 0, interval 0, node 1, interval 1, ..., node N, in
+all N stride + node unknowns. Then follow the linking variables with the multipliers of conditions between them.
 """
 
 from dataclasses import dataclass, field
@@ -152,21 +152,24 @@ class Structure:
 
     @cached_property
     def shape(self):
-        """What the factorisation of the KKT matrix is specialised to."""
+        """The constants of the factorisation of the KKT matrix."""
         block = self.stride - self.condensed - 2 * self.stages
-        # What only ends have is zero in inner nodes, and is left out where it comes last.
+        # Unknowns of the ends alone are zero in inner nodes, and are left out if they come last.
         inner = block - self.only_at_ends.size
         if self.only_at_ends.min(initial=block) < inner:
             inner = block
         flags = self.backward, self.bordered, self.carried, self.constant
+        # Explicit schemes: stages depend on earlier ones only, and every equation contains its own stage.
+        _, rows, columns = self.stage_entries[0]
+        is_triangular = bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
         return Shape(
             self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
-            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, int(self.is_triangular),
+            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, int(is_triangular),
         )  # fmt: skip
 
     @cached_property
     def element_index(self):
-        """The row of an element matrix, or the number among what is condensed or staged, of each local unknown."""
+        """The row of each local unknown in an element matrix, or its number among condensed unknowns or stages."""
         node, block = self.node, self.stride - self.condensed - 2 * self.stages
         left, right = (block, 0) if self.backward else (0, block)
         of_stages = np.arange(self.stages)
@@ -179,9 +182,9 @@ class Structure:
 
     @cached_property
     def stage_entries(self):
-        """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `tables`.
+        """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `kkt.shape`.
 
-        Rows and columns of slopes, curved ones and stages of others are numbers of stages; what is outside is local.
+        Stages are numbered from zero, other unknowns are local.
         """
         node, stages = self.node, self.stages
         local = np.arange(self.element + self.shared)
@@ -210,34 +213,9 @@ class Structure:
         return np.concatenate([entries for entries, _, _ in self.stage_entries])
 
     @cached_property
-    def is_triangular(self):
-        """True for explicit schemes: stages depend on earlier ones only, and every equation contains its own stage."""
-        _, rows, columns = self.stage_entries[0]
-        return bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
-
-    @cached_property
     def stage_reach(self):
         """Local unknowns, other than stages, that the equations of stages contain."""
         return np.unique(self.stage_entries[1][2])
-
-    @cached_property
-    def stage_tables(self):
-        """The index tables of stages."""
-        slopes, outer, curved, cross = self.stage_entries
-        crossed = np.unique(cross[1])
-        return {
-            "STAGED": self.staged,
-            "SLOPE_ROWS": slopes[1],
-            "SLOPE_COLUMNS": slopes[2],
-            "OUTER_ROWS": outer[1],
-            "OUTER_COLUMNS": np.searchsorted(self.stage_reach, outer[2]),
-            "CURVED_ROWS": curved[1],
-            "CURVED_COLUMNS": curved[2],
-            "CROSS_ROWS": np.searchsorted(crossed, cross[1]),
-            "CROSS_COLUMNS": cross[2],
-            "CROSSED": self.element_index[crossed],
-            "REACH": self.element_index[self.stage_reach],
-        }
 
     @cached_property
     def tables(self):
@@ -255,8 +233,8 @@ class Structure:
         columns = index[np.where(swapped, self.rows, self.columns)]
         tables, entries = {}, np.arange(kinds.size)
         for kind, name in enumerate(("KEPT", "COUPLED", "INSIDE")):
-            here = kinds == kind
-            tables |= {name: entries[here], f"{name}_ROWS": rows[here], f"{name}_COLUMNS": columns[here]}
+            mask = kinds == kind
+            tables |= {name: entries[mask], f"{name}_ROWS": rows[mask], f"{name}_COLUMNS": columns[mask]}
         tables["TOUCHED"] = np.unique(tables["COUPLED_COLUMNS"])
         for name, first, ends in (
             ("START", left, (self.start_rows, self.start_columns)),
@@ -267,6 +245,8 @@ class Structure:
         multipliers = np.count_nonzero(self.is_multiplier)
         ending = np.count_nonzero(self.is_multiplier[:node]) + multipliers
         common = np.count_nonzero(self.local_is_multiplier[self.element :])
+        slopes, outer, curved, cross = self.stage_entries
+        crossed = np.unique(cross[1])
         return packed(
             tables
             | {
@@ -281,7 +261,17 @@ class Structure:
                 "END_SHARED": self.end_shared,
                 "COUNTS": [self.own, multipliers, ending, common, self.rows.size],
                 "SHAPE": self.shape,
-                **self.stage_tables,
+                "STAGED": self.staged,
+                "SLOPE_ROWS": slopes[1],
+                "SLOPE_COLUMNS": slopes[2],
+                "OUTER_ROWS": outer[1],
+                "OUTER_COLUMNS": np.searchsorted(self.stage_reach, outer[2]),
+                "CURVED_ROWS": curved[1],
+                "CURVED_COLUMNS": curved[2],
+                "CROSS_ROWS": np.searchsorted(crossed, cross[1]),
+                "CROSS_COLUMNS": cross[2],
+                "CROSSED": index[crossed],
+                "REACH": index[self.stage_reach],
             }
         )
 
@@ -298,7 +288,7 @@ class Structure:
         return tuple(self.in_element(*side) for side in sides)
 
     def in_element(self, of_interval, of_start, of_end):
-        """Return indices of unknowns, those of both ends behind those of an interval, in the unknowns of an element.
+        """Return indices in the unknowns of an element: those of an interval, then those of both ends.
 
         In an end the unknowns of the node come first, then linking variables.
         """
@@ -309,20 +299,20 @@ class Structure:
         return np.concatenate([of_interval, *ends]).astype(np.int64)
 
     @cached_property
-    def is_of_cost(self):
-        """Mask of the second derivatives by primal unknowns: of an interval, of both ends, of coupling conditions."""
+    def without_cost(self):
+        """Factors of second derivatives of an interval, of both ends and of coupling conditions.
+
+        A factor is 0 for a derivative by primal unknowns alone, otherwise 1.
+        """
         few, (rows, columns), is_multiplier = self.phases or 1, self.entries, self.local_is_multiplier
         root = self.layouts(few).is_multiplier[self.size(few) - self.root :]
-        of_root = ~(root[:, None] | root)
-        return np.concatenate([~(is_multiplier[rows] | is_multiplier[columns]), of_root.ravel()])
-
-    @cached_property
-    def without_cost(self):
-        """Factors of all kinds of second derivatives: 0 for derivatives by primal unknowns alone, otherwise 1."""
-        return np.where(self.is_of_cost, 0.0, 1.0)
+        is_of_multiplier = np.concatenate(
+            [is_multiplier[rows] | is_multiplier[columns], (root[:, None] | root).ravel()]
+        )
+        return np.where(is_of_multiplier, 1.0, 0.0)
 
     def size(self, steps):
-        """Return the number n of unknowns on so many intervals."""
+        """Return the number n of unknowns on a number of intervals."""
         return self.bodies * (steps * self.stride + self.node) + self.root
 
     def entry_count(self, steps):
@@ -331,18 +321,18 @@ class Structure:
         return self.bodies * (steps * self.rows.size + of_ends) + self.root**2
 
     def root_indices(self):
-        """Return the indices (bodies, shared), among the linking variables, of those of each body."""
+        """Return the indices (bodies, shared) of the linking variables of each body, among all linking variables."""
         bodies, variables = np.arange(self.bodies)[:, None], np.arange(self.shared)
         return np.where(variables < self.own, bodies * self.own, (self.bodies - 1) * self.own) + variables
 
     @cached_property
     def layouts(self):
-        """The layouts of the last numbers of intervals."""
+        """The layouts by number of intervals; the last four are cached."""
         return lru_cache(maxsize=4)(lambda steps: _layout(self, steps))
 
     @cached_property
     def inner_layouts(self):
-        """The layouts of the last numbers of intervals with inner times at given nodes."""
+        """The layouts by number of intervals and numbers of the nodes at inner times; the last four are cached."""
         return lru_cache(maxsize=4)(lambda steps, numbers: _inner_layout(self, steps, numbers))
 
     @cached_property
@@ -352,7 +342,7 @@ class Structure:
 
     @cached_property
     def fillings(self):
-        """Pairs (k, 2) of the entry by which a start takes back a one of intervals on the diagonal, and its row."""
+        """Pairs (k, 2) of the entry by which a start cancels a one on the diagonal of intervals, and its row."""
         return lru_cache(maxsize=4)(lambda steps: _fillings(self, steps))
 
     @cached_property
@@ -390,16 +380,10 @@ def _layout(s, steps):
     chains[:, chain - s.node + s.end_pinned] = False
     if s.phases:
         intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
-        intervals[:, :, s.node :] &= ~lacking_unknowns(s, steps)
+        lacking = np.repeat(s.phase_lacks, steps // s.phases, axis=0)
+        lacking[steps // s.phases :: steps // s.phases] = s.switch_lacks
+        intervals[:, :, s.node :] &= ~lacking
     return _frozen(is_multiplier, is_free)
-
-
-def lacking_unknowns(s, intervals):
-    """Return which unknowns each of the `intervals` of all phases lacks: (intervals, stride - node)."""
-    steps = intervals // s.phases
-    lacking = np.repeat(s.phase_lacks, steps, axis=0)
-    lacking[steps::steps] = s.switch_lacks
-    return lacking
 
 
 def _inner_layout(s, steps, numbers):
