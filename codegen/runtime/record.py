@@ -227,7 +227,7 @@ class TableRecord:
 
 @dataclass(frozen=True)
 class ObservationRecord:
-    """Measurements: a source for each body, names of columns with standard deviations, and what is measured."""
+    """Measurements: a source for each body, names of columns with standard deviations, and the measured quantities."""
 
     sources: tuple[str, ...]
     time: str

@@ -77,10 +77,7 @@ def solve_system(
     own, entry_count = tables[counts + OWN], tables[counts + ENTRIES]
     starts, ends = count_of(tables, START_ROWS), count_of(tables, END_COLUMNS)
     # Beginnings of the parts of the work space.
-    at_inverse = bodies * size * width
-    at_inverses = at_inverse + bodies * size * 2
-    at_couplings = at_inverses + bodies * inverses * shape.condensed * shape.condensed
-    at_right = at_couplings + bodies * steps * shape.condensed * width
+    at_right = bodies * (size * (width + 2) + inverses * shape.condensed**2 + steps * shape.condensed * width)
     at_last = at_right + bodies * length
     at_root = at_last + bodies * end_width
     at_scratch = at_root + root * (shared_width + 3) + shared_width
@@ -114,23 +111,15 @@ def solve_system(
         after = bodies * steps * entry_count
         for body in range(bodies):
             kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
+            upper, inverse, order, blocks, couplings = body_factors(
+                shape, factors, orders, bodies, body, steps, inverses
+            )
             regular, negative, beyond = eliminate_body(
                 shape, tables, carray(ahead(entries, body * steps * entry_count), (steps, entry_count)),
                 carray(ahead(entries, after + body * starts), (starts,)),
                 carray(ahead(entries, after + bodies * starts + body * ends), (ends,)),
                 carray(ahead(gradient, body * chain), (chain,)), carray(ahead(diagonal, body * chain), (chain,)), steps,
-                carray(ahead(factors, body * size * width), (size, width)),
-                carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
-                carray(ahead(orders, body * size), (size,)),
-                carray(
-                    ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
-                    (inverses, shape.condensed, shape.condensed),
-                ),
-                carray(
-                    ahead(factors, at_couplings + body * steps * shape.condensed * width),
-                    (steps, shape.condensed, width),
-                ),
-                kept, room, element, rest, last_matrix,
+                upper, inverse, order, blocks, couplings, kept, room, element, rest, last_matrix,
             )  # fmt: skip
             if not regular:
                 return SINGULAR
@@ -170,6 +159,7 @@ def solve_system(
     for body in range(bodies):
         right = carray(ahead(factors, at_right + body * length), (length,))
         last = carray(ahead(factors, at_last + body * end_width), (end_width,))
+        upper, inverse, order, blocks, couplings = body_factors(shape, factors, orders, bodies, body, steps, inverses)
         if carried:
             for i in range(length):
                 right[i] = 0.0
@@ -177,27 +167,13 @@ def solve_system(
                 last[i] = 0.0
         else:
             kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
-            condense(
-                shape, tables, carray(ahead(gradient, body * chain), (chain,)),
-                carray(
-                    ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
-                    (inverses, shape.condensed, shape.condensed),
-                ),
-                carray(
-                    ahead(factors, at_couplings + body * steps * shape.condensed * width),
-                    (steps, shape.condensed, width),
-                ),
-                kept, room, steps, right,
-            )  # fmt: skip
+            of_body = carray(ahead(gradient, body * chain), (chain,))
+            condense(shape, tables, of_body, blocks, couplings, kept, room, steps, right)
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             if root:
                 add_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
                 add_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
-            forward(
-                shape, tables, carray(ahead(factors, body * size * width), (size, width)),
-                carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
-                carray(ahead(orders, body * size), (size,)), steps, right, front, last,
-            )  # fmt: skip
+            forward(shape, tables, upper, inverse, order, steps, right, front, last)
             for i in range(shape.shared):
                 shared[root_index(own, bodies, body, i)] += right[steps * block + node + i] + last[end + i]
     if root:
@@ -210,31 +186,37 @@ def solve_system(
     for body in range(bodies):
         right = carray(ahead(factors, at_right + body * length), (length,))
         last = carray(ahead(factors, at_last + body * end_width), (end_width,))
+        upper, _, order, blocks, couplings = body_factors(shape, factors, orders, bodies, body, steps, inverses)
         for i in range(shape.shared):
             last[end + i] = right[steps * block + node + i] = shared[root_index(own, bodies, body, i)]
         if shape.carried:
             last[end + shape.shared] = -1.0 if carried else 0.0
-        backward(
-            shape, tables, carray(ahead(factors, body * size * width), (size, width)),
-            carray(ahead(orders, body * size), (size,)), steps, carried, last, front, right,
-        )  # fmt: skip
+        backward(shape, tables, upper, order, steps, carried, last, front, right)
         if root:
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             copy_to_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
             copy_to_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
         kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
-        recover_condensed(
-            shape, tables, carray(ahead(gradient, body * chain), (chain,)),
-            carray(
-                ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
-                (inverses, shape.condensed, shape.condensed),
-            ),
-            carray(
-                ahead(factors, at_couplings + body * steps * shape.condensed * width), (steps, shape.condensed, width)
-            ),
-            kept, room, steps, right, carray(ahead(step, body * chain), (chain,)),
-        )  # fmt: skip
+        of_body = carray(ahead(gradient, body * chain), (chain,))
+        step_of_body = carray(ahead(step, body * chain), (chain,))
+        recover_condensed(shape, tables, of_body, blocks, couplings, kept, room, steps, right, step_of_body)
     return excess
+
+
+@njit(error_model="numpy", forceinline=True)
+def body_factors(shape, factors, orders, bodies, body, steps, inverses):
+    """Return the factors of a body in the work space: upper factor, inverse pivots, order, inverses, couplings."""
+    width, size, condensed = row_width(shape), steps * block_size(shape) + last_size(shape), shape.condensed
+    at_inverse = bodies * size * width
+    at_inverses = at_inverse + bodies * size * 2
+    at_couplings = at_inverses + bodies * inverses * condensed * condensed
+    return (
+        carray(ahead(factors, body * size * width), (size, width)),
+        carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
+        carray(ahead(orders, body * size), (size,)),
+        carray(ahead(factors, at_inverses + body * inverses * condensed * condensed), (inverses, condensed, condensed)),
+        carray(ahead(factors, at_couplings + body * steps * condensed * width), (steps, condensed, width)),
+    )
 
 
 @njit(error_model="numpy", forceinline=True)

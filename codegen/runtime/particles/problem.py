@@ -133,5 +133,5 @@ class PairProblem:
 
 
 def address_of(kernel):
-    """Return the address of a kernel, 0 where there is none."""
+    """Return the address of a kernel, or 0 for None."""
     return 0 if kernel is None else kernel.address

@@ -93,7 +93,7 @@ def checked_times(steps, duration):
 def checked_grid(problem, steps, duration, parameters, fractions):
     """Return a Grid; `parameters` are numbers, or arrays (bodies,).
 
-    ValueError names what is not finite, or not positive.
+    ValueError names a value that is not finite, or not positive.
     """
     s = problem.structure
     steps, duration = checked_times(steps, duration)

@@ -199,7 +199,7 @@ class ControlProblem:
         return tuple(loop for loop in loops if loop is not None)
 
     def compile(self):
-        """Compile what is special about the problem: the loops, and the linear system of its shape."""
+        """Compile the loops of the problem and the linear system of its shape."""
         for loop in self.kernels():
             loop.address  # noqa: B018
         self.system  # noqa: B018

@@ -5,7 +5,7 @@ all N stride + node unknowns. Then follow the linking variables with the multipl
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,11 @@ def _no_indices():
 
 def _no_mask():
     return NO_MASK
+
+
+def last_results(method):
+    """Return a method that caches its last four results for each object."""
+    return cached_property(lambda own: lru_cache(maxsize=4)(partial(method, own)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,19 +173,6 @@ class Structure:
         )  # fmt: skip
 
     @cached_property
-    def element_index(self):
-        """The row of each local unknown in an element matrix, or its number among condensed unknowns or stages."""
-        node, block = self.node, self.stride - self.condensed - 2 * self.stages
-        left, right = (block, 0) if self.backward else (0, block)
-        of_stages = np.arange(self.stages)
-        return np.concatenate(
-            [
-                left + np.arange(node), of_stages, of_stages, np.arange(node, block), np.arange(self.condensed),
-                right + np.arange(node), block + node + self.border.size + np.arange(self.shared),
-            ]
-        )  # fmt: skip
-
-    @cached_property
     def stage_entries(self):
         """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `kkt.shape`.
 
@@ -220,10 +212,17 @@ class Structure:
     @cached_property
     def tables(self):
         """The index tables of the linear system, packed."""
-        node, index = self.node, self.element_index
-        block = self.stride - self.condensed - 2 * self.stages
+        node, block = self.node, self.stride - self.condensed - 2 * self.stages
         tail = block + node + self.border.size
         left, right = (block, 0) if self.backward else (0, block)
+        # The row of each local unknown in an element matrix, or its number among condensed unknowns or stages.
+        stages = np.arange(self.stages)
+        index = np.concatenate(
+            [
+                left + np.arange(node), stages, stages, np.arange(node, block), np.arange(self.condensed),
+                right + np.arange(node), tail + np.arange(self.shared),
+            ]
+        )  # fmt: skip
         local = np.arange(self.element + self.shared)
         is_condensed = (local >= self.stride - self.condensed) & (local < self.stride)
         kinds = is_condensed[self.rows].astype(int) + is_condensed[self.columns]
@@ -325,30 +324,74 @@ class Structure:
         bodies, variables = np.arange(self.bodies)[:, None], np.arange(self.shared)
         return np.where(variables < self.own, bodies * self.own, (self.bodies - 1) * self.own) + variables
 
-    @cached_property
-    def layouts(self):
-        """The layouts by number of intervals; the last four are cached."""
-        return lru_cache(maxsize=4)(lambda steps: _layout(self, steps))
+    @last_results
+    def layouts(self, steps):
+        """Return the Layout of `steps` intervals."""
+        s, chain, size = self, steps * self.stride + self.node, self.size(steps)
+        is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
+        chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
+        chains[:, : -s.node].reshape(s.bodies, steps, s.stride)[:] = s.is_multiplier
+        chains[:, -s.node :] = s.is_multiplier[: s.node]
+        if s.couplings:
+            is_multiplier[size - s.couplings :] = True
+        if s.shared_is_multiplier.any():
+            first = s.bodies * (chain + s.own)
+            is_multiplier[s.bodies * chain : first].reshape(s.bodies, s.own)[:] = s.shared_is_multiplier[: s.own]
+            is_multiplier[first : size - s.couplings] = s.shared_is_multiplier[s.own :]
+        chains = is_free[: s.bodies * chain].reshape(s.bodies, chain)
+        for i in s.only_at_ends:
+            chains[:, i + s.stride : -s.node : s.stride] = False
+        chains[:, s.start_pinned] = False
+        chains[:, chain - s.node + s.end_pinned] = False
+        if s.phases:
+            intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
+            lacking = np.repeat(s.phase_lacks, steps // s.phases, axis=0)
+            lacking[steps // s.phases :: steps // s.phases] = s.switch_lacks
+            intervals[:, :, s.node :] &= ~lacking
+        return Layout.of(is_multiplier, is_free)
 
-    @cached_property
-    def inner_layouts(self):
-        """The layouts by number of intervals and numbers of the nodes at inner times; the last four are cached."""
-        return lru_cache(maxsize=4)(lambda steps, numbers: _inner_layout(self, steps, numbers))
+    @last_results
+    def inner_layouts(self, steps, numbers):
+        """Return the Layout of `steps` intervals with the nodes of these `numbers` at inner times."""
+        plain, chain = self.layouts(steps), steps * self.stride + self.node
+        is_free = plain.is_free.copy()
+        for first in range(0, self.bodies * chain, chain):
+            nodes = first + self.stride * np.arange(steps + 1)
+            for j, present in zip(self.inner_unknowns, self.inner_present.T, strict=True):
+                is_free[nodes + j] = False
+                is_free[nodes[np.array(numbers)[present]] + j] = True
+            for j in self.inner_lacks:
+                is_free[nodes[np.array(numbers)] + j] = False
+        return Layout.of(plain.is_multiplier, is_free)
 
-    @cached_property
-    def ties(self):
-        """Pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
-        return lru_cache(maxsize=4)(lambda steps: _ties(self, steps))
+    @last_results
+    def ties(self, steps):
+        """Return pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
+        chain, pairs = steps * self.stride + self.node, []
+        if self.is_tied:
+            for body, indices in enumerate(self.size(steps) - self.root + self.root_indices()):
+                pairs += zip(body * chain + self.start_tied, indices[self.start_shared], strict=True)
+                pairs += zip((body + 1) * chain - self.node + self.end_tied, indices[self.end_shared], strict=True)
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
-    @cached_property
-    def fillings(self):
-        """Pairs (k, 2) of the entry by which a start cancels a one on the diagonal of intervals, and its row."""
-        return lru_cache(maxsize=4)(lambda steps: _fillings(self, steps))
+    @last_results
+    def fillings(self, steps):
+        """Return pairs (k, 2) of the entry by which a start cancels a one on the diagonal of intervals, and its row."""
+        chain, first = steps * self.stride + self.node, self.bodies * steps * self.rows.size
+        is_one = (self.start_rows == self.start_columns) & np.isin(self.start_rows, self.only_at_ends)
+        pairs = [
+            (first + body * self.start_rows.size + j, body * chain + self.start_rows[j])
+            for body in range(self.bodies)
+            for j in np.flatnonzero(is_one)
+        ]
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
-    @cached_property
-    def kinds(self):
-        """The kind of each unknown: its index in a node with the interval after it, then linking variables."""
-        return lru_cache(maxsize=4)(lambda steps: _kinds(self, steps))
+    @last_results
+    def kinds(self, steps):
+        """Return the kind of each unknown: its index in a node with the interval after it, then linking variables."""
+        chain = np.tile(np.arange(steps * self.stride + self.node) % self.stride, self.bodies)
+        own, common = np.tile(np.arange(self.own), self.bodies), np.arange(self.own, self.shared + self.couplings)
+        return np.concatenate([chain, self.stride + own, self.stride + common])
 
 
 class Layout(NamedTuple):
@@ -359,77 +402,10 @@ class Layout(NamedTuple):
     primal: np.ndarray
     multipliers: np.ndarray
 
-
-def _layout(s, steps):
-    """Return the layout of `steps` intervals; its arrays are read-only."""
-    chain, size = steps * s.stride + s.node, s.size(steps)
-    is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
-    chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
-    chains[:, : -s.node].reshape(s.bodies, steps, s.stride)[:] = s.is_multiplier
-    chains[:, -s.node :] = s.is_multiplier[: s.node]
-    if s.couplings:
-        is_multiplier[size - s.couplings :] = True
-    if s.shared_is_multiplier.any():
-        first = s.bodies * (chain + s.own)
-        is_multiplier[s.bodies * chain : first].reshape(s.bodies, s.own)[:] = s.shared_is_multiplier[: s.own]
-        is_multiplier[first : size - s.couplings] = s.shared_is_multiplier[s.own :]
-    chains = is_free[: s.bodies * chain].reshape(s.bodies, chain)
-    for i in s.only_at_ends:
-        chains[:, i + s.stride : -s.node : s.stride] = False
-    chains[:, s.start_pinned] = False
-    chains[:, chain - s.node + s.end_pinned] = False
-    if s.phases:
-        intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
-        lacking = np.repeat(s.phase_lacks, steps // s.phases, axis=0)
-        lacking[steps // s.phases :: steps // s.phases] = s.switch_lacks
-        intervals[:, :, s.node :] &= ~lacking
-    return _frozen(is_multiplier, is_free)
-
-
-def _inner_layout(s, steps, numbers):
-    """Return the layout of `steps` intervals whose nodes of these `numbers` are at inner times."""
-    plain, chain = s.layouts(steps), steps * s.stride + s.node
-    is_free = plain.is_free.copy()
-    for first in range(0, s.bodies * chain, chain):
-        nodes = first + s.stride * np.arange(steps + 1)
-        for j, present in zip(s.inner_unknowns, s.inner_present.T, strict=True):
-            is_free[nodes + j] = False
-            is_free[nodes[np.array(numbers)[present]] + j] = True
-        for j in s.inner_lacks:
-            is_free[nodes[np.array(numbers)] + j] = False
-    return _frozen(plain.is_multiplier, is_free)
-
-
-def _frozen(is_multiplier, is_free):
-    primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
-    for array in (is_multiplier, is_free, primal, multipliers):
-        array.flags.writeable = False
-    return Layout(is_multiplier, is_free, primal, multipliers)
-
-
-def _ties(s, steps):
-    chain, size = steps * s.stride + s.node, s.size(steps)
-    pairs = []
-    if s.is_tied:
-        for body, indices in enumerate(size - s.root + s.root_indices()):
-            pairs += zip(body * chain + s.start_tied, indices[s.start_shared], strict=True)
-            pairs += zip((body + 1) * chain - s.node + s.end_tied, indices[s.end_shared], strict=True)
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def _fillings(s, steps):
-    chain, first = steps * s.stride + s.node, s.bodies * steps * s.rows.size
-    is_one = (s.start_rows == s.start_columns) & np.isin(s.start_rows, s.only_at_ends)
-    entries = np.flatnonzero(is_one)
-    pairs = [
-        (first + body * s.start_rows.size + j, body * chain + s.start_rows[j])
-        for body in range(s.bodies)
-        for j in entries
-    ]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def _kinds(s, steps):
-    chain = np.tile(np.arange(steps * s.stride + s.node) % s.stride, s.bodies)
-    own, common = np.tile(np.arange(s.own), s.bodies), np.arange(s.own, s.shared + s.couplings)
-    return np.concatenate([chain, s.stride + own, s.stride + common])
+    @classmethod
+    def of(cls, is_multiplier, is_free):
+        """Return the layout with these masks; all arrays become read-only."""
+        primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
+        for array in (is_multiplier, is_free, primal, multipliers):
+            array.flags.writeable = False
+        return cls(is_multiplier, is_free, primal, multipliers)
