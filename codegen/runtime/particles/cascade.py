@@ -7,13 +7,14 @@ tolerance, or at the level of rounding errors, counts as a solution. All attempt
 and `points`, shape (N POINTS, 2, n, d), from their initial contents, and `log`, see `shoot`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from codegen.runtime.arithmetic import cholesky, solve_cholesky
 from codegen.runtime.kernels import packed_operations
 from codegen.runtime.particles.least_action import momenta_of_least_action, path_intervals
+from codegen.runtime.particles.problem import PairProblem
 from codegen.runtime.particles.shooting import all_states, preconditioner, shoot
 from codegen.runtime.particles.steps import cost_and_energies
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
@@ -327,7 +328,7 @@ class Case(NamedTuple):
     duration: float
     tolerance: float
     max_iterations: int
-    problem: Any
+    problem: PairProblem
 
 
 def checked_case(problem, start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations):

@@ -1,12 +1,13 @@
 """The motion of particles from initial states: checks of arguments, steps, and quantities along the motion."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from codegen.runtime.addresses import data_of, reals_at
 from codegen.runtime.kernels import packed_operations
+from codegen.runtime.particles.problem import PairProblem
 from codegen.runtime.particles.steps import advance, energy_of
 from codegen.runtime.search.grid import checked_count, checked_times
 from codegen.runtime.stepping.motion import Solution, describe, require_finite
@@ -26,7 +27,7 @@ class Grid(NamedTuple):
     parameters: np.ndarray
     start: np.ndarray
     own: np.ndarray
-    problem: Any
+    problem: PairProblem
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, own):

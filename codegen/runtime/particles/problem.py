@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value, problem_of
 from codegen.runtime.particles.steps import Pairs
 from codegen.runtime.particles.tracers import Tracers
+from codegen.runtime.record import ParticleRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class PairProblem:
         Abscissa on an interval at which the discrete action evaluates H.
     """
 
-    metadata: Any
+    metadata: ParticleRecord
     dimension: int
     hamiltonian: Value
     blocks: int = 1
@@ -70,7 +70,7 @@ class PairProblem:
     cost_weights: tuple[float, ...] = ()
     abscissa: float = 0.0
     block: int = 1
-    coefficients: Any = field(init=False)
+    coefficients: np.ndarray = field(init=False)
 
     def __post_init__(self):
         """Keep the coefficients of the scheme as one array: substeps (s, 3), or rows and weights (s + 1, s)."""

@@ -12,6 +12,7 @@ from codegen.runtime.addresses import LOOP, callback
 from codegen.runtime.kernels import Addressed, problem_of
 from codegen.runtime.kkt.specialised import any_shape_address, system_address
 from codegen.runtime.linking import link_inner_functions
+from codegen.runtime.record import ControlRecord
 from codegen.runtime.search.structure import Structure
 
 MOST_KEPT = 4  # searches whose storage is kept, one for each of four threads
@@ -72,13 +73,13 @@ class DataDerivatives:
     quantities: tuple[str, ...]
     count: int
     parametric: int
-    acting: Any
-    rows: Any
-    columns: Any
-    start_rows: Any
-    start_columns: Any
-    end_rows: Any
-    end_columns: Any
+    acting: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    start_rows: np.ndarray
+    start_columns: np.ndarray
+    end_rows: np.ndarray
+    end_columns: np.ndarray
     loop: Loop
     rates: Callable[..., Any]
     pins: Callable[..., Any]
@@ -154,7 +155,7 @@ class ControlProblem:
     """
 
     structure: Structure
-    metadata: Any
+    metadata: ControlRecord
     gradient: Loop
     hessians: Loop
     parts: Loop
@@ -168,8 +169,8 @@ class ControlProblem:
     data: DataDerivatives | None = None
     ranges: Any = ()
     range_names: tuple[str, ...] = ()
-    tables: Mapping[str, Any] = field(default_factory=dict)
-    observations: tuple[Any, ...] = ()
+    tables: Mapping[str, np.ndarray] = field(default_factory=dict)
+    observations: tuple[np.ndarray, ...] = ()
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""

@@ -3,11 +3,12 @@
 The functions from `path_residual` on evaluate single steps, for root finders and other programs.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
+from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
 from codegen.runtime.tabulated import table_numbers
 
@@ -29,7 +30,7 @@ class Grid(NamedTuple):
     start: np.ndarray
     tolerance: float
     max_iterations: int
-    problem: Any
+    problem: StepProblem
 
 
 class Solution(NamedTuple):

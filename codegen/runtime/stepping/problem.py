@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value, problem_of
+from codegen.runtime.record import SimulationRecord
 from codegen.runtime.stepping.steps import Scheme, follow, memory_for
 
 
@@ -42,7 +42,7 @@ class StepProblem:
         Fills the least and greatest inputs (inputs, 2) of tables with the ranges `ranges`, named `range_names`.
     """
 
-    metadata: Any
+    metadata: SimulationRecord
     state: int
     stages: int
     equations: Kernel
@@ -56,11 +56,11 @@ class StepProblem:
     complete: Kernel | None = None
     is_linear: bool = False
     is_constant: bool = False
-    fractions: Any = field(default_factory=lambda: np.ones((1, 1)))
+    fractions: np.ndarray = field(default_factory=lambda: np.ones((1, 1)))
     inputs: Kernel | None = None
-    ranges: Any = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    ranges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
-    tables: Mapping[str, Any] = field(default_factory=dict)
+    tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""
