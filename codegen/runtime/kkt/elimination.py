@@ -251,10 +251,10 @@ def eliminate_body(
                     couplings[k, a, rows] = -gradient[first_condensed(shape, k) + a]
             subtract_schur_complement(shape, tables, couplings[k], inverses[number], padded(rows), element)
         if HAS_STAGES and shape.stages:
-            found = eliminate_stages(shape, tables, entries[k], gradient, diagonal, k, kept, room, element)
-            if found < 0:
+            pivots = eliminate_stages(shape, tables, entries[k], gradient, diagonal, k, kept, room, element)
+            if pivots < 0:
                 return False, 0, 0
-            negative += found
+            negative += pivots
         for i in range(block_rows):
             element[i, i] += diagonal[unknown_of(shape, block, i, steps)]
         if shape.carried:
@@ -269,23 +269,23 @@ def eliminate_body(
             begin_front(shape, tables, element, rest)
             continue
         move_front(shape, element, rest)
-        found = eliminate_rows(
+        pivots = eliminate_rows(
             element, shape.inner, padded(rows), upper[first:behind], inverse[first:behind], order[first:behind]
         )
-        if found < 0:
+        if pivots < 0:
             return False, 0, 0
-        negative += found
+        negative += pivots
         # As many multipliers remain in blocks 0 to k + 1 as in the last node and one block.
         if negative > block * multipliers + ending:
             return True, negative, negative - (block * multipliers + ending)
         subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
     end_front(shape, rest, remaining, last)
     first, size = steps * block_rows, last_size(shape)
-    found = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
-    if found < 0:
+    pivots = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
+    if pivots < 0:
         return False, 0, 0
     # No multiplier of another body reaches into this one.
-    negative += found
+    negative += pivots
     return True, negative, negative - ((steps - 1) * multipliers + ending)
 
 

@@ -69,11 +69,10 @@ def system(
 
 def cache_folder():
     """Return the folder of the build cache: $CODEGEN_CACHE_DIR, or one in the user's cache directory."""
-    given = os.environ.get("CODEGEN_CACHE_DIR")
-    if given:
-        return Path(given)
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(home) / "variational-codegen"
+    folder = os.environ.get("CODEGEN_CACHE_DIR")
+    if folder:
+        return Path(folder)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "variational-codegen"
 
 
 def text_of(shape):

@@ -94,11 +94,11 @@ def solve_system(
     at_front = at_matrix + (end + shape.shared) * end_width
     front = carray(ahead(factors, at_front), (width,))
     root_matrix = carray(ahead(factors, at_front + width), (root, shared_width))
-    at_left = at_front + width + root * shared_width
-    left_width = padded(shape.shared + shape.carried)
-    left = carray(ahead(factors, at_left), (shape.shared, left_width))
+    at_remainder = at_front + width + root * shared_width
+    remainder_width = padded(shape.shared + shape.carried)
+    remainder = carray(ahead(factors, at_remainder), (shape.shared, remainder_width))
     stage_reals, stage_integers = (
-        ahead(factors, at_left + shape.shared * left_width),
+        ahead(factors, at_remainder + shape.shared * remainder_width),
         ahead(orders, bodies * size + root),
     )
     carried, excess = is_new and shape.carried, 0
@@ -130,16 +130,22 @@ def solve_system(
                 first = (body * size + steps * block) * width
                 for i in range(shape.shared):
                     for j in range(shape.shared + shape.carried):
-                        left[i, j] = last_matrix[end + i, end + j]
+                        remainder[i, j] = last_matrix[end + i, end + j]
                 subtract_products(
-                    carray(ahead(factors, first), (end, width)), last_matrix, end, end, shape.shared, left_width, left
+                    carray(ahead(factors, first), (end, width)),
+                    last_matrix,
+                    end,
+                    end,
+                    shape.shared,
+                    remainder_width,
+                    remainder,
                 )
                 for i in range(shape.shared):
                     index = root_index(own, bodies, body, i)
                     for j in range(shape.shared):
-                        root_matrix[index, root_index(own, bodies, body, j)] += left[min(i, j), max(i, j)]
+                        root_matrix[index, root_index(own, bodies, body, j)] += remainder[min(i, j), max(i, j)]
                     if shape.carried:
-                        root_right[index] += left[i, shape.shared]
+                        root_right[index] += remainder[i, shape.shared]
         if root:
             at_conditions = after + bodies * (starts + ends)
             for i in range(root):

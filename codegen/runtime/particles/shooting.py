@@ -182,16 +182,16 @@ class Linearised:
     def advance(self, k, directions, after):
         """Fill `after` (2nd, m) with the derivative of step k times directions; return False if that fails."""
         case, first = self.case, k * self.pairs.points
-        given = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
-        return advance_directions(*given, directions, after)
+        arguments = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
+        return advance_directions(*arguments, directions, after)
 
     def tangents(self, directions):
         """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
         case = self.case
         self.count += directions.shape[1]
         h = case.duration / case.steps
-        given = self.pairs, self.hessians, self.points, case.steps, h, case.own, case.parameters
-        if not tangents(*given, directions):
+        arguments = self.pairs, self.hessians, self.points, case.steps, h, case.own, case.parameters
+        if not tangents(*arguments, directions):
             directions[:] = np.nan
         return directions
 
@@ -279,10 +279,10 @@ def rounding(case, path):
 def rounding_of_states(case, path, errors):
     """Return the change of the defects (N, 2, n, d) of all steps when all states change by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
-    found, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
+    moved_errors, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for trial in jittered(path):
-        if defects(case.problem.pairs, h, case.own, case.parameters, trial, points, found) >= 0:
-            noise = max(noise, max_norm((found - errors).ravel()))
+        if defects(case.problem.pairs, h, case.own, case.parameters, trial, points, moved_errors) >= 0:
+            noise = max(noise, max_norm((moved_errors - errors).ravel()))
     return noise
 
 

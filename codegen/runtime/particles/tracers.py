@@ -38,15 +38,15 @@ class Tracers(NamedTuple):
 @njit(error_model="numpy", forceinline=True)
 def velocity_at(tracers, positions, z, own, parameters, rates):
     """Fill `rates` (d block,) with velocities."""
-    given = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
-    call(tracers.velocity, given)
+    arguments = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
+    call(tracers.velocity, arguments)
 
 
 @njit(error_model="numpy", forceinline=True)
 def gradient_at(tracers, positions, z, own, parameters, rates, gradients):
     """Fill `rates` (d block,) with velocities and `gradients` (d d block,) with their derivatives."""
-    given = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
-    call(tracers.gradient, (*given, data_of(gradients)))
+    arguments = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
+    call(tracers.gradient, (*arguments, data_of(gradients)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -368,7 +368,7 @@ def stages_of(case, path):
 
 
 def carry(case, stages, points, first=0.0, last=None, derivative=False):
-    """Carry points (m, d) along the motion with the given `stages`, from one time to another.
+    """Carry points (m, d) along the motion with the arguments `stages`, from one time to another.
 
     Times are in steps, from 0 to the number of steps. By default points are carried from the first to the last node,
     and from `first` back to an earlier `last` by the inverse of that map. A time between two nodes is reached by part

@@ -453,8 +453,8 @@ def accepts(pairs, integers, violation, objective, trial_violation, trial_object
 
 
 @njit(error_model="numpy")
-def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, left):
-    """Fill `left` with KKT matrix . step + weight_of_right . right; return its `inaccuracy`."""
+def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, remainder):
+    """Fill `remainder` with KKT matrix . step + weight_of_right . right; return its `inaccuracy`."""
     steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns, vector = x, step
@@ -464,36 +464,36 @@ def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight
             unknowns[i] = x[i] * sizes[i]
             vector[i] = np.sqrt(sizes[i] * forces[i]) * step[i]
     call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
-    for i in range(left.size):
-        left[i] = 0.0
-    multiply_entries(entries, rows, columns, steps, counts, vector, left, False)
-    for i in range(left.size):
+    for i in range(remainder.size):
+        remainder[i] = 0.0
+    multiply_entries(entries, rows, columns, steps, counts, vector, remainder, False)
+    for i in range(remainder.size):
         if sizes.size:
-            left[i] *= np.sqrt(sizes[i] * forces[i])
-        left[i] += diagonal[i] * step[i] + weight_of_right * right[i]
+            remainder[i] *= np.sqrt(sizes[i] * forces[i])
+        remainder[i] += diagonal[i] * step[i] + weight_of_right * right[i]
     for j in range(ties.shape[0]):
-        left[ties[j, 1]] += left[ties[j, 0]]
-    for i in range(left.size):
+        remainder[ties[j, 1]] += remainder[ties[j, 0]]
+    for i in range(remainder.size):
         if not is_free[i]:
-            left[i] = 0.0
-    return inaccuracy(right, step, left, is_multiplier)
+            remainder[i] = 0.0
+    return inaccuracy(right, step, remainder, is_multiplier)
 
 
 @njit(error_model="numpy")
-def inaccuracy(gradient, step, left, is_multiplier):
-    """Return the size of `left` (n,) in the equations, and in all rows, relative to right-hand side and solution.
+def inaccuracy(gradient, step, remainder, is_multiplier):
+    """Return the size of `remainder` (n,) in the equations, and in all rows, relative to right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, do not count for the equations. NaN if `left` is not finite.
+    Large multipliers, and barriers close to their bounds, do not count for the equations. NaN if `remainder` is not finite.
     """
     unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(left.size):
-        if not abs(left[i]) < np.inf:
+    for i in range(remainder.size):
+        if not abs(remainder[i]) < np.inf:
             return np.nan
         if is_multiplier[i]:
-            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            unsolved, right = max(unsolved, abs(remainder[i])), max(right, abs(gradient[i]))
             multiplier = max(multiplier, abs(step[i]))
         else:
-            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            remaining, slope = max(remaining, abs(remainder[i])), max(slope, abs(gradient[i]))
             primal = max(primal, abs(step[i]))
     most = LARGE_STEP * max(right, slope)
     of_equations = unsolved / max(right + min(primal, most), 1e-300)
@@ -514,8 +514,10 @@ def refined(problem, grid, system, x, vectors, room):
     """
     steps, n = grid[0], x.size
     tables, factors, orders, _, _, _, inverses, counts, equations, _, _ = system
-    right, step, left, scaled = vectors[RIGHT], vectors[STEP], room[2 * SOLVED_AGAIN], room[2 * SOLVED_AGAIN + 1]
-    first = error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, left)
+    right, step, remainder, scaled = vectors[RIGHT], vectors[STEP], room[2 * SOLVED_AGAIN], room[2 * SOLVED_AGAIN + 1]
+    first = error = fill_linear_residual(
+        problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, remainder
+    )
     for again in range(SOLVED_AGAIN):
         if not ACCURATE < error < np.inf:
             return again > 0
@@ -523,10 +525,10 @@ def refined(problem, grid, system, x, vectors, room):
             return False
         correction, product, norm = room[2 * again], room[2 * again + 1], 0.0
         for i in range(n):
-            norm += left[i] * left[i]
+            norm += remainder[i] * remainder[i]
         norm = np.sqrt(norm)
         for i in range(n):
-            scaled[i] = left[i] / norm
+            scaled[i] = remainder[i] / norm
         solve_at(problem[2], steps, tables, scaled, equations, factors, orders, inverses, counts, correction)
         fill_linear_residual(
             problem, grid, system, x, vectors[DIAGONAL], right, correction, 0.0, vectors, product
@@ -547,10 +549,10 @@ def refined(problem, grid, system, x, vectors, room):
         for i in range(n):
             product[i] /= size
             correction[i] /= size
-            share -= product[i] * left[i]
+            share -= product[i] * remainder[i]
         for i in range(n):
             step[i] += share * correction[i]
-        error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, left)
+        error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, remainder)
     return True
 
 
@@ -1071,10 +1073,10 @@ def descend(
                 integers[DOUBTFUL] += 1
                 if integers[DOUBTFUL] >= integers[ENOUGH]:
                     fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
-                    left = fill_linear_residual(
+                    remainder = fill_linear_residual(
                         problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
                     )
-                    if left > ACCURATE:
+                    if remainder > ACCURATE:
                         if room.shape[0] == 0:
                             status = ROOM
                             break

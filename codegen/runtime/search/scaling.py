@@ -273,7 +273,7 @@ def balance(q, size, rest, effect):
     `rest` are the residuals of the guess, `effect` (kinds, kinds) the changes of equations by smooth motions.
     """
     for _ in range(size.size):
-        found, is_new = np.zeros(size.size), False
+        balanced, is_new = np.zeros(size.size), False
         for i in range(size.size):
             largest = rest[i]
             for j in range(size.size):
@@ -281,13 +281,13 @@ def balance(q, size, rest, effect):
             for j in range(size.size):
                 if size[j] == 0.0 and effect[i, j] > 0.0 and largest > 0.0:
                     balancing = min(largest / effect[i, j], q.radian[j])
-                    found[j] = balancing if found[j] == 0.0 else min(found[j], balancing)
+                    balanced[j] = balancing if balanced[j] == 0.0 else min(balanced[j], balancing)
                     is_new = True
         if not is_new:
             return
         for j in range(size.size):
             if size[j] == 0.0:
-                size[j] = found[j]
+                size[j] = balanced[j]
 
 
 @njit(error_model="numpy")

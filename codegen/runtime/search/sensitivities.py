@@ -98,9 +98,9 @@ def sensitivities(grid, unknowns, given=()):
             reason = "the solution is no strict local minimum" if excess is not None and excess > 0 else DEPENDENT
             failure = failure if inaccuracy <= LOST else reason
             continue
-        found, residual = solved_along(case, system, roots, offsets, (moves.copy(), rates, times), changes)
+        solution, residual = solved_along(case, system, roots, offsets, (moves.copy(), rates, times), changes)
         if residual < inaccuracy:
-            best, inaccuracy, failure = found, residual, DEPENDENT if residual > LOST else ""
+            best, inaccuracy, failure = solution, residual, DEPENDENT if residual > LOST else ""
         if inaccuracy <= EXACT:
             break
     durations = data.durations(grid, unknowns, best, rates, duration)
@@ -407,15 +407,15 @@ def largest_residual(residual, is_multiplier, sizes):
     return max(of_equations, remaining / ratio)
 
 
-def momentum_rates(grid, unknowns, found, i):
+def momentum_rates(grid, unknowns, derivatives, i):
     """Return derivatives (bodies, N + 1, ...) by quantity i of the momenta at a solution `unknowns` (n,).
 
-    `found` are its Sensitivities. See `point.discrete_momenta`.
+    `derivatives` are its Sensitivities. See `point.discrete_momenta`.
     """
     s, case = grid.problem.structure, case_at(grid, unknowns, NONE, allocate_system(grid))
     momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
     momenta_along(
-        found.unknowns[i], found.rates[i], found.grid_times[i], grid.steps, s.counts, case.entries, *s.entries,
+        derivatives.unknowns[i], derivatives.rates[i], derivatives.grid_times[i], grid.steps, s.counts, case.entries, *s.entries,
         case.filled, *grid.problem.mixed[:3], grid.problem.data.acting, case.begins, s.equations, momenta,
     )  # fmt: skip
     return momenta

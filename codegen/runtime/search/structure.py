@@ -183,7 +183,7 @@ class Structure:
         is_stage = (local >= node) & (local < node + stages)
         is_equation = (local >= node + stages) & (local < node + 2 * stages)
         high, low = np.maximum(self.rows, self.columns), np.minimum(self.rows, self.columns)
-        found = []
+        parts = []
         for is_row, is_column, first, second in (
             (is_equation, is_stage, node + stages, node),
             (is_equation, ~is_stage & ~is_equation, node + stages, 0),
@@ -196,8 +196,8 @@ class Structure:
             rows = np.where(straight, high, low)[entries] - first
             columns = np.where(straight, low, high)[entries] - second
             order = np.lexsort((columns, rows))
-            found.append((entries[order], rows[order], columns[order]))
-        return found
+            parts.append((entries[order], rows[order], columns[order]))
+        return parts
 
     @cached_property
     def staged(self):

@@ -49,7 +49,7 @@ class Scheme(NamedTuple):
 class Work(NamedTuple):
     """Addresses of the arrays of a step, which the caller keeps alive.
 
-    `lengths` (parts, lengths) are those of all parts. `now` (state,) is the state before a step, `here` the state at
+    `lengths` (parts, lengths) are those of all parts. `now` (state,) is the state before a step, `begin` the state at
     the start of a part. `interval` (stages + state,) holds the inner stages and the state at the end of a part, `seen`
     (inputs, 2) inputs of tables. For Newton's method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last
     corrections.
@@ -57,7 +57,7 @@ class Work(NamedTuple):
 
     lengths: int
     now: int
-    here: int
+    begin: int
     interval: int
     seen: int
     unknowns: int
@@ -81,18 +81,18 @@ def work_in(scheme, memory, h, parameters_at):
     count, size = scheme.unknowns, scheme.state
     lengths = memory.ctypes.data
     now = lengths + 8 * scheme.parts * scheme.lengths
-    here = now + 8 * size
-    interval = here + 8 * size
+    begin = now + 8 * size
+    interval = begin + 8 * size
     seen = interval + 8 * (scheme.stages + size)
     unknowns = seen + 16 * scheme.inputs
     row = 8 * count
     residual, sizes, last, pivots = unknowns + row, unknowns + 2 * row, unknowns + 3 * row, unknowns + 4 * row
-    work = Work(lengths, now, here, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
+    work = Work(lengths, now, begin, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
     fractions = carray(reals_at(scheme.fractions), (scheme.parts * scheme.lengths,))
     for i in range(memory.size):
         memory[i] = h * fractions[i] if i < fractions.size else 0.0
     if scheme.is_constant:
-        call(scheme.jacobian, (unknowns, here, 0.0, lengths, parameters_at, residual, work.jacobian))
+        call(scheme.jacobian, (unknowns, begin, 0.0, lengths, parameters_at, residual, work.jacobian))
         if count > 1:
             jacobian, factored = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(pivots), (count,))
             if factor_matrix(jacobian, factored) >= 0:
@@ -102,18 +102,18 @@ def work_in(scheme, memory, h, parameters_at):
 
 @njit(error_model="numpy", forceinline=True)
 def advance(scheme, work, t, tolerance, most, parameters_at):
-    """Make a step of the state in work.here; return the iterations, or the negative outcome of a failure.
+    """Make a step of the state in work.begin; return the iterations, or the negative outcome of a failure.
 
     `t` is the time at the start. `tolerance` is the relative size of a correction after which a part of a step is
     solved, in at most `most` iterations.
     """
-    state, iterations = carray(reals_at(work.here), (scheme.state,)), 0
+    state, iterations = carray(reals_at(work.begin), (scheme.state,)), 0
     after = carray(reals_at(work.interval + 8 * scheme.stages), (scheme.state,))
     lengths = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths))
     for part in range(scheme.parts):
         lengths_at = work.lengths + 8 * part * scheme.lengths
         if scheme.unknowns == 0:
-            call(scheme.explicit, (work.here, t, lengths_at, parameters_at, work.interval))
+            call(scheme.explicit, (work.begin, t, lengths_at, parameters_at, work.interval))
         else:
             outcome = solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at)
             if outcome < 0:
@@ -130,7 +130,7 @@ def advance(scheme, work, t, tolerance, most, parameters_at):
 
 @njit(error_model="numpy")
 def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
-    """Solve the equations of a part of a step from work.here; return the iterations, or the outcome of a failure.
+    """Solve the equations of a part of a step from work.begin; return the iterations, or the outcome of a failure.
 
     Corrections are taken in full. If they do not converge the step is too long for the scheme. Shortened corrections
     ended in spurious minima of the residual as often as in a solution.
@@ -139,18 +139,18 @@ def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
     unknowns, residual = carray(reals_at(work.unknowns), (count,)), carray(reals_at(work.residual), (count,))
     jacobian, pivots = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(work.pivots), (count,))
     sizes, last = carray(reals_at(work.sizes), (count,)), carray(reals_at(work.last), (count,))
-    state = carray(reals_at(work.here), (scheme.state,))
-    call(scheme.predict, (work.here, t, lengths_at, parameters_at, work.unknowns))
+    state = carray(reals_at(work.begin), (scheme.state,))
+    call(scheme.predict, (work.begin, t, lengths_at, parameters_at, work.unknowns))
     for i in range(state.size):
         magnitude += abs(state[i])
     for i in range(count):
         sizes[i], last[i] = max(0.5 * sizes[i], LEAST), np.inf
-    given = work.unknowns, work.here, t, lengths_at, parameters_at
+    arguments = work.unknowns, work.begin, t, lengths_at, parameters_at
     for iteration in range(1, most + 1):
         if scheme.is_constant:
-            call(scheme.residual, (*given, work.residual))
+            call(scheme.residual, (*arguments, work.residual))
         else:
-            call(scheme.jacobian, (*given, work.residual, work.jacobian))
+            call(scheme.jacobian, (*arguments, work.residual, work.jacobian))
         if scheme.is_iterated:
             total = 0.0
             for i in range(count):
@@ -170,7 +170,7 @@ def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
             unknowns[i] -= residual[i]
             scale += abs(unknowns[i])
         if not scheme.is_iterated or has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last):
-            call(scheme.complete, (*given, work.interval))
+            call(scheme.complete, (*arguments, work.interval))
             return iteration
     return NOT_CONVERGED
 
@@ -203,7 +203,7 @@ def first_left(scheme, work, t, lengths_at, parameters_at):
     ranges, parameters = carray(integers_at(scheme.ranges), (scheme.inputs, 2)), reals_at(parameters_at)
     for j in range(scheme.inputs):
         seen[j, 0], seen[j, 1] = np.inf, -np.inf
-    call(scheme.used_inputs, (work.here, work.interval, t, lengths_at, parameters_at, work.seen))
+    call(scheme.used_inputs, (work.begin, work.interval, t, lengths_at, parameters_at, work.seen))
     for j in range(scheme.inputs):
         least, greatest = parameters[ranges[j, 0]], parameters[ranges[j, 1]]
         margin = TABLE_MARGIN * (greatest - least)
@@ -260,7 +260,7 @@ def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, 
     """
     parameters_at, size = parameters.ctypes.data, scheme.state
     work = work_in(scheme, memory, h, parameters_at)
-    now, after, rows, iterations, wait = reals_at(work.now), reals_at(work.here), 1, 0, every
+    now, after, rows, iterations, wait = reals_at(work.now), reals_at(work.begin), 1, 0, every
     states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
     for i in range(size):
         path[0, i] = after[i] = now[i] = start[i]
@@ -283,7 +283,7 @@ def follow_explicitly(
 ):  # fmt: skip
     """Make all steps of an explicit scheme by a function that is inlined; otherwise as `follow`.
 
-    A step has `parts` parts, each of `count` lengths. All arrays are given by pointers: `state` and `now` hold the
+    A step has `parts` parts, each of `count` lengths. All arrays are pointers: `state` and `now` hold the
     first state, `numbers` the number of steps, their length and `every`; `outcome` takes the results of `follow`.
     """
     steps, h, every = int(numbers[0]), numbers[1], int(numbers[2])
@@ -316,9 +316,9 @@ def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval
     """
     parameters_at = parameters.ctypes.data
     work = work_in(scheme, memory, h, parameters_at)
-    here, made = carray(reals_at(work.here), (scheme.state,)), carray(reals_at(work.interval), (interval.size,))
+    begin, made = carray(reals_at(work.begin), (scheme.state,)), carray(reals_at(work.interval), (interval.size,))
     for i in range(scheme.state):
-        here[i] = start[i]
+        begin[i] = start[i]
     outcome = advance(scheme, work, t, tolerance, most, parameters_at)
     for i in range(interval.size):
         interval[i] = made[i]
@@ -347,7 +347,7 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
     """
     size, stages, parameters_at, largest = scheme.state, scheme.stages, parameters.ctypes.data, 0.0
     work, residual = work_in(scheme, memory, h, parameters_at), np.empty(scheme.stages + scheme.state)
-    state, interval = carray(reals_at(work.here), (size,)), carray(reals_at(work.interval), (stages + size,))
+    state, interval = carray(reals_at(work.begin), (size,)), carray(reals_at(work.interval), (stages + size,))
     lengths, residual_at = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths)), residual.ctypes.data
     for row in range(1, rows):
         t = (min(row * every, steps) - 1) * h
@@ -357,13 +357,13 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
             lengths_at, is_last = work.lengths + 8 * part * scheme.lengths, part == scheme.parts - 1
             if stages > 0 or not is_last:
                 if scheme.unknowns == 0:
-                    call(scheme.explicit, (work.here, t, lengths_at, parameters_at, work.interval))
+                    call(scheme.explicit, (work.begin, t, lengths_at, parameters_at, work.interval))
                 else:
                     solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at)
             if is_last:
                 for i in range(size):
                     interval[stages + i] = path[row, i]
-            call(scheme.equations, (work.here, work.interval, t, lengths_at, parameters_at, residual_at))
+            call(scheme.equations, (work.begin, work.interval, t, lengths_at, parameters_at, residual_at))
             for i in range(stages + size):
                 if not abs(residual[i]) < np.inf:
                     return np.inf
