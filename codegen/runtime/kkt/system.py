@@ -97,10 +97,8 @@ def solve_system(
     at_remainder = at_front + width + root * shared_width
     remainder_width = padded(shape.shared + shape.carried)
     remainder = carray(ahead(factors, at_remainder), (shape.shared, remainder_width))
-    stage_reals, stage_integers = (
-        ahead(factors, at_remainder + shape.shared * remainder_width),
-        ahead(orders, bodies * size + root),
-    )
+    stage_reals = ahead(factors, at_remainder + shape.shared * remainder_width)
+    stage_integers = ahead(orders, bodies * size + root)
     carried, excess = is_new and shape.carried, 0
     if is_new:
         if root:
@@ -131,15 +129,10 @@ def solve_system(
                 for i in range(shape.shared):
                     for j in range(shape.shared + shape.carried):
                         remainder[i, j] = last_matrix[end + i, end + j]
+                rows_of_last = carray(ahead(factors, first), (end, width))
                 subtract_products(
-                    carray(ahead(factors, first), (end, width)),
-                    last_matrix,
-                    end,
-                    end,
-                    shape.shared,
-                    remainder_width,
-                    remainder,
-                )
+                    rows_of_last, last_matrix, end, end, shape.shared, remainder_width, remainder
+                )  # fmt: skip
                 for i in range(shape.shared):
                     index = root_index(own, bodies, body, i)
                     for j in range(shape.shared):

@@ -483,7 +483,8 @@ def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight
 def inaccuracy(gradient, step, remainder, is_multiplier):
     """Return the size of `remainder` (n,) in the equations, and in all rows, relative to right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, do not count for the equations. NaN if `remainder` is not finite.
+    Large multipliers, and barriers close to their bounds, do not count for the equations. NaN if an entry is not
+    finite.
     """
     unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(remainder.size):

@@ -415,8 +415,8 @@ def momentum_rates(grid, unknowns, derivatives, i):
     s, case = grid.problem.structure, case_at(grid, unknowns, NONE, allocate_system(grid))
     momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
     momenta_along(
-        derivatives.unknowns[i], derivatives.rates[i], derivatives.grid_times[i], grid.steps, s.counts, case.entries, *s.entries,
-        case.filled, *grid.problem.mixed[:3], grid.problem.data.acting, case.begins, s.equations, momenta,
+        derivatives.unknowns[i], derivatives.rates[i], derivatives.grid_times[i], grid.steps, s.counts, case.entries,
+        *s.entries, case.filled, *grid.problem.mixed[:3], grid.problem.data.acting, case.begins, s.equations, momenta,
     )  # fmt: skip
     return momenta
 
