@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.runtime.search.grid import free_unknowns
 
 DOUBLE_PENDULUM = '''"""Double pendulum whose boundary conditions leave coupled velocities free."""
@@ -53,7 +53,6 @@ def problem() -> Control:
 PUSHED = '''"""A damped pendulum, pushed at a slant, in a forced periodic motion with little effort."""
 from sympy import cos, pi, sin
 from codegen import Control, control, coordinate, time
-from codegen.runtime.search import callbacks
 def problem() -> Control:
     q, v = coordinate("q")
     u, t = control("u"), time()
@@ -102,9 +101,9 @@ def dense_kkt(module: Any, grid: Any, unknowns: np.ndarray) -> np.ndarray:
     """The KKT matrix from the callbacks; rows and columns of what is given are zero."""
     matrix = np.zeros((unknowns.size, unknowns.size))
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    rows, columns, values = callbacks.hessian(grid, unknowns)
+    rows, columns, values = point.hessian(grid, unknowns)
     np.add.at(matrix, (primal[rows], primal[columns]), values)
-    rows, columns, values = callbacks.jacobian(grid, unknowns)
+    rows, columns, values = point.jacobian(grid, unknowns)
     np.add.at(matrix, (multipliers[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], multipliers[rows]), values)
     return matrix

@@ -214,24 +214,17 @@ _PUBLIC = (
 """Names for users of a module that solves an optimal control problem."""
 
 
-_OF_KERNELS = (
-    "record", "inner_number", "special.polygamma", "special.sinc_derivative", "tabulated.table_cells",
-    "tabulated.table_curves", "tabulated.table_surfaces",
-)  # fmt: skip
-_OF_PAIRS = (
-    "record", "kernels", "particles.problem", "particles.packed_logarithms", "particles.pair_accurate",
-    "particles.pair_algebra", "particles.pair_special",
-)  # fmt: skip
+_OF_KERNELS = ("record", "special", "tabulated")
+_OF_PAIRS = ("record", "kernels", "arithmetic", "particles.problem")
 _IMPORTED = {
     "control.py.j2": (
-        "search.problem", "search.structure", "search.grid", "search.point", "search.samples", "search.nlp",
-        "search.parts", "search.slacks", "search.solution", "search.sensitivities", "tabulated.table_guesses",
-        *_OF_KERNELS,
+        "search.problem", "search.structure", "search.grid", "search.point", "search.bounds", "search.nlp",
+        "search.solution", "search.sensitivities", *_OF_KERNELS,
     ),
     "simulate.py.j2": ("kernels", "stepping.problem", "stepping.steps", "stepping.motion", *_OF_KERNELS),
     "connect.py.j2": (
-        *_OF_PAIRS, "particles.case", "particles.shooting", "particles.cascade", "particles.least_action",
-        "particles.callbacks", "particles.action", "particles.tracers",
+        *_OF_PAIRS, "particles.shooting", "particles.cascade", "particles.least_action", "particles.callbacks",
+        "particles.tracers",
     ),
     "particles.py.j2": (*_OF_PAIRS, "particles.motion"),
 }  # fmt: skip

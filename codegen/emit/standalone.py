@@ -33,7 +33,7 @@ from functools import lru_cache
 
 from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kkt.system import solve_system
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.kernels import packed_operations
 
 
 @lru_cache(maxsize=1)
@@ -56,6 +56,11 @@ def compiled_system():
 
 def system_address(shape):
     """Return the address of the linear system; all grids of this problem have one `shape`."""
+    return compiled_system().address
+
+
+def any_shape_address():
+    """Return the address of the linear system, which loops that the interpreter runs use as well."""
     return compiled_system().address
 '''
 _KEPT_CODE = '''"""Machine code that numba keeps beside this file, and makes anew when the file has changed."""
@@ -93,15 +98,6 @@ def fresh_folder(file, identity):
 
 def add_checksums(folder, start):
     """Do nothing: machine code of this file is kept as numba keeps it."""
-'''
-_ANY_SHAPE = '''"""Loops that the interpreter runs use the same linear system as others."""
-
-from codegen.runtime.kkt.specialised import compiled_system
-
-
-def any_shape_address():
-    """Return the address of the linear system."""
-    return compiled_system().address
 '''
 _NO_STAGES = f'''"""There are no stages to be eliminated."""
 
@@ -381,8 +377,8 @@ def _replaced(name: str, text: str) -> str:
     if name == f"{RUNTIME}.kept_code":
         return _KEPT_CODE
     if folder == f"{RUNTIME}.kkt":
-        if stem in ("specialised", "any_shape"):
-            return _SYSTEM if stem == "specialised" else _ANY_SHAPE
+        if stem == "specialised":
+            return _SYSTEM
         shape = _shape_of(text)
         if stem == "stages" and not shape.stages:
             return _NO_STAGES

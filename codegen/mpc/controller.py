@@ -20,7 +20,7 @@ from codegen.mpc.acceptance import BestIterate, Candidate, Pace, better, candida
 from codegen.mpc.grids import Grids, shift_by
 from codegen.mpc.interface import Interface, Moving, Options, Values, interface_of, module_of, number
 from codegen.mpc.motion import delay_of
-from codegen.runtime.search import linear
+from codegen.runtime.search import solve
 from codegen.runtime.search.cascade import factor_nearby, minimise
 from codegen.runtime.search.messages import describe, reached
 from codegen.runtime.search.scaling import scaled_grid
@@ -337,7 +337,9 @@ class Controller:
             return status, message, point, iterations
         search = self._grids.search
         if self._is_linear:
-            status, point, iterations = linear.minimise(grid, guess, self.options.tolerance, log, search.system)
+            status, point, iterations = solve.solve_linear_quadratic(
+                grid, guess, self.options.tolerance, log, search.system
+            )
         else:
             is_factored = self._ahead is not None and self._ahead.is_factored
             status, point, iterations = minimise(grid, guess, *how, log, search=search, is_factored=is_factored)

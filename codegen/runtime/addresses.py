@@ -1,10 +1,10 @@
 """Calls of functions by their address, from compiled code.
 
-What is common to all problems is compiled once. What is special about a problem, its loops over intervals and its
-linear system, is called by address: an integer, which does not take part in numba's cache on disk. Arrays are passed by
+Code that is common to all problems is compiled once. It calls the loops over intervals and the linear system of a
+problem by address. An address is an integer, which does not take part in numba's cache on disk. Arrays are passed by
 the address of their data, `array.ctypes.data`.
 
-Where numba is switched off by NUMBA_DISABLE_JIT, the same names are functions of Python, which call by ctypes.
+If numba is switched off by NUMBA_DISABLE_JIT, the same names are functions of Python, which call by ctypes.
 """
 
 import ctypes
@@ -59,7 +59,7 @@ def callback(signature, function):
 
 
 def entry_of(signature, function):
-    """Return a function compiled for calls by address, or a callback where numba is switched off."""
+    """Return a function compiled for calls by address, or a callback if numba is switched off."""
     if config.DISABLE_JIT:
         return callback(signature, function)
     return cfunc(signature, cache=True, error_model="numpy")(function)
@@ -70,7 +70,7 @@ _KINDS = {types.int64: _INTEGER, types.float64: _REAL}
 
 
 def _calling(signature):
-    """Return what an intrinsic returns to call the address that is its first argument with all others."""
+    """Return signature and generator of an intrinsic that calls the address in its first argument with the others."""
 
     def generate(context, builder, _, values):
         kinds = [_KINDS[kind] for kind in signature.args]
@@ -104,14 +104,14 @@ def _run_with_tuple(returned, address, values):
 
 
 def _ahead(pointer, count):
-    """Return the pointer, or the rest of the array, `count` entries behind the beginning of another, in Python."""
+    """Return the pointer, or the rest of the array, `count` entries behind another one, in Python."""
     if isinstance(pointer, np.ndarray):
         return pointer[count:]
     return ctypes.cast(ctypes.cast(pointer, ctypes.c_void_p).value + 8 * int(count), type(pointer))
 
 
 def compiled_or(interpreted):
-    """Return a decorator that makes an intrinsic; where numba is switched off it returns `interpreted` instead."""
+    """Return a decorator that makes an intrinsic, or returns `interpreted` if numba is switched off."""
     return lambda generator: interpreted if config.DISABLE_JIT else intrinsic(generator)
 
 
@@ -143,13 +143,13 @@ def call_value(typingctx, address, values):
 
 
 def _calling_with_tuple(returned, address, values):
-    """Return what an intrinsic returns to call its first argument with the numbers in its second one."""
+    """Return what `_calling` does for an intrinsic whose second argument is a tuple of numbers."""
     kinds = [_REAL if isinstance(kind, types.Float) else _INTEGER for kind in values.types]
-    result = _REAL if returned is types.float64 else ir.IntType(8).as_pointer()  # an empty pointer stands for nothing
+    result = _REAL if returned is types.float64 else ir.IntType(8).as_pointer()  # an empty pointer for no result
 
-    def generate(context, builder, _, given):
-        found = _call(builder, result, kinds, given[0], cgutils.unpack_tuple(builder, given[1]))
-        return found if returned is types.float64 else context.get_dummy_value()
+    def generate(context, builder, _, arguments):
+        value = _call(builder, result, kinds, arguments[0], cgutils.unpack_tuple(builder, arguments[1]))
+        return value if returned is types.float64 else context.get_dummy_value()
 
     return returned(address, values), generate
 

@@ -1,9 +1,9 @@
-"""Names of functions of generated modules, under which numba files and links their machine code.
+"""Module names of functions of generated modules, under which numba stores and links their machine code.
 
-numba uses the name of the module that a function says it belongs to, and imports that module when it reads the code
-back: an import by another name, as of a copy or from another folder, would end in a ModuleNotFoundError. The name that
-is given here comes from the text of the file. It is the same wherever the file lies and however it is imported, and no
-other module has it, so that functions of the same name are never mistaken for each other.
+numba uses the name of the module that a function states, and imports that module when it reads the code back. A copy of
+a module, or a module imported from another folder, has another name and would end in a ModuleNotFoundError. The name
+from this module is a digest of the text of the file. It does not depend on the folder or on the import, and no other
+module has it. Functions of the same name in different modules are therefore never confused.
 """
 
 import hashlib
@@ -17,9 +17,9 @@ PREFIX = "codegen_text_"
 
 
 def name_by_text(function):
-    """Give a function of Python, and all compiled ones in its file, the name of their text; return it.
+    """Give a function of Python, and all compiled functions in its file, the name of their text; return the name.
 
-    The name is empty where there is no file.
+    The name is empty if there is no file.
     """
     name = identity_of(function)
     if not name and os.path.isfile(file := function.__code__.co_filename):
@@ -36,7 +36,7 @@ def name_by_text(function):
 
 
 def identity_of(function):
-    """Return the name that a function was given by its text, empty if none was."""
+    """Return the name that a function has from its text, or ""."""
     name = function.__module__ or ""
     return name if name.startswith(PREFIX) else ""
 

@@ -1,8 +1,8 @@
-"""Machine code that numba keeps on disk: where it is, and how none is left that was made with another runtime.
+"""Machine code that numba keeps on disk: its folders, and the removal of code made with another runtime.
 
-numba notices that the file of a function has changed, and looks at no other file. Functions of the runtime become part
-of functions in other files: of the runtime, of generated modules, of linear systems. A stamp in every folder of machine
-code therefore says with which files of the runtime, and by which numba, the code was made.
+numba notices changes in the file of a function, and in no other file. Functions of the runtime become part of functions
+in other files: of the runtime, of generated modules, of linear systems. A stamp in every folder of machine code
+therefore identifies the files of the runtime, and the version of numba, with which the code was made.
 """
 
 import hashlib
@@ -38,7 +38,7 @@ class Statistics(NamedTuple):
 
 
 def statistics_of(function, compiled):
-    """Return the statistics of a function and of what `cfunc` has made of it, or None if it was not compiled."""
+    """Return the statistics of a function and of the result of `cfunc`; without counts if it was not compiled."""
     read, made = Counter(), Counter()
     if hasattr(compiled, "cache_hits"):
         (read if compiled.cache_hits else made)[str(compiled.native_name)] += 1
@@ -49,8 +49,8 @@ def statistics_of(function, compiled):
 def fresh_folder(file, identity=""):
     """Return the folder in which numba keeps machine code of a file, None if numba is switched off.
 
-    Machine code that was made with another runtime, or is damaged, is removed; so is machine code of the file that does
-    not contain an `identity`, which names the text of the file.
+    Machine code that was made with another runtime, or is damaged, is removed. So is machine code of the file without
+    the `identity`, which names the text of the file.
     """
     folder = code_folder(file)
     if folder is not None:
@@ -60,7 +60,7 @@ def fresh_folder(file, identity=""):
 
 
 def require_stamp(folder):
-    """Remove all machine code in a folder that does not bear the stamp of this runtime, and stamp the folder."""
+    """Remove all machine code in a folder without the stamp of this runtime, and stamp the folder."""
     stamp = Path(folder, STAMP)
     try:
         is_fresh = stamp.read_text(encoding="ascii") == fingerprint()
@@ -74,10 +74,10 @@ def require_stamp(folder):
 
 
 def remove_invalid(folder, start, identity=""):
-    """Remove files of machine code, whose names have a start, that are damaged, and say so, or that lack an identity.
+    """Remove damaged files of machine code with a note, and files without an identity; names begin with `start`.
 
-    numba writes an index before the code: of a process that was killed in between, the index may name the machine code
-    of an older text.
+    numba writes an index before the code. If the process is killed in between, the index may name the machine code of
+    an older text.
     """
     damaged = []
     for file in sorted(Path(folder).glob("*.nb[ic]")):
@@ -98,7 +98,7 @@ def remove_invalid(folder, start, identity=""):
 
 
 def is_whole(data, pickles):
-    """Return True if the bytes of a file fit their checksum, or, if they have none, can be read to their end."""
+    """Return True if the bytes of a file fit their checksum, or, without a checksum, can be read to their end."""
     body, mark, digest = data[:-SEALED], data[-SEALED : len(SEAL) - SEALED], data[len(SEAL) - SEALED :]
     if mark == SEAL:
         return hashlib.sha256(body).digest() == digest

@@ -1,11 +1,11 @@
-"""Have numba make machine code only of what Python, or C, calls.
+"""Restrict numba's machine code to functions that Python, or C, calls.
 
-numba runs LLVM's whole optimiser over every function and makes machine code of it, although a function that only
-compiled functions call is optimised once more in each of its callers, into which its intermediate code is linked: a
-third of all time. And it compiles a function anew when an argument is a constant of the module and not a variable.
+numba runs LLVM's whole optimiser over every function and makes machine code of it. A function that only compiled
+functions call is optimised once more in each of its callers, into which its intermediate code is linked: this takes a
+third of all time. Moreover, numba compiles a function again if an argument is a constant of the module.
 
-This is the only file that replaces anything of numba. Where a numba is not as it expects, it does nothing: a build then
-takes longer, and what it makes is the same.
+This is the only file that replaces anything of numba. With an unknown version of numba it does nothing. A build then
+takes longer, with the same result.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class InnerLibrary(Base):  # type: ignore[misc]
     @property
     def is_inner(self) -> bool:
         """True if neither Python nor C can call the function."""
-        # Of what is read from the disk as machine code, the intermediate code is beside it.
+        # Code that is read from the disk as machine code has its intermediate code in another module.
         code = self._final_module if any(True for _ in self._final_module.functions) else self._shared_module
         return code is None or not any(f.name.startswith(ENTRIES) and not f.is_declaration for f in code.functions)
 
@@ -54,34 +54,34 @@ class InnerLibrary(Base):  # type: ignore[misc]
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Address of the machine code; zero where there is none."""
+        """Return the address of the machine code; zero if there is none."""
         self._ensure_finalized()
         return 0 if self.is_inner else int(super().get_pointer_to_function(name))
 
     def serialize_using_object_code(self) -> tuple[str, str, Any]:
-        """Return what goes to the disk: beside machine code, if there is any, the intermediate code."""
+        """Return the data for the disk: machine code, if there is any, with the intermediate code."""
         kept = super().serialize_using_bitcode if self.is_inner else super().serialize_using_object_code
         return kept()  # type: ignore[no-any-return]
 
 
 def applies(functions: Iterable[Any], version: str = numba.__version__) -> bool:
-    """Return True if numba is of a version that was tried, and has all that is replaced, set or read here."""
+    """Return True if numba has a tested version, and everything that this file replaces, sets or reads."""
     try:
         generator = _generator()
-        found = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
-        found += [generator.set_env, generator._engine.is_symbol_defined, types.unliteral, types.Literal]
+        callables = [getattr(generator._library_class, name) for name in OF_LIBRARIES]
+        callables += [generator.set_env, generator._engine.is_symbol_defined, types.unliteral, types.Literal]
         things = [(generator.create_library("probe"), OF_CODE), *((function, OF_FUNCTIONS) for function in functions)]
         probed = [hasattr(thing, name) for thing, names in things for name in names]
         is_tried = TRIED[0] <= tuple(map(int, version.split(".")[:2])) <= TRIED[1]
-        return is_tried and all([*probed, *map(callable, found)])
+        return is_tried and all([*probed, *map(callable, callables)])
     except (AttributeError, ImportError, ValueError):
         return False
 
 
 def link_inner_functions(functions: Iterable[Any]) -> None:
-    """Make no machine code of some functions of their own: they become part of the code of their callers.
+    """Make no machine code of functions of their own: they become part of the code of their callers.
 
-    Python must not call them any more. Further functions may follow. Nothing happens where numba is not as expected.
+    Python must not call them any more. Further calls may add functions. Nothing happens with an unknown numba.
     """
     functions = list(functions)
     if not applies(functions):
@@ -105,20 +105,20 @@ def compile_for_any_value(functions: Iterable[Any]) -> None:
 
 
 def _where_defined(generator: Any, set_environment: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
-    """Give functions their environment only where there is machine code that has a place for it."""
+    """Give functions their environment only if their machine code has a place for it."""
     defined = generator._engine.is_symbol_defined
     return lambda name, environment: set_environment(name, environment) if defined(name) else None
 
 
 def _for_any_value(template_for: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function for the types of its arguments, whether or not a caller knows their values."""
+    """Compile a function for the types of its arguments, even if a caller knows their values."""
     return lambda arguments, keywords: template_for(
         tuple(types.unliteral(a) if isinstance(a, types.Literal) else a for a in arguments), keywords
     )
 
 
 def _generator() -> Any:
-    """Return what makes machine code for this processor."""
+    """Return numba's generator of machine code for this processor."""
     from numba.core.registry import cpu_target
 
     return cpu_target.target_context.codegen()

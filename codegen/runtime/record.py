@@ -1,4 +1,4 @@
-"""The record of a generated module: names, sizes and meanings of what is in the module, as data.
+"""The record of a generated module: names, sizes and meanings of its contents, as data.
 
 The attribute `metadata` of a module is a record. Code reads the fields; `phrase` makes texts for people from them.
 Members of enumerations are texts and are compared by `==`: a standalone module has copies of these classes.
@@ -154,7 +154,7 @@ class Meaning:
     segment : int
         Number, from 1, of the segment of a condition where delays cut the motion, else 0.
     others : tuple of Meaning
-        What the unknown is in other phases.
+        Meanings of the unknown in other phases.
     """
 
     kind: Kind
@@ -170,12 +170,12 @@ class Meaning:
 
 
 def phrase(meaning: Meaning, role: bool = True, where: str | None = None, longest: int | None = None) -> str:
-    """Return what an unknown is in words, as in `slack of x + v <= 1 at 1/2 of an interval`.
+    """Return an unknown in words, as in `slack of x + v <= 1 at 1/2 of an interval`.
 
     Parameters
     ----------
     meaning : Meaning
-        What the unknown is.
+        Meaning of the unknown.
     role : bool
         True for a text that begins with the role.
     where : str or None
@@ -227,7 +227,7 @@ class TableRecord:
 
 @dataclass(frozen=True)
 class ObservationRecord:
-    """Measurements: a source for each body, names of columns with standard deviations, and what is measured."""
+    """Measurements: a source for each body, names of columns with standard deviations, and the measured quantities."""
 
     sources: tuple[str, ...]
     time: str
@@ -276,9 +276,9 @@ class Record:
     observations : ObservationRecord or None
         Measurements.
     segments : SegmentRecord or None
-        How delays cut the motion.
+        The segments into which delays cut the motion.
     sensitivities : tuple of str or None
-        What derivatives of solutions are by, of a module that has them.
+        Quantities by which solutions are differentiated, for a module with sensitivities.
     conservative : bool
         False where forces act on a motion or something depends on time.
     points : str
@@ -286,7 +286,7 @@ class Record:
     operations : mapping
         For each kernel the number of operations, and that of its code, in which common subexpressions are shared.
     left_out : tuple of str
-        What the problem does not need, and why.
+        Features that the problem does not need, with reasons.
     """
 
     problem: str
@@ -328,7 +328,7 @@ class ControlRecord(Record):
     Attributes
     ----------
     controls : Sites
-        Where controls live.
+        Location of controls.
     free_parameters : tuple of str
         Names of free parameters.
     node, interval, shared : tuple of str
@@ -336,15 +336,15 @@ class ControlRecord(Record):
     inequalities : bool
         True if an unknown has bounds.
     meanings : mapping
-        What multipliers, slacks and forces of constraints are.
+        Meanings of multipliers, slacks and forces of constraints.
     slacks : tuple of mapping
-        What slacks are in each of several phases.
+        Meanings of slacks in each of several phases.
     jumps : tuple
         Coordinates and momenta that jump at each switch.
     stages : mapping
         Names at stages, each with the name of the same quantity at nodes.
     stage_abscissae : tuple of float
-        Where controls at stages are in an interval.
+        Abscissae of controls at stages in an interval.
     scale, angles : mapping
         The author's sizes of quantities; one radian in the unit of a quantity that is an argument of sines and cosines.
     integrals : tuple
@@ -356,17 +356,17 @@ class ControlRecord(Record):
     maximised : bool
         True if the author's cost is maximised.
     unseen_controls : tuple of str
-        Controls whose alternation the cost does not see.
+        Controls whose alternation from interval to interval does not change the cost.
     history_jumps : tuple
         Triples (quantity, value at the start, last value of its history), where both differ.
     kinks, discontinuities : tuple of str
         Terms of the cost whose slope jumps; borders at which something jumps.
     singular_at_guess : tuple
-        Triples (function, what has no finite value, where).
+        Triples (function, quantity without a finite value, place).
     coupling_conditions : int
         The number of conditions between bodies; `redundant_conditions` has number and name of those left out.
     dependent_values, decided_conditions : tuple
-        Pairs (quantity or condition, end) of what follows from other values, and of what prescribed values decide.
+        Pairs (quantity, end) of values that follow from others; pairs (condition, end) that prescribed values decide.
     """
 
     controls: Sites = Sites.INTERVAL
@@ -422,9 +422,9 @@ class SimulationRecord(Record):
     parts : int
         The number of steps of the base scheme that one step of a composition consists of, else 0.
     solver : StepSolver
-        How a step is solved.
+        Solver of the equations of a step.
     momenta, node, stages, unknowns : tuple of str
-        Names of momenta, of the state, of values inside a step, and of what a step solves for.
+        Names of momenta, of the state, of values inside a step, and of the unknowns of a step.
     """
 
     parts: int = 0

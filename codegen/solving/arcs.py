@@ -28,9 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.runtime.record import Kind
-from codegen.runtime.search import callbacks
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
-from codegen.runtime.search.parts import interval_parts
+from codegen.runtime.search.point import interval_parts, stationarity
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
 from codegen.solving.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
@@ -152,7 +151,7 @@ def _kinds(module: ControlModule, result: Result) -> Iterator[tuple[int, Kinds]]
     grid = time_grid(module, result.steps, result.grid)
     primal, bounded = module.primal_unknowns(grid), np.zeros(result.unknowns.size, bool)
     below, above = bound_distances(module, grid, result.unknowns)
-    slopes = callbacks.stationarity(grid, result.unknowns)
+    slopes = stationarity(grid, result.unknowns)
     lower, upper = module.variable_bounds(grid)
     width = (upper - lower)[primal]
     close = np.minimum(below, above)

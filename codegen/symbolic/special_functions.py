@@ -17,7 +17,7 @@ from sympy import Expr
 from codegen.errors import ExpressionError
 
 STEMS = ("polygamma", "sinc_derivative")
-"""The families; `codegen/runtime` has a file for each."""
+"""The families; `codegen.runtime.special` has a function for each."""
 
 
 class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped

@@ -13,7 +13,7 @@ from compiled_modules import compiled
 
 import codegen
 from codegen.batch.store import Store
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 
 HILL = '''"""Past a hill, on its one side or the other."""
 
@@ -57,7 +57,7 @@ def test_a_planted_jump_is_found_and_mended(hill):
     case = data.sel(c=0.1, method="nearest")
     assert case.improvement > 5.0
     np.testing.assert_allclose(
-        case.cost + case.improvement, callbacks.cost(module.make_grid(20, c=0.1), alone.unknowns), rtol=1e-9
+        case.cost + case.improvement, point.cost(module.make_grid(20, c=0.1), alone.unknowns), rtol=1e-9
     )
     np.testing.assert_array_equal(np.flatnonzero(data.improvement > 0.0), [21, 22, 23])  # from 0.05 to 0.15
     assert (data.jump == 0).all()

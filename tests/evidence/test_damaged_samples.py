@@ -12,7 +12,7 @@ from codegen.discretise.model.from_file import load_problem
 from codegen.emit.verify import verify
 from codegen.errors import VerificationError
 from codegen.evidence import checks
-from codegen.runtime.search import samples
+from codegen.runtime.search import grid
 from codegen.solving.compiler import build
 
 PROBLEM = PROBLEMS / "published" / "gas_oil.py"
@@ -69,13 +69,13 @@ def test_damaged_measurements_fail_a_check(prepared, damaged, old, new, check, s
 )
 def test_samples_that_are_told_the_wrong_numbers_fail_a_check(prepared, monkeypatch, column, check, subject):
     """Where samples lie is found by code that is common to all modules."""
-    context, own = prepared(PROBLEM), samples.samples_of
+    context, own = prepared(PROBLEM), grid.samples_of
 
     def wrong(grid, rows):
         found = own(grid, rows)
         found[:, column] *= 2.0 if column else 0.5
         return found
 
-    monkeypatch.setattr(samples, "samples_of", wrong)
+    monkeypatch.setattr(grid, "samples_of", wrong)
     findings = checks.apply(check, context)
     assert any(subject in finding.subject for finding in findings if not finding.passed), findings

@@ -13,7 +13,7 @@ from codegen.discretise.model.from_file import load_problem
 from codegen.emit.verify import verify
 from codegen.errors import VerificationError
 from codegen.evidence import checks
-from codegen.runtime.tabulated import table_cells, table_curves
+from codegen.runtime import tabulated
 from codegen.solving.compiler import build
 
 _PROBLEM = '''"""A mass on a spring from a table, and in a field from another one."""
@@ -76,13 +76,13 @@ def test_a_damaged_table_fails_its_check(prepared, damaged, problem):
 
 def test_a_damaged_polynomial_fails_the_check_of_tables(prepared, problem, monkeypatch):
     """The polynomial of a cell is a function of the runtime."""
-    context, text = prepared(problem), inspect.getsource(table_cells.cubic.py_func)
+    context, text = prepared(problem), inspect.getsource(tabulated.cubic.py_func)
     damaged = text.replace("second + 3.0 * s * third", "second + 2.0 * s * third")
     assert damaged != text
-    cells, curves = dict(vars(table_cells)), dict(vars(table_curves))
+    cells, curves = dict(vars(tabulated)), dict(vars(tabulated))
     exec(damaged, cells)
     curves["cubic"] = cells["cubic"]
-    exec(inspect.getsource(table_curves.cubic_curve.py_func), curves)
+    exec(inspect.getsource(tabulated.cubic_curve.py_func), curves)
     monkeypatch.setattr(context.module, "cubic_curve", curves["cubic_curve"])
     failures = [finding for finding in checks.apply("tables", context) if not finding.passed]
     assert any(finding.subject.endswith(": cubic") for finding in failures)

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.cascade import minimise
 from codegen.runtime.search.grid import NONE, Grid, multiplier_unknowns, primal_unknowns
-from codegen.runtime.search.iteration_log import Log
 from codegen.runtime.search.point import Point, evaluate
 from codegen.runtime.search.problem import ControlProblem, Loop
+from codegen.runtime.search.solution import Log
 from codegen.runtime.search.structure import Structure
 
 Vector = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from control_variants import trial_point
 
-from codegen.runtime.search.convergence import sizes_of_terms
+from codegen.runtime.search.termination import sizes_of_terms
 
 
 def test_sizes_are_those_of_the_point_that_is_asked_for(interpreted):

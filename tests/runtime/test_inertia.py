@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from codegen.runtime.kkt.shape import last_width, padded, row_width
 from codegen.runtime.kkt.symmetric import eliminate_rows, solve_backward, solve_forward, solve_pivots, subtract_products
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
 
@@ -161,7 +161,7 @@ def test_shortest_step_onto_the_linearised_equations(interpreted, name, text, ch
     gradient = module.evaluate(grid, unknowns).gradient
     solve_kkt(grid, system, np.where(grid.is_multiplier, gradient, 0.0), step)
     equations, primal = module.multiplier_unknowns(grid), module.primal_unknowns(grid)
-    rows, columns, slopes = callbacks.jacobian(grid, unknowns)
+    rows, columns, slopes = point.jacobian(grid, unknowns)
     change = np.bincount(rows, slopes * step[primal][columns], equations.size)
     np.testing.assert_allclose(change, -gradient[equations], atol=1e-6 * np.abs(gradient).max())
 

@@ -11,13 +11,13 @@ from known_optima import HOCK_SCHITTKOWSKI, POSITIVE, TRAJECTORIES, double_integ
 from sympy import exp, log, sqrt, symbols
 
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.callbacks import constraints, jacobian
 from codegen.runtime.search.cascade import FROM_ANYWHERE, minimise
 from codegen.runtime.search.descent import UNBOUNDED_BELOW
 from codegen.runtime.search.grid import primal_unknowns
 from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
-from codegen.runtime.search.iteration_log import Log
 from codegen.runtime.search.newton import restored
+from codegen.runtime.search.point import constraints, jacobian
+from codegen.runtime.search.solution import Log
 
 KNOWN = {**HOCK_SCHITTKOWSKI, **TRAJECTORIES}
 

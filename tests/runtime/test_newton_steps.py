@@ -13,12 +13,12 @@ import pytest
 from dense_problem import assert_optimal, dense_grid, guess_of, solve
 from known_optima import HOCK_SCHITTKOWSKI
 
-from codegen.runtime.kkt.any_shape import any_shape_address
+from codegen.runtime.kkt.specialised import any_shape_address
 from codegen.runtime.search.descent import SMALL_DELTA_W
 from codegen.runtime.search.grid import Grid
 from codegen.runtime.search.iterates import FROM_GUESS, begin, search_on
-from codegen.runtime.search.iteration_log import Log
 from codegen.runtime.search.newton import descend
+from codegen.runtime.search.solution import Log
 
 INTEGER, ADDRESS = ctypes.c_int64, ctypes.c_void_p
 KINDS = (*[INTEGER] * 4, *[ADDRESS] * 4, INTEGER, *[ADDRESS] * 3, INTEGER)

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from codegen.runtime.particles.packed_logarithms import packed_log1p, packed_log1p_minus_ratio, packed_x_minus_log1p
+from codegen.runtime.arithmetic import packed_log1p, packed_log1p_minus_ratio, packed_x_minus_log1p
 
 GENERATOR = np.random.default_rng(0)
 NUMBERS = [

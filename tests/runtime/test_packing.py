@@ -9,9 +9,9 @@ import pytest
 from numba import config, njit
 
 from codegen.runtime import addresses, kernels
+from codegen.runtime.kernels import packed_operations
 from codegen.runtime.kkt import specialised
 from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.packing import packed_operations
 from codegen.runtime.search import problem
 
 

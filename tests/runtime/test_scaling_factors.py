@@ -11,10 +11,10 @@ from sympy import cos, exp, sin
 
 from codegen import Control, control, controls, free_parameter, states, time
 from codegen.problem.problem import Phases
-from codegen.runtime.search.convergence import sizes_of_terms
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import scaled_unknowns
+from codegen.runtime.search.termination import sizes_of_terms
 from codegen.solving import api
 from codegen.solving.compiler import build
 from codegen.solving.interfaces import time_grid

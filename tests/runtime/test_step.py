@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from codegen.runtime import lu
+from codegen.runtime import arithmetic
 from codegen.runtime.kernels import Kernel, Value
 from codegen.runtime.stepping import motion, steps
 from codegen.runtime.stepping.problem import StepProblem
@@ -126,15 +126,15 @@ def test_dense_factorisation_agrees_with_lapack(size: int) -> None:
         matrix[0, 0] = 0.0  # no factorisation without row exchanges
     expected = np.linalg.solve(matrix, right)
     pivots = np.empty(size, np.int64)
-    assert lu.factor_matrix(matrix, pivots) == -1
-    lu.solve_factored(matrix, pivots, right)
+    assert arithmetic.factor_matrix(matrix, pivots) == -1
+    arithmetic.solve_factored(matrix, pivots, right)
     np.testing.assert_allclose(right, expected, rtol=1e-11)
 
 
 def test_dense_factorisation_names_the_singular_column() -> None:
     matrix = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 1.0], [3.0, 6.0, 5.0]])
-    assert lu.factor_matrix(matrix, np.empty(3, np.int64)) == 1
-    assert lu.factor_matrix(np.full((2, 2), np.nan), np.empty(2, np.int64)) == 0
+    assert arithmetic.factor_matrix(matrix, np.empty(3, np.int64)) == 1
+    assert arithmetic.factor_matrix(np.full((2, 2), np.nan), np.empty(2, np.int64)) == 0
 
 
 @pytest.mark.parametrize("h", [1e-3, 0.1, 1.0])

@@ -11,9 +11,9 @@ from sympy import exp
 from codegen.runtime.search.cascade import begin_nearby, minimise
 from codegen.runtime.search.grid import primal_unknowns
 from codegen.runtime.search.iterates import FROM_NEIGHBOUR, Iterate, search_on
-from codegen.runtime.search.iteration_log import Log
 from codegen.runtime.search.newton import descend
 from codegen.runtime.search.point import evaluate
+from codegen.runtime.search.solution import Log
 
 
 def test_warm_start_takes_fewer_iterations() -> None:

@@ -10,7 +10,7 @@ from few_landmarks import START, TARGET, few
 from codegen.errors import ArgumentError, PointsError, SchemeError
 from codegen.problem.points import PointSet, read_points
 from codegen.runtime.particles import cascade, shooting
-from codegen.runtime.particles.trajectory import follow
+from codegen.runtime.particles.steps import follow
 from codegen.solving import api
 from codegen.solving.results.connect import connect_result
 from codegen.solving.results.result import ConnectAttempt, Run
@@ -65,7 +65,7 @@ def test_points_that_stay(module):
     assert solution.cost == 0.0
 
 
-ATTEMPTS = ("from_velocity", "from_least_action", "from_rest", "by_continuation", "on_all_states", "by_steps")
+ATTEMPTS = ("from_velocity", "from_least_action", "from_momenta", "by_continuation", "on_all_states", "by_steps")
 
 
 @pytest.mark.parametrize("attempt", ATTEMPTS)

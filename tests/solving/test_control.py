@@ -20,7 +20,7 @@ from codegen.discretise.model.from_file import load_problem
 from codegen.discretise.schemes import METHODS
 from codegen.discretise.transcribe import MOST_PARTS
 from codegen.evidence.analysis.maximum_principle import exact_optimum, reference_optimum
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.runtime.search.grid import free_unknowns
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, solve_kkt
 
@@ -191,12 +191,12 @@ def test_callbacks_are_each_others_derivatives(interpreted, name, text, choices)
     ahead, behind = (module.with_pinned_values(grid, unknowns + sign * step * direction) for sign in (1, -1))
     primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
 
-    slope = (callbacks.cost(grid, ahead) - callbacks.cost(grid, behind)) / (2 * step)
-    assert callbacks.cost_gradient(grid, unknowns) @ direction[primal] == pytest.approx(slope, rel=1e-6, abs=1e-7)
+    slope = (point.cost(grid, ahead) - point.cost(grid, behind)) / (2 * step)
+    assert point.cost_gradient(grid, unknowns) @ direction[primal] == pytest.approx(slope, rel=1e-6, abs=1e-7)
     matrix = dense_kkt(module, grid, unknowns)
     change = (module.evaluate(grid, ahead).gradient - module.evaluate(grid, behind).gradient) / (2 * step)
     np.testing.assert_allclose((matrix @ direction)[free], change[free], rtol=1e-6, atol=1e-5 * np.abs(change).max())
-    assert callbacks.constraints(grid, unknowns).size == multipliers.size
+    assert point.constraints(grid, unknowns).size == multipliers.size
 
 
 def test_layouts_are_shared_by_grids_and_cannot_be_changed(interpreted):

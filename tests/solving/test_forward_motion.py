@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from codegen import Control, control, controls, states
 from codegen.runtime.search import solve
-from codegen.runtime.search.forward_motion import forward_motion
+from codegen.runtime.search.solve import forward_motion
 
 
 def tuberculosis(steps: int = 100) -> Control:

@@ -13,9 +13,10 @@ from codegen import terminal
 from codegen.cli import main
 from codegen.cli.solve import with_options
 from codegen.errors import ArgumentError
-from codegen.runtime.search import descent, iteration_log, restoration, solution
+from codegen.runtime.search import descent, restoration, solution
+from codegen.runtime.search import solution as iteration_log
+from codegen.runtime.search.bounds import with_violations
 from codegen.runtime.search.messages import row_text
-from codegen.runtime.search.slacks import with_violations
 from codegen.solving import api, drivers
 from codegen.solving.outcome import LEAST_TIME, Outcome
 from codegen.solving.results import output

@@ -11,7 +11,7 @@ from invented_results import BOUNDED, unsolved
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from codegen.runtime.search.iteration_log import print_log
+from codegen.runtime.search.solution import print_log
 from codegen.show.figures import style
 from codegen.show.notebook_solution import html
 from codegen.solving import api

@@ -22,7 +22,7 @@ from codegen import (
     states,
     time,
 )
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.show.figures.quantities import inequalities
 from codegen.solving import api
 
@@ -281,12 +281,12 @@ def test_derivatives_of_the_whole_problem(mixed_module):
     def product(entries, size):
         return np.bincount(entries[0], entries[2] * step[primal][entries[1]], minlength=size)
 
-    slope = callbacks.cost_gradient(grid, z) @ step[primal]
-    assert change(callbacks.cost) == pytest.approx(slope, rel=1e-6, abs=1e-14)
-    rows = product(callbacks.jacobian(grid, z), multipliers.size)
-    np.testing.assert_allclose(change(callbacks.constraints), rows, rtol=1e-5, atol=1e-13)
-    rows = product(callbacks.hessian(grid, z), primal.size)
-    np.testing.assert_allclose(change(callbacks.stationarity), rows, rtol=1e-5, atol=1e-12)
+    slope = point.cost_gradient(grid, z) @ step[primal]
+    assert change(point.cost) == pytest.approx(slope, rel=1e-6, abs=1e-14)
+    rows = product(point.jacobian(grid, z), multipliers.size)
+    np.testing.assert_allclose(change(point.constraints), rows, rtol=1e-5, atol=1e-13)
+    rows = product(point.hessian(grid, z), primal.size)
+    np.testing.assert_allclose(change(point.stationarity), rows, rtol=1e-5, atol=1e-12)
 
 
 def test_a_path_inequality_is_shown_in_the_phases_that_have_it(mixed_module):

@@ -11,7 +11,7 @@ import sympy
 from interpreted import text_of, without_compilation
 
 from codegen import Control, control, states
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.solving.results.control import MANY_TERMS, _rounding_level
 
 AREA = 0.1
@@ -36,7 +36,7 @@ def test_excused_is_what_summation_errs_by(module, steps, exceeds):
     nodes = module.unpack(grid, unknowns)[1][:, 0].tolist()
     exact = sum((Fraction(one) + Fraction(other)) / 2 for one, other in itertools.pairwise(nodes)) / steps
     row = module.multiplier_unknowns(grid)[-1]
-    found = callbacks.constraints(grid, unknowns)[-1]
+    found = point.constraints(grid, unknowns)[-1]
     weights = np.zeros(unknowns.size)
     weights[row] = 1.0
     terms = float(np.finfo(float).eps * exact)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 
 
 def graded(steps, ratio=6.0):
@@ -80,8 +80,8 @@ def test_controls_condensed_on_intervals_of_all_lengths_are_stationary(orbital_t
     grid = orbital_transfer.make_grid(grid=graded(30, 20.0))
     solution = orbital_transfer.solve(grid=graded(30, 20.0))
     assert solution.status == "solved"
-    assert np.abs(callbacks.stationarity(grid, solution.unknowns)).max() < 1e-9
-    assert np.abs(callbacks.constraints(grid, solution.unknowns)).max() < 1e-9
+    assert np.abs(point.stationarity(grid, solution.unknowns)).max() < 1e-9
+    assert np.abs(point.constraints(grid, solution.unknowns)).max() < 1e-9
 
 
 def test_minimum_time_with_the_switch_at_a_node_is_exact(fastest):

@@ -7,7 +7,7 @@ import pytest
 from gallery_units import GALLERY, UNITS, cost_factor, text_in_units
 from interpreted import without_compilation
 
-from codegen.runtime.search import callbacks, solve
+from codegen.runtime.search import point, solve
 from codegen.runtime.search.scaling import digits_of, quantities_of, rounded, scaled_grid
 
 OTHER_UNITS = [
@@ -117,7 +117,7 @@ def test_cost_is_right_to_second_order_in_the_residual(interpreted):
     rough = module.solve(50, tolerance=1e-2)
     grid = module.make_grid(50)
     assert rough.cost == pytest.approx(right, abs=1e-9)
-    assert abs(rough.cost - right) < abs(callbacks.cost(grid, rough.unknowns) - right)
+    assert abs(rough.cost - right) < abs(point.cost(grid, rough.unknowns) - right)
 
 
 def test_what_a_message_says_of_the_equations_is_in_the_problem_s_own_units():

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from codegen import Control, control, errors, state
-from codegen.runtime.search import callbacks
-from codegen.runtime.special.polygamma import polygamma
-from codegen.runtime.special.sinc_derivative import sinc_derivative
+from codegen.runtime.search import point
+from codegen.runtime.special import polygamma, sinc_derivative
 from codegen.solving.compiler import build
 from codegen.symbolic.checks import checked
 from codegen.symbolic.special_functions import sinc_derivative as exact_sinc_derivative
@@ -74,11 +73,11 @@ def test_values_and_two_derivatives(name):
         unknowns = np.zeros(grid.is_multiplier.size)
         unknowns[[0, stride, 2 * stride]] = at
         gradient = np.zeros(unknowns.size)
-        gradient[module.primal_unknowns(grid)] = callbacks.cost_gradient(grid, unknowns)
-        rows, columns, values = callbacks.hessian(grid, unknowns)
+        gradient[module.primal_unknowns(grid)] = point.cost_gradient(grid, unknowns)
+        rows, columns, values = point.hessian(grid, unknowns)
         inner = int(np.flatnonzero(module.primal_unknowns(grid) == stride)[0])
         second = values[(rows == inner) & (columns == inner)].sum()
-        assert callbacks.cost(grid, unknowns) == pytest.approx(expected[0], rel=1e-13)
+        assert point.cost(grid, unknowns) == pytest.approx(expected[0], rel=1e-13)
         assert gradient[stride] == pytest.approx(expected[1] / 2, rel=1e-12)
         assert second == pytest.approx(expected[2] / 4, rel=1e-11)
 

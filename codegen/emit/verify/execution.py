@@ -21,7 +21,7 @@ import sympy
 from sympy import Basic, Expr, Symbol
 
 from codegen.errors import VerificationError
-from codegen.runtime.arguments import with_counts
+from codegen.runtime.kernels import with_counts
 from codegen.symbolic.special_functions import STEMS
 from codegen.symbolic.table_functions import TableBase
 from codegen.symbolic.tables import ORDERS, TableData, derivative
@@ -144,7 +144,7 @@ class Text:
     def _import(self, node: ast.ImportFrom) -> None:
         """Take in the functions that kernels import from the runtime, as if they were the text's own."""
         module = str(node.module)
-        own = "codegen.runtime.particles.", "codegen.runtime.tabulated.", "codegen.runtime.inner_number"
+        own = "codegen.runtime.arithmetic", "codegen.runtime.particles.", "codegen.runtime.tabulated"
         if not module.startswith(own):
             self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
             return
@@ -153,8 +153,6 @@ class Text:
         for part in ast.parse(file.read_text(encoding="utf-8")).body:
             if isinstance(part, ast.FunctionDef):
                 self._parts.setdefault(part.name, part)
-            elif isinstance(part, ast.ImportFrom) and str(part.module).startswith("codegen.runtime.tabulated."):
-                self._import(part)
             elif isinstance(part, ast.Assign):
                 targets = (t for target in part.targets for t in ast.walk(target) if isinstance(t, ast.Name))
                 for target in targets:

@@ -30,7 +30,7 @@ from codegen.evidence.checks.base import Context, Finding, not_measured
 from codegen.evidence.checks.evaluation import DIGITS, Agreement, Function, directional, function_of, gradient
 from codegen.evidence.checks.flat_vector import FlatVector, few_steps, other_symbols
 from codegen.runtime.record import Kind, Role
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt
 from codegen.symbolic import checks as expressions
 
@@ -182,9 +182,9 @@ def _kkt_matrix(module: Any, grid: Any, unknowns: Vector) -> Vector:
     """The dense KKT matrix from the module's Jacobian and Hessian; zero in what is given."""
     matrix = np.zeros((unknowns.size, unknowns.size))
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    rows, columns, values = callbacks.hessian(grid, unknowns)
+    rows, columns, values = point.hessian(grid, unknowns)
     np.add.at(matrix, (primal[rows], primal[columns]), values)
-    rows, columns, values = callbacks.jacobian(grid, unknowns)
+    rows, columns, values = point.jacobian(grid, unknowns)
     np.add.at(matrix, (dual[rows], primal[columns]), values)
     np.add.at(matrix, (primal[columns], dual[rows]), values)
     return matrix

@@ -44,8 +44,7 @@ from codegen.evidence.checks.evaluation import vanishing
 from codegen.evidence.checks.flat_vector import FlatVector, few_steps
 from codegen.evidence.checks.motion import free_values, integral_of_cost
 from codegen.runtime.record import phrase
-from codegen.runtime.search import callbacks
-from codegen.runtime.search.callbacks import submatrix
+from codegen.runtime.search.point import jacobian, submatrix
 from codegen.solving.results.between_nodes import Excursion, excursions, sampled_conditions
 from codegen.solving.results.output import shortened
 from codegen.symbolic import checks as expressions
@@ -151,7 +150,7 @@ def _decomposed(module: Any, grid: Any, unknowns: Any) -> tuple[int, NDArray[np.
     None where the Jacobian is not finite.
     """
     rows, columns = module.multiplier_unknowns(grid), module.primal_unknowns(grid)
-    matrix = _dense(callbacks.jacobian(grid, unknowns), (rows.size, columns.size))
+    matrix = _dense(jacobian(grid, unknowns), (rows.size, columns.size))
     if not np.isfinite(matrix).all():
         return None
     row_scale = np.abs(matrix).max(axis=1, initial=0.0)

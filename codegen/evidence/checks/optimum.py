@@ -32,7 +32,7 @@ from codegen.discretise.program import ControlProgram
 from codegen.errors import CodegenError
 from codegen.evidence.analysis.maximum_principle import beyond_maximum_principle, exact_optimum, reference_optimum
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 
 _OF_CONTROLS = 2
@@ -144,7 +144,7 @@ def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagona
     Regular to rounding, that is, after rows and columns are brought to sizes of one.
     """
     free = diagonal[module.primal_unknowns(grid)] <= _HELD
-    rows, columns, values = callbacks.jacobian(grid, unknowns)
+    rows, columns, values = point.jacobian(grid, unknowns)
     shape = (module.multiplier_unknowns(grid).size, free.size)
     matrix = coo_array((values, (rows, columns)), shape=shape).tocsc()[:, free]
     if matrix.shape[0] != matrix.shape[1]:
@@ -208,7 +208,7 @@ def _judged(
 
 def sizes_of_curvature(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
     """For every unknown but multipliers the size of its second derivatives, or of a typical one if it has none."""
-    rows, _, values = callbacks.hessian(grid, unknowns)
+    rows, _, values = point.hessian(grid, unknowns)
     free, sizes = module.primal_unknowns(grid), np.zeros(unknowns.size)
     np.maximum.at(sizes, free[rows], np.abs(values))
     present = sizes[sizes > 0.0]

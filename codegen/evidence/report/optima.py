@@ -36,7 +36,7 @@ from codegen.evidence.report.orders import LARGE, Order, fitted_order, measured_
 from codegen.evidence.report.page import SUPERSCRIPTS, listed
 from codegen.evidence.report.settings import Extent
 from codegen.evidence.report.store import Case, Store, Values
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.solving import api, drivers
 from codegen.solving.interfaces import ControlModule, GeneratedModule, Vector, is_control
 from codegen.solving.results.control import bound_distances
@@ -197,7 +197,7 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     assert unknowns is not None
     below, above = bound_distances(module, grid, unknowns)
     active = np.zeros(unknowns.size)
-    active[module.primal_unknowns(grid)] = np.abs(callbacks.stationarity(grid, unknowns)) > np.minimum(below, above)
+    active[module.primal_unknowns(grid)] = np.abs(point.stationarity(grid, unknowns)) > np.minimum(below, above)
     nodes, intervals = module.views(grid, active)
     names, phases = [*module.metadata.node, *module.metadata.interval], module.metadata.phases
     changes = np.zeros(len(names), dtype=bool)

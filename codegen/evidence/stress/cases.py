@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.results.result import STATUSES, Result
 from codegen.solving.results.simulate import rounding_level
@@ -243,7 +243,7 @@ def _of_simulations(module: Any, case: Case, result: Result) -> float:
 
 
 def _of_optima(module: Any, case: Case, result: Result) -> float:
-    scale = max(1.0, float(np.abs(callbacks.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
+    scale = max(1.0, float(np.abs(point.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
     return max(1e-7 * scale, 1e3 * _EPS * _largest(result.unknowns, result.multipliers) * result.steps)
 
 

@@ -1,8 +1,8 @@
 """The KKT matrix: assembly of elements, factorisation, substitution.
 
-`system` is what solvers call: factor, then solve. Its numbers of unknowns are a `shape`, constants in a system that is
-compiled for one shape (`specialised`), read at run time in one for any shape (`any_shape`); `tables` hold the sparsity
-of a problem. `frontal` assembles and eliminates the elements of one body, `condensation` eliminates unknowns inside
-intervals before, and recovers them afterwards. `symmetric` chooses pivots and counts negative eigenvalues,
-`substitution` solves. Linking variables are eliminated last, from the Schur complement of all others.
+`system` factors and solves. The numbers of unknowns are a `shape`. They are constants in a system that is compiled for
+one shape, and are read at run time in a system for any shape (both in `specialised`). The index tables in `shape` hold
+the sparsity of a problem. `stages` eliminates the stages of an interval. `elimination` condenses other unknowns inside
+an interval, assembles and eliminates the elements of one body, and substitutes. `symmetric` chooses pivots and counts
+negative eigenvalues. Linking variables are eliminated last, from the Schur complement of all other unknowns.
 """

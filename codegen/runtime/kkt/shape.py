@@ -1,12 +1,18 @@
-"""Shapes of linear systems: what the factorisation of the KKT matrix has to know as constants."""
+"""Shapes of linear systems, the constants of a factorisation of the KKT matrix, and their index tables.
+
+The index tables lie one after the other in one array of integers, which begins with the place and the length of each
+table. They depend on the sparsity of a problem. Because sparsity is not part of the constants, all problems of one
+shape share a compiled system.
+"""
 
 from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 
 class Shape(NamedTuple):
-    """Numbers of unknowns of an interval and of what borders it.
+    """Numbers of unknowns of an interval and of its borders.
 
     Attributes
     ----------
@@ -20,10 +26,10 @@ class Shape(NamedTuple):
         Linking variables of one body, and of all, with the multipliers of conditions between them.
     backward, bordered, carried, constant : int
         1 if elimination goes from the last interval to the first; if block 0 stays to the end; if the right-hand side
-        takes part in the elimination; if the block of what is condensed is the same on all intervals of one length.
+        takes part in the elimination; if the condensed block is the same on all intervals of one length.
     stages, reach, triangular : int
-        Stages of an interval, with which the multipliers of their equations are eliminated; unknowns that these
-        equations contain, to the next multiple of four; 1 if their Jacobian by the stages is a lower triangle.
+        Stages of an interval, which are eliminated with the multipliers of their equations; unknowns that these
+        equations contain, rounded up to a multiple of four; 1 if their Jacobian by the stages is a lower triangle.
     """
 
     node: int
@@ -50,7 +56,7 @@ def padded(size):
 
 @njit(error_model="numpy", forceinline=True)
 def block_size(shape):
-    """Return the number of unknowns of a block: a node and its interval without stages and what is condensed."""
+    """Return the number of unknowns of a block: a node and its interval without stages and condensed unknowns."""
     return shape.stride - shape.condensed - 2 * shape.stages
 
 
@@ -87,8 +93,8 @@ def last_width(shape):
 
 @njit(error_model="numpy", forceinline=True)
 def unknown_of(shape, block, i, steps):
-    """Return the index, among a body's unknowns, of unknown i of a block; block N is the node that comes last."""
-    of_interval = i >= shape.node  # where stages come first
+    """Return the index, among a body's unknowns, of unknown i of a block; block N is the last eliminated node."""
+    of_interval = i >= shape.node  # stages come first in an interval
     if shape.backward:
         return (steps - block - of_interval) * shape.stride + i + of_interval * 2 * shape.stages
     return block * shape.stride + i + of_interval * 2 * shape.stages
@@ -106,3 +112,52 @@ def interval_of(shape, block, steps):
     if shape.backward:
         return steps - 1 - block
     return block
+
+
+NAMES = (
+    "KEPT KEPT_ROWS KEPT_COLUMNS COUPLED COUPLED_ROWS COUPLED_COLUMNS INSIDE INSIDE_ROWS INSIDE_COLUMNS TOUCHED FIRST"
+    " FIRST_PINNED LAST_PINNED START_PINNED END_PINNED START_TIED START_SHARED END_TIED END_SHARED START_ROWS"
+    " START_COLUMNS END_ROWS END_COLUMNS COUNTS SHAPE STAGED SLOPE_ROWS SLOPE_COLUMNS OUTER_ROWS OUTER_COLUMNS"
+    " CURVED_ROWS CURVED_COLUMNS CROSS_ROWS CROSS_COLUMNS CROSSED REACH"
+).split()
+(
+    KEPT, KEPT_ROWS, KEPT_COLUMNS, COUPLED, COUPLED_ROWS, COUPLED_COLUMNS, INSIDE, INSIDE_ROWS, INSIDE_COLUMNS, TOUCHED,
+    FIRST, FIRST_PINNED, LAST_PINNED, START_PINNED, END_PINNED, START_TIED, START_SHARED, END_TIED, END_SHARED,
+    START_ROWS, START_COLUMNS, END_ROWS, END_COLUMNS, COUNTS, SHAPE, STAGED, SLOPE_ROWS, SLOPE_COLUMNS, OUTER_ROWS,
+    OUTER_COLUMNS, CURVED_ROWS, CURVED_COLUMNS, CROSS_ROWS, CROSS_COLUMNS, CROSSED, REACH,
+) = range(36)  # fmt: skip
+"""Numbers of the tables.
+
+The tables are: entries of an interval's Hessian with no, one and two condensed unknowns; columns that condensation
+changes; unknowns of block 0 that stay to the end; prescribed unknowns of the first and last eliminated nodes, of the
+start and of the end; unknowns that equal linking variables, and these variables; rows and columns of an element matrix
+for the entries of the Hessians of the ends; COUNTS; and the numbers of the shape.
+
+For the stages of an interval: STAGED are the entries of its Hessian with stages, one kind after the other: the Jacobian
+of their equations by stages (rows and columns SLOPE) and by other unknowns (OUTER, whose columns are numbers in REACH,
+which has rows of an element matrix), second derivatives by stages (CURVED), and by other unknowns and stages (CROSS,
+whose rows are numbers in CROSSED, which has rows of an element matrix). Diagonals come last in rows of SLOPE.
+"""
+OWN, MULTIPLIERS, ENDING, COMMON, ENTRIES = range(5)
+"""Entries of COUNTS: linking variables of one body alone; multipliers of a block, of the last node with another block,
+and among the linking variables; entries of an interval's Hessian."""
+
+
+def packed(tables):
+    """Return one array of integers with the tables of a mapping, by the names in NAMES."""
+    parts = [np.asarray(tables[name], dtype=np.int64).ravel() for name in NAMES]
+    lengths = np.array([part.size for part in parts])
+    places = 2 * len(parts) + np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    return np.concatenate([np.stack([places, lengths], axis=1).ravel(), *parts]).astype(np.int64)
+
+
+@njit(error_model="numpy", forceinline=True)
+def place_of(tables, number):
+    """Return the first index of a table."""
+    return tables[2 * number]
+
+
+@njit(error_model="numpy", forceinline=True)
+def count_of(tables, number):
+    """Return the length of a table."""
+    return tables[2 * number + 1]

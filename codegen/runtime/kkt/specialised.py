@@ -1,8 +1,11 @@
-"""Linear systems with the numbers of their shape as constants, compiled once for each shape.
+"""Compiled linear systems: one for each shape with its numbers as constants, and one for all shapes.
 
-The text of a system is that of the files of this folder, in which the shape is a constant in place of an argument.
-Problems of one shape share it. It is kept in the cache folder, and numba keeps its machine code beside it. Constants
-halve the time of a factorisation.
+The text of a specialised system is that of the files of this folder, with the shape as a constant instead of an
+argument. Problems of one shape share it. The text is kept in the cache folder, with numba's machine code beside it.
+Constants halve the time of a factorisation.
+
+The system for all shapes reads the numbers at run time and needs no compilation for a new shape. It is faster for many
+small problems, such as tests.
 """
 
 import ast
@@ -16,10 +19,11 @@ from pathlib import Path
 
 from codegen.runtime.addresses import SYSTEM, entry_of
 from codegen.runtime.kept_code import fingerprint, fresh_folder
-from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.kernels import packed_operations
+from codegen.runtime.kkt.shape import SHAPE, Shape, place_of
+from codegen.runtime.kkt.system import solve_system
 
-FILES = "shape", "tables", "symmetric", "stages", "condensation", "frontal", "substitution", "system"
+FILES = "shape", "symmetric", "stages", "elimination", "system"
 PARTS = ("eliminate_body", "forward", "backward", "condense", "recover_condensed")
 """Functions whose intermediate code is kept, so that several processes can compile a system."""
 HEAD = '''"""The linear system of Newton's method for problems of one shape, made by codegen; do not edit.
@@ -65,11 +69,10 @@ def system(
 
 def cache_folder():
     """Return the folder of the build cache: $CODEGEN_CACHE_DIR, or one in the user's cache directory."""
-    given = os.environ.get("CODEGEN_CACHE_DIR")
-    if given:
-        return Path(given)
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(home) / "variational-codegen"
+    folder = os.environ.get("CODEGEN_CACHE_DIR")
+    if folder:
+        return Path(folder)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "variational-codegen"
 
 
 def text_of(shape):
@@ -83,7 +86,7 @@ def text_of(shape):
 
 @lru_cache
 def body_of(name):
-    """Return the statements of a file of this folder but imports, docstring and Shape, without arguments `shape`."""
+    """Return the statements of a file of this folder without imports, docstring, Shape, and arguments `shape`."""
     text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
     lines, kept = text.splitlines(), []
     for node in ast.parse(text).body:
@@ -106,7 +109,7 @@ def without_shape(text):
 
 @lru_cache(maxsize=256)
 def system_module(shape):
-    """Return the module with the linear system of a shape, which is written if it is new to this machine."""
+    """Return the module with the linear system of a shape; write it if this machine has none."""
     name = f"kkt_{hashlib.sha256(f'{shape} {fingerprint()}'.encode()).hexdigest()[:16]}"
     path = cache_folder() / "kkt" / f"{name}.py"
     if not is_whole(path):
@@ -123,7 +126,7 @@ def system_module(shape):
 
 
 def is_whole(path):
-    """Return True if a file holds the text that was written, which begins with a digest of the rest."""
+    """Return True if a file is complete: the text begins with a digest of the rest."""
     try:
         first, _, text = path.read_text(encoding="utf-8").partition("\n")
     except (OSError, UnicodeDecodeError):
@@ -138,11 +141,38 @@ def digest_of(text):
 
 @lru_cache(maxsize=256)
 def compiled_system(shape):
-    """Return the compiled linear system of a shape, which has the address."""
+    """Return the compiled linear system of a shape, which has the attribute `address`."""
     with packed_operations():
         return entry_of(SYSTEM, system_module(shape).system)
 
 
 def system_address(shape):
-    """Return the address of the linear system of a shape, which is compiled if it is new to this machine."""
+    """Return the address of the linear system of a shape; compile it if this machine has none."""
     return compiled_system(shape).address
+
+
+@lru_cache(maxsize=1)
+def compiled_any_shape():
+    """Return the compiled linear system of all shapes, which has the attribute `address`."""
+
+    def system(
+        is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders, step,
+        is_wanted,
+    ):  # fmt: skip
+        """Factor the KKT matrix if it `is_new`, and solve for the step if it `is_wanted`; see `solve_system`."""
+        p = place_of(tables, SHAPE)
+        shape = Shape(
+            tables[p], tables[p + 1], tables[p + 2], tables[p + 3], tables[p + 4], tables[p + 5], tables[p + 6],
+            tables[p + 7], tables[p + 8], tables[p + 9], tables[p + 10], tables[p + 11], tables[p + 12], tables[p + 13],
+        )  # fmt: skip
+        return solve_system(
+            shape, is_new, bodies, steps, inverses, tables, entries, gradient, diagonal, equations, factors, orders,
+            step, is_wanted,
+        )  # fmt: skip
+
+    return entry_of(SYSTEM, system)
+
+
+def any_shape_address():
+    """Return the address of the linear system of any shape."""
+    return compiled_any_shape().address

@@ -10,32 +10,23 @@ A is square and regular: ds = S dy + s0 with S = -inverse(A) B and s0 = -inverse
     (H_yy + H_ys S + S' H_sy + S' H_ss S) dy = -(g_y + H_ys s0 + S' (g_s + H_ss s0)).
 
 Stages and multipliers have as many negative as positive eigenvalues, and need no search for pivots. For explicit
-schemes A is a sparse lower triangle; otherwise it is factored, with row exchanges: P A = L U. Where multipliers have
-diagonals of their own, as in feasibility restoration, or where A is singular, stages and multipliers are eliminated as
-a dense symmetric matrix.
+schemes A is a sparse lower triangle. Otherwise it is factored with row exchanges: P A = L U. In feasibility restoration
+multipliers have diagonals of their own. Then, and if A is singular, stages and multipliers are eliminated as a dense
+symmetric matrix.
 
-What is kept of the intervals of a body is a tuple, `kept`: entries and then diagonals of stages (N, entries + s), S
+The tuple `kept` has the factors of the intervals of a body: entries and then diagonals of stages (N, entries + s), S
 (N, s, reach), s0 (N, s), L and U (N, s, padded s; no rows for explicit schemes), factors and pivots of dense matrices
 (N, 2 s, width) and (N, 2 s, 2), and integers (N, 2 s + 1): the order of pivots or rows, and last, 1 if A was solved
-and 0 if the matrix is dense. `room` is a tuple of work space: W (s, reach), products (reach, reach), crossed rows
-(rows, reach), the dense matrix (2 s, width), and a vector (width,). S is as wide as a multiple of four; the table
-REACH has its columns' places in the element.
+and 0 if the matrix is dense. The tuple `room` is work space: W (s, reach), products (reach, reach), crossed rows
+(rows, reach), the dense matrix (2 s, width), and a vector (width,). The width of S is a multiple of four. The table
+REACH has the places of its columns in the element.
 """
 
 import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead
-from codegen.runtime.kkt.shape import block_size, padded, row_count, tail_of
-from codegen.runtime.kkt.symmetric import (
-    backward_once,
-    clear,
-    eliminate_once,
-    forward_once,
-    subtract_products,
-    subtract_row,
-)
-from codegen.runtime.kkt.tables import (
+from codegen.runtime.kkt.shape import (
     CROSS_COLUMNS,
     CROSS_ROWS,
     CROSSED,
@@ -47,20 +38,32 @@ from codegen.runtime.kkt.tables import (
     SLOPE_COLUMNS,
     SLOPE_ROWS,
     STAGED,
+    block_size,
     count_of,
+    padded,
     place_of,
+    row_count,
+    tail_of,
+)
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    clear,
+    eliminate_once,
+    forward_once,
+    subtract_products,
+    subtract_row,
 )
 
 HAS_STAGES = True
-"""False in a system without stages, whose text leaves all of this out."""
+"""False in a system without stages, whose text contains none of these functions."""
 NEGLIGIBLE = 1e-6
-"""Diagonals of multipliers that are left out: the equations of stages are regular by themselves."""
+"""Smaller diagonals of multipliers are ignored: the equations of stages are regular by themselves."""
 SINGULAR_PIVOT = 1e-13  # relative to the largest entry of the Jacobian
 
 
 @njit(error_model="numpy")
 def dense_width(shape):
-    """Return the number of columns where stages and multipliers are eliminated as a dense matrix."""
+    """Return the number of columns of the dense matrix of stages and multipliers."""
     return padded(2 * shape.stages + padded(row_count(shape)))
 
 
@@ -103,7 +106,7 @@ def stage_views(shape, tables, reals, integers, bodies, body, steps):
 
 
 def stage_sizes(shape, copied, bodies, steps):
-    """Return the lengths of the storage of `stage_views`, where so many entries of an interval are copied."""
+    """Return the lengths of the storage of `stage_views`; `copied` entries of an interval are stored."""
 
     def fours(size):
         return -(-size // 4) * 4
@@ -118,10 +121,10 @@ def stage_sizes(shape, copied, bodies, steps):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, element):
-    """Take the stages of interval k out of its `element` matrix (rows, width); return the number of negative pivots.
+    """Eliminate the stages of interval k from its `element` matrix (rows, width); return the number of negative pivots.
 
-    That is -1 if they have no solution. `hessian` (entries,) is that of the interval; `gradient` and `diagonal` (N
-    stride + node,); the right-hand side in the element matrix, if it is carried along, changes as well.
+    The result is -1 if there is no solution. `hessian` (entries,) is that of the interval; `gradient` and `diagonal` (N
+    stride + node,). A right-hand side in the element matrix, if it is carried along, changes as well.
     """
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, staged, count = shape.stages, place_of(tables, STAGED), count_of(tables, STAGED)
@@ -158,7 +161,7 @@ def eliminate_stages(shape, tables, hessian, gradient, diagonal, k, kept, room, 
 
 @njit(error_model="numpy", forceinline=True)
 def crossings(tables):
-    """Return where the entries of H_ys begin among those that are kept, their crossed rows, and their stages."""
+    """Return the first index of the entries of H_ys in `kept`, and the tables of their crossed rows and stages."""
     before = count_of(tables, SLOPE_ROWS) + count_of(tables, OUTER_ROWS) + count_of(tables, CURVED_ROWS)
     return before, place_of(tables, CROSS_ROWS), place_of(tables, CROSS_COLUMNS)
 
@@ -174,7 +177,7 @@ def put_outer(tables, own, reduced):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def solve_triangle(shape, tables, own, reduced):
-    """Fill S, where A is a lower triangle whose rows end with the diagonal; return whether that is regular."""
+    """Fill S for a lower triangle A whose rows end with the diagonal; return True if A is regular."""
     rows, columns = place_of(tables, SLOPE_ROWS), place_of(tables, SLOPE_COLUMNS)
     put_outer(tables, own, reduced)
     for j in range(count_of(tables, SLOPE_ROWS)):
@@ -193,7 +196,7 @@ def solve_triangle(shape, tables, own, reduced):
 
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def solve_by_factors(shape, tables, own, lower, upper, order, reduced):
-    """Factor A by Gaussian elimination with row exchanges, which `order` has, and fill S; return whether A is regular.
+    """Factor A by Gaussian elimination with row exchanges in `order`, and fill S; return True if A is regular.
 
     Row p of L has factors left of its diagonal, zeros elsewhere; U has zeros left of its own.
     """
@@ -337,7 +340,7 @@ def solve_transposed(shape, tables, own, lower, upper, order, values):
 
 @njit(error_model="numpy", forceinline=True)
 def forcing(shape, tables, own, gradient, first, moved, room):
-    """Return, in work space, g_s + H_ss times what stages are `moved` (s,) by."""
+    """Return, in work space, g_s + H_ss times the changes `moved` (s,) of stages."""
     values, stages, count = room[4], shape.stages, count_of(tables, STAGED)
     for i in range(stages):
         values[i] = gradient[first + i] + own[count + i] * moved[i]
@@ -370,14 +373,14 @@ def reduced_forcing(shape, tables, own, gradient, first, offsets, reduced, room)
 
 @njit(error_model="numpy", forceinline=True)
 def right_index(shape, row, number, steps):
-    """Return where row `row` of the element matrix of block `number` is in a body's right-hand side."""
+    """Return the index in a body's right-hand side of row `row` of the element matrix of block `number`."""
     block = block_size(shape)
     return number * block + row if row < block + shape.node else steps * block + shape.node + row - tail_of(shape)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
-    """Take what follows from the stages of interval k, block `number`, to the `right`-hand side of a body."""
+    """Subtract the effect of the stages of interval k, block `number`, from the `right`-hand side of a body."""
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
     if not order[2 * stages]:
@@ -387,10 +390,8 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
                 right[right_index(shape, row, number, steps)] += values[2 * stages + row]
         return
     solve_offsets(shape, tables, own, gradient, first, lower[k], upper[k], order, offsets[k])
-    totals, places = (
-        reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room),
-        place_of(tables, REACH),
-    )
+    totals = reduced_forcing(shape, tables, own, gradient, first, offsets[k], reduced[k], room)
+    places = place_of(tables, REACH)
     for c in range(count_of(tables, REACH)):
         right[right_index(shape, tables[places + c], number, steps)] -= totals[c]
     at, rows, columns = crossings(tables)
@@ -401,7 +402,7 @@ def reduce_right(shape, tables, gradient, k, number, steps, kept, room, right):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
 def recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step):
-    """Fill a body's `step` (N stride + node,) with stages and multipliers of interval k, given what is `solved`."""
+    """Fill a body's `step` (N stride + node,) with stages and multipliers of interval k, from the `solved` unknowns."""
     entries, reduced, offsets, lower, upper, dense, pivots, orders = kept
     stages, first, own, order = shape.stages, k * shape.stride + shape.node, entries[k], orders[k]
     if not order[2 * stages]:
@@ -484,7 +485,7 @@ def eliminate_dense(shape, tables, own, gradient, diagonal, first, dense, pivots
 
 @njit(error_model="numpy")
 def solve_dense(shape, gradient, first, dense, pivots, order, room):
-    """Return, in work space, minus the gradient of stages and multipliers after the way forward, and what it leaves."""
+    """Return, in work space, minus the gradient of stages and multipliers after forward substitution, and its rest."""
     values, size = room[4], 2 * shape.stages
     for i in range(values.size):
         values[i] = -gradient[first + i] if i < size else 0.0

@@ -1,12 +1,12 @@
 """Symmetric elimination with pivots of one or two rows: factors, and the number of negative eigenvalues.
 
-Rows are eliminated one or two at a time, in an order that is chosen on the way and stays a list: no row is moved. What
-is kept are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse of the pivots
-D: K = U' D U. Rows are as wide as a multiple of four, and what they do not need is zero: entries are taken four at a
-time, which a compiler turns into one instruction each (see `packed_operations`). All is inlined where it is used, so
-that numbers of rows and columns are constants to the compiler: that takes a quarter to a third of a factorisation's
-time away. Source: Bunch and Kaufman (1977), Some stable methods for calculating inertia and solving symmetric linear
-systems; Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
+Rows are eliminated one or two at a time, in an order that is chosen during the elimination and kept as a list: no row
+is moved. The factors are the rows of the unit factor U, strictly triangular when sorted by that order, and the inverse
+of the pivots D: K = U' D U. Rows are padded with zeros to a multiple of four. Entries are computed four at a time,
+which a compiler turns into one instruction each (see `packed_operations`). All functions are inlined, so that the
+compiler knows numbers of rows and columns as constants: this saves a quarter to a third of the time of a factorisation.
+Sources: Bunch and Kaufman (1977), Some stable methods for calculating inertia and solving symmetric linear systems;
+Higham (2002), Accuracy and stability of numerical algorithms, section 11.1.
 """
 
 import numpy as np
@@ -25,11 +25,11 @@ def clear(matrix):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_rows(matrix, count, width, upper, inverse, order):
-    """Eliminate the first `count` unknowns; return how many pivots are negative, or -1 if one vanishes.
+    """Eliminate the first `count` unknowns; return the number of negative pivots, or -1 for a vanishing pivot.
 
-    The first `count` rows of `matrix` (.., width) are read and overwritten by D U. `upper` (count, width) takes U
-    without its unit diagonal. `order` (count,) says which row was eliminated when; `inverse` (count, 2), in that order,
-    is the inverse of the pivots: its diagonal, and what is between a row and the next one.
+    The first `count` rows of `matrix` (.., width) are overwritten by D U. `upper` (count, width) takes U without its
+    unit diagonal. `order` (count,) has the row that is eliminated at each position. `inverse` (count, 2), in that
+    order, is the inverse of the pivots: its diagonal, and the entry between a row and the next one.
     """
     for c in range(count):
         order[c] = c
@@ -38,7 +38,7 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
         if paired:  # eliminated together with the row before it
             paired = False
             continue
-        # The largest entry beside the diagonal, and the largest of the row where it is, decide on the pivot.
+        # The largest entry off the diagonal, and the largest one in the row of that entry, decide on the pivot.
         row, position = order[c], c + 1
         own, beside = abs(matrix[row, row]), largest_beside(matrix, row, count)
         if not 0.0 < max(own, beside) < np.inf:
@@ -65,11 +65,10 @@ def eliminate_rows(matrix, count, width, upper, inverse, order):
 
 @njit(error_model="numpy", forceinline=True)
 def largest_beside(matrix, row, count):
-    """Return the largest modulus beside the diagonal of a row, in `count` columns.
+    """Return the largest modulus off the diagonal of a row, in `count` columns.
 
-    Columns of eliminated unknowns are zero.
-
-    In the order of memory, and with indices that have no sign, it takes half the time of a look at what is left alone.
+    Columns of eliminated unknowns are zero. Reading all columns in the order of memory, with unsigned indices, takes
+    half the time of reading only the columns that remain.
     """
     largest = 0.0
     for j in range(np.uint64(count)):
@@ -80,7 +79,7 @@ def largest_beside(matrix, row, count):
 
 @njit(error_model="numpy", forceinline=True)
 def eliminate_one(matrix, c, count, width, upper, inverse, order):
-    """Eliminate the row at position c; return whether its pivot is negative; arrays as in `eliminate_rows`."""
+    """Eliminate the row at position c; return True if its pivot is negative; arrays as in `eliminate_rows`."""
     p = order[c]
     reciprocal = 1.0 / matrix[p, p]
     inverse[c, 0], inverse[c, 1] = reciprocal, 0.0
@@ -142,7 +141,7 @@ def subtract_row(multiple, source, p, width, target, i):
         target[i, j + 3] = four
 
 
-# With sums in any order it would be vectorised over `count`, which takes longer.
+# Without a fixed order of sums, the loop over `count` would be vectorised, which takes longer.
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_products(upper, matrix, count, first, rows, width, rest):
     """Subtract what eliminating `count` rows leaves in the rows that border them, which begin at column `first`.
@@ -206,7 +205,7 @@ def subtract_four(target, i, j, one, two, three, four):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_forward(upper, order, count, width, values):
-    """Overwrite the first `count` of `values` (width,) by inverse(U') times them; the rest loses its share."""
+    """Overwrite the first `count` of `values` (width,) by inverse(U') times them, and reduce the rest."""
     for c in range(count):
         p = order[c]
         value = values[p]
@@ -233,10 +232,10 @@ def solve_pivots(inverse, order, count, values):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
 def solve_backward(upper, order, count, width, values):
-    """Overwrite the first `count` of `values` (width,) by the solution with U, in which the rest is known.
+    """Overwrite the first `count` of `values` (width,) by the solution with U for given other values.
 
-    What is known goes to the right-hand sides first, so that only the short sums over the other unknowns have to wait
-    for one another; and these begin with what has been known longest, so that they wait for one product alone.
+    The given values go to the right-hand sides first, so that only the short sums over the unknowns depend on each
+    other. These sums begin with the values computed first, so that they wait only for one product.
     """
     fours = (count + 3) // 4 * 4
     for p in range(count):
@@ -253,17 +252,17 @@ def solve_backward(upper, order, count, width, values):
         subtract_known(upper, order, c, count, values)
 
 
-# With sums in any order it would be vectorised, which takes longer: what is read lies apart in memory.
+# Without a fixed order of sums, the loop would be vectorised, which takes longer: its entries lie apart in memory.
 @njit(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def subtract_known(upper, order, c, count, values):
-    """Subtract from the value at position c its row of U times the values that are known."""
+    """Subtract from the value at position c its row of U times the values computed before."""
     value = values[order[c]]
     for k in range(count - 1, c, -1):
         value -= upper[order[c], order[k]] * values[order[k]]
     values[order[c]] = value
 
 
-# The same functions for matrices that are eliminated once in a factorisation: compiled once, not part of their callers.
+# The same functions for matrices that are eliminated once in a factorisation: compiled once, without inlining.
 
 
 @njit(error_model="numpy")

@@ -1,18 +1,13 @@
 """The linear system of a Newton step: factor the KKT matrix of all bodies, and solve with the factors.
 
-Linking variables are the separator between bodies, eliminated last from the Schur complement of all others.
+Linking variables separate the bodies. They are eliminated last, from the Schur complement of all other unknowns.
 """
 
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead
-from codegen.runtime.kkt.condensation import condense, recover_condensed
-from codegen.runtime.kkt.frontal import eliminate_body
-from codegen.runtime.kkt.shape import block_size, last_size, last_width, padded, row_count, row_width
-from codegen.runtime.kkt.stages import stage_sizes, stage_views
-from codegen.runtime.kkt.substitution import backward, forward
-from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
-from codegen.runtime.kkt.tables import (
+from codegen.runtime.kkt.elimination import backward, condense, eliminate_body, forward, recover_condensed
+from codegen.runtime.kkt.shape import (
     COUNTS,
     END_COLUMNS,
     END_SHARED,
@@ -22,12 +17,20 @@ from codegen.runtime.kkt.tables import (
     START_ROWS,
     START_SHARED,
     START_TIED,
+    block_size,
     count_of,
+    last_size,
+    last_width,
+    padded,
     place_of,
+    row_count,
+    row_width,
 )
+from codegen.runtime.kkt.stages import stage_sizes, stage_views
+from codegen.runtime.kkt.symmetric import backward_once, eliminate_once, forward_once, subtract_products
 
 SINGULAR = 1 << 40
-"""The excess of negative pivots of a matrix that is singular, or whose condensed block is not positive definite."""
+"""The result for a singular matrix, or for a condensed block that is not positive definite."""
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -46,26 +49,26 @@ def solve_system(
     bodies, steps : int
         Numbers of bodies and of intervals.
     inverses : int
-        Blocks of condensed unknowns that are kept for a body: 1 if they are equal on all intervals, else `steps`.
+        Number of condensed blocks stored for a body: 1 if they are equal on all intervals, else `steps`.
     tables : pointer
-        Index tables, see `tables`.
+        Index tables, see `shape`.
     entries : pointer
         Entries of the lower triangle: (bodies, steps, entries of an interval), those of all starts, of all ends, and
-        the matrix (root, root) of conditions between linking variables if there are any.
+        the matrix (root, root) of coupling conditions, if there are linking variables.
     gradient, diagonal, step : pointer
         Vectors (n,): the right-hand side is minus the gradient; the diagonal is added to that of the matrix.
     equations : int
         Negative eigenvalues at a minimum.
     factors, orders : pointer
-        Work space as `factor_sizes` has it, kept between calls.
+        Work space of the lengths from `factor_sizes`, kept between calls.
     is_wanted : int
         1 if `step` is to be filled, else 0.
 
     Returns
     -------
     int
-        By how many negative pivots are too many, 0 at a minimum; then a positive number may be too low, and there is no
-        step. SINGULAR if there are no factors.
+        Excess of negative pivots, 0 at a minimum. A positive excess may be too low, and there is no step. SINGULAR if
+        there are no factors.
     """
     node, block, width, root = shape.node, block_size(shape), row_width(shape), shape.root
     rows, end, end_width, shared_width = row_count(shape), last_size(shape), last_width(shape), padded(root)
@@ -73,11 +76,8 @@ def solve_system(
     counts, of_chains = place_of(tables, COUNTS), bodies * chain
     own, entry_count = tables[counts + OWN], tables[counts + ENTRIES]
     starts, ends = count_of(tables, START_ROWS), count_of(tables, END_COLUMNS)
-    # Where the parts of the work space begin.
-    at_inverse = bodies * size * width
-    at_inverses = at_inverse + bodies * size * 2
-    at_couplings = at_inverses + bodies * inverses * shape.condensed * shape.condensed
-    at_right = at_couplings + bodies * steps * shape.condensed * width
+    # Beginnings of the parts of the work space.
+    at_right = bodies * (size * (width + 2) + inverses * shape.condensed**2 + steps * shape.condensed * width)
     at_last = at_right + bodies * length
     at_root = at_last + bodies * end_width
     at_scratch = at_root + root * (shared_width + 3) + shared_width
@@ -94,13 +94,11 @@ def solve_system(
     at_front = at_matrix + (end + shape.shared) * end_width
     front = carray(ahead(factors, at_front), (width,))
     root_matrix = carray(ahead(factors, at_front + width), (root, shared_width))
-    at_left = at_front + width + root * shared_width
-    left_width = padded(shape.shared + shape.carried)
-    left = carray(ahead(factors, at_left), (shape.shared, left_width))
-    stage_reals, stage_integers = (
-        ahead(factors, at_left + shape.shared * left_width),
-        ahead(orders, bodies * size + root),
-    )
+    at_remainder = at_front + width + root * shared_width
+    remainder_width = padded(shape.shared + shape.carried)
+    remainder = carray(ahead(factors, at_remainder), (shape.shared, remainder_width))
+    stage_reals = ahead(factors, at_remainder + shape.shared * remainder_width)
+    stage_integers = ahead(orders, bodies * size + root)
     carried, excess = is_new and shape.carried, 0
     if is_new:
         if root:
@@ -111,23 +109,15 @@ def solve_system(
         after = bodies * steps * entry_count
         for body in range(bodies):
             kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
+            upper, inverse, order, blocks, couplings = body_factors(
+                shape, factors, orders, bodies, body, steps, inverses
+            )
             regular, negative, beyond = eliminate_body(
                 shape, tables, carray(ahead(entries, body * steps * entry_count), (steps, entry_count)),
                 carray(ahead(entries, after + body * starts), (starts,)),
                 carray(ahead(entries, after + bodies * starts + body * ends), (ends,)),
                 carray(ahead(gradient, body * chain), (chain,)), carray(ahead(diagonal, body * chain), (chain,)), steps,
-                carray(ahead(factors, body * size * width), (size, width)),
-                carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
-                carray(ahead(orders, body * size), (size,)),
-                carray(
-                    ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
-                    (inverses, shape.condensed, shape.condensed),
-                ),
-                carray(
-                    ahead(factors, at_couplings + body * steps * shape.condensed * width),
-                    (steps, shape.condensed, width),
-                ),
-                kept, room, element, rest, last_matrix,
+                upper, inverse, order, blocks, couplings, kept, room, element, rest, last_matrix,
             )  # fmt: skip
             if not regular:
                 return SINGULAR
@@ -138,16 +128,17 @@ def solve_system(
                 first = (body * size + steps * block) * width
                 for i in range(shape.shared):
                     for j in range(shape.shared + shape.carried):
-                        left[i, j] = last_matrix[end + i, end + j]
+                        remainder[i, j] = last_matrix[end + i, end + j]
+                rows_of_last = carray(ahead(factors, first), (end, width))
                 subtract_products(
-                    carray(ahead(factors, first), (end, width)), last_matrix, end, end, shape.shared, left_width, left
-                )
+                    rows_of_last, last_matrix, end, end, shape.shared, remainder_width, remainder
+                )  # fmt: skip
                 for i in range(shape.shared):
                     index = root_index(own, bodies, body, i)
                     for j in range(shape.shared):
-                        root_matrix[index, root_index(own, bodies, body, j)] += left[min(i, j), max(i, j)]
+                        root_matrix[index, root_index(own, bodies, body, j)] += remainder[min(i, j), max(i, j)]
                     if shape.carried:
-                        root_right[index] += left[i, shape.shared]
+                        root_right[index] += remainder[i, shape.shared]
         if root:
             at_conditions = after + bodies * (starts + ends)
             for i in range(root):
@@ -167,6 +158,7 @@ def solve_system(
     for body in range(bodies):
         right = carray(ahead(factors, at_right + body * length), (length,))
         last = carray(ahead(factors, at_last + body * end_width), (end_width,))
+        upper, inverse, order, blocks, couplings = body_factors(shape, factors, orders, bodies, body, steps, inverses)
         if carried:
             for i in range(length):
                 right[i] = 0.0
@@ -174,27 +166,13 @@ def solve_system(
                 last[i] = 0.0
         else:
             kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
-            condense(
-                shape, tables, carray(ahead(gradient, body * chain), (chain,)),
-                carray(
-                    ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
-                    (inverses, shape.condensed, shape.condensed),
-                ),
-                carray(
-                    ahead(factors, at_couplings + body * steps * shape.condensed * width),
-                    (steps, shape.condensed, width),
-                ),
-                kept, room, steps, right,
-            )  # fmt: skip
+            of_body = carray(ahead(gradient, body * chain), (chain,))
+            condense(shape, tables, of_body, blocks, couplings, kept, room, steps, right)
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             if root:
                 add_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
                 add_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
-            forward(
-                shape, tables, carray(ahead(factors, body * size * width), (size, width)),
-                carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
-                carray(ahead(orders, body * size), (size,)), steps, right, front, last,
-            )  # fmt: skip
+            forward(shape, tables, upper, inverse, order, steps, right, front, last)
             for i in range(shape.shared):
                 shared[root_index(own, bodies, body, i)] += right[steps * block + node + i] + last[end + i]
     if root:
@@ -207,42 +185,48 @@ def solve_system(
     for body in range(bodies):
         right = carray(ahead(factors, at_right + body * length), (length,))
         last = carray(ahead(factors, at_last + body * end_width), (end_width,))
+        upper, _, order, blocks, couplings = body_factors(shape, factors, orders, bodies, body, steps, inverses)
         for i in range(shape.shared):
             last[end + i] = right[steps * block + node + i] = shared[root_index(own, bodies, body, i)]
         if shape.carried:
             last[end + shape.shared] = -1.0 if carried else 0.0
-        backward(
-            shape, tables, carray(ahead(factors, body * size * width), (size, width)),
-            carray(ahead(orders, body * size), (size,)), steps, carried, last, front, right,
-        )  # fmt: skip
+        backward(shape, tables, upper, order, steps, carried, last, front, right)
         if root:
             first, behind = (steps * block, 0) if shape.backward else (0, steps * block)
             copy_to_tied(tables, START_TIED, START_SHARED, own, bodies, body, first, right, shared)
             copy_to_tied(tables, END_TIED, END_SHARED, own, bodies, body, behind, right, shared)
         kept, room = stage_views(shape, tables, stage_reals, stage_integers, bodies, body, steps)
-        recover_condensed(
-            shape, tables, carray(ahead(gradient, body * chain), (chain,)),
-            carray(
-                ahead(factors, at_inverses + body * inverses * shape.condensed * shape.condensed),
-                (inverses, shape.condensed, shape.condensed),
-            ),
-            carray(
-                ahead(factors, at_couplings + body * steps * shape.condensed * width), (steps, shape.condensed, width)
-            ),
-            kept, room, steps, right, carray(ahead(step, body * chain), (chain,)),
-        )  # fmt: skip
+        of_body = carray(ahead(gradient, body * chain), (chain,))
+        step_of_body = carray(ahead(step, body * chain), (chain,))
+        recover_condensed(shape, tables, of_body, blocks, couplings, kept, room, steps, right, step_of_body)
     return excess
 
 
 @njit(error_model="numpy", forceinline=True)
+def body_factors(shape, factors, orders, bodies, body, steps, inverses):
+    """Return the factors of a body in the work space: upper factor, inverse pivots, order, inverses, couplings."""
+    width, size, condensed = row_width(shape), steps * block_size(shape) + last_size(shape), shape.condensed
+    at_inverse = bodies * size * width
+    at_inverses = at_inverse + bodies * size * 2
+    at_couplings = at_inverses + bodies * inverses * condensed * condensed
+    return (
+        carray(ahead(factors, body * size * width), (size, width)),
+        carray(ahead(factors, at_inverse + body * size * 2), (size, 2)),
+        carray(ahead(orders, body * size), (size,)),
+        carray(ahead(factors, at_inverses + body * inverses * condensed * condensed), (inverses, condensed, condensed)),
+        carray(ahead(factors, at_couplings + body * steps * condensed * width), (steps, condensed, width)),
+    )
+
+
+@njit(error_model="numpy", forceinline=True)
 def root_index(own, bodies, body, j):
-    """Return the index, among the linking variables, of variable j of a body, of which `own` are the body's alone."""
+    """Return the index among the linking variables of variable j of a body, of which `own` belong to the body alone."""
     return body * own + j if j < own else (bodies - 1) * own + j
 
 
 @njit(error_model="numpy")
 def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
-    """Add right-hand sides of unknowns that equal linking variables to those of the latter."""
+    """Add right-hand sides of unknowns that equal linking variables to those of the linking variables."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         shared[root_index(own, bodies, body, tables[to + i])] += right[first + tables[tied + i]]
@@ -250,7 +234,7 @@ def add_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared
 
 @njit(error_model="numpy")
 def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, shared):
-    """Give unknowns that equal linking variables the values of the latter."""
+    """Copy the values of linking variables to the unknowns that equal them."""
     tied, to = place_of(tables, of_tied), place_of(tables, of_shared)
     for i in range(count_of(tables, of_tied)):
         right[first + tables[tied + i]] = shared[root_index(own, bodies, body, tables[to + i])]
@@ -259,7 +243,7 @@ def copy_to_tied(tables, of_tied, of_shared, own, bodies, body, first, right, sh
 def factor_sizes(shape, copied, bodies, steps, inverses):
     """Return the lengths of the work space of `solve_system`: of floating-point numbers, and of integers.
 
-    Of the second derivatives of an interval, those by stages are `copied`.
+    `copied` is the number of an interval's second derivatives by stages, which are copied.
     """
 
     def fours(size):

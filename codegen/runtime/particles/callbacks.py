@@ -1,10 +1,18 @@
-"""What drivers need of a connect problem: residuals and Jacobians of shooting and of all states at once."""
+"""Functions of a connect problem for external solvers: shooting, all states at once, and the discrete action.
+
+Shooting solves for the initial momenta. The equations of all states contain every step from a state minus the next
+state; their unknowns are the positions at inner nodes, then the momenta at all nodes.
+
+The discrete action is a minimisation: 2 h sum_k H(q, P_k) such that q_k+1 - q_k = h H_p(q, P_k), both at
+q = (1 - c) q_k + c q_k+1 with the abscissa c. Unknowns are inner positions, then one momentum P_k of each interval. At
+a minimum the multipliers are 2 P_k, and the conditions for the positions are the scheme's equations for momenta.
+"""
 
 import numpy as np
 
 from codegen.runtime.particles.cascade import guessed_path, momenta_of
 from codegen.runtime.particles.shooting import Linearised, end_residual
-from codegen.runtime.particles.trajectory import defects, discrete_cost, follow
+from codegen.runtime.particles.steps import defects, discrete_cost, follow
 
 
 def first_momenta(case):
@@ -37,25 +45,26 @@ def jacobian(case, momenta):
 
 def path_cost(case, path):
     """Return the discrete cost of states, shape (N + 1, 2, n, d), from each of which a step is made."""
-    points, errors = (
-        np.zeros((case.steps * case.problem.points, *path.shape[1:])),
-        np.zeros((case.steps, *path.shape[1:])),
-    )
     h, pairs = case.duration / case.steps, case.problem.pairs
-    defects(pairs, h, case.own, case.parameters, np.array(path, dtype=float), points, errors)
+    points = stepped(case, path)[1]
     return discrete_cost(pairs, h, case.own, case.parameters, points, case.problem.costs)
 
 
 def path_errors(case, path):
     """Return each step from a state minus the next state, (N, 2, n, d), and the residual of the end, (nd,)."""
-    points, errors = (
-        np.zeros((case.steps * case.problem.points, *path.shape[1:])),
-        np.zeros((case.steps, *path.shape[1:])),
-    )
-    h, path = case.duration / case.steps, np.array(path, dtype=float)
-    if defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors) < 0:
+    outcome, _, errors = stepped(case, path)
+    if outcome < 0:
         errors[:] = np.nan
-    return errors, end_residual(path[-1], case.target, case.sigma)
+    return errors, end_residual(np.array(path[-1], dtype=float), case.target, case.sigma)
+
+
+def stepped(case, path):
+    """Make a step from each of the states, (N + 1, 2, n, d); return the outcome, the points, and the defects."""
+    points = np.zeros((case.steps * case.problem.points, *path.shape[1:]))
+    errors, h = np.zeros((case.steps, *path.shape[1:])), case.duration / case.steps
+    path = np.array(path, dtype=float)
+    outcome = defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
+    return outcome, points, errors
 
 
 def path_of(case, unknowns):
@@ -86,10 +95,7 @@ def all_equations(case, unknowns):
 def all_equations_jacobian(case, unknowns):
     """Return the derivative of `all_equations`, shape (2ndN, 2ndN)."""
     path, size, steps = path_of(case, unknowns), case.start.size, case.steps
-    points, errors = np.zeros((steps * case.problem.points, *path.shape[1:])), np.zeros((steps, *path.shape[1:]))
-    h = case.duration / steps
-    defects(case.problem.pairs, h, case.own, case.parameters, path, points, errors)
-    linear = Linearised(case, points, None)
+    linear = Linearised(case, stepped(case, path)[1], None)
     matrix, inner = np.zeros((2 * size * steps, 2 * size * steps)), (steps - 1) * size
     after, variance = np.empty((2 * size, 2 * size)), np.repeat(case.sigma**2, case.start.shape[1])
     for k in range(steps):
@@ -106,3 +112,121 @@ def all_equations_jacobian(case, unknowns):
         else:
             matrix[rows, later][:size] += np.diag(variance)
     return matrix
+
+
+def action_start(case):
+    """Return the unknowns of the guessed path, shape (nd (2 N - 1),)."""
+    path = guessed_path(case)
+    return np.concatenate([path[1:-1, 0].ravel(), path[:-1, 1].ravel()])
+
+
+def action_states(case, unknowns):
+    """Return positions at all nodes, shape (N + 1, n, d), and the states (N, 2, n, d) at which H is evaluated."""
+    inner = (case.steps - 1) * case.start.size
+    between = unknowns[:inner].reshape(case.steps - 1, *case.start.shape)
+    positions = np.concatenate([case.start[None], between, case.target[None]])
+    momenta, c = unknowns[inner:].reshape(case.steps, *case.start.shape), case.problem.abscissa
+    return positions, np.stack([(1.0 - c) * positions[:-1] + c * positions[1:], momenta], axis=1)
+
+
+def action_cost(case, unknowns):
+    """Return the discrete cost."""
+    _, states = action_states(case, unknowns)
+    total = sum(case.problem.hamiltonian(z, case.own, case.parameters) for z in states)
+    return 2.0 * case.duration / case.steps * total
+
+
+def action_gradients(case, states):
+    """Return H_q and H_p at every state, (N, 2, n, d)."""
+    gradients = np.empty_like(states)
+    for z, gradient in zip(states, gradients, strict=True):
+        case.problem.gradient(z, case.own, case.parameters, gradient)
+    return gradients
+
+
+def action_cost_gradient(case, unknowns):
+    """Return the gradient of the cost by the unknowns, with the same shape."""
+    gradients = 2.0 * case.duration / case.steps * action_gradients(case, action_states(case, unknowns)[1])
+    at_nodes, c = np.zeros((case.steps + 1, *case.start.shape)), case.problem.abscissa
+    at_nodes[:-1] += (1.0 - c) * gradients[:, 0]
+    at_nodes[1:] += c * gradients[:, 0]
+    return np.concatenate([at_nodes[1:-1].ravel(), gradients[:, 1].ravel()])
+
+
+def action_constraints(case, unknowns):
+    """Return q_k+1 - q_k - h H_p on every interval, (ndN,)."""
+    positions, states = action_states(case, unknowns)
+    velocities = action_gradients(case, states)[:, 1]
+    return (positions[1:] - positions[:-1] - case.duration / case.steps * velocities).ravel()
+
+
+def action_blocks(case, states):
+    """Return the second derivatives of H at every state, shape (N, 2nd, 2nd)."""
+    hessians = np.empty((len(states), states[0].size, states[0].size))
+    for z, hessian in zip(states, hessians, strict=True):
+        case.problem.hessian(z, case.own, case.parameters, hessian)
+    return hessians
+
+
+def action_columns(case, k):
+    """Return the indices of the positions at both ends of interval k, None for prescribed ones, and of its momenta."""
+    size, inner = case.start.size, (case.steps - 1) * case.start.size
+    left = slice(size * (k - 1), size * k) if k > 0 else None
+    right = slice(size * k, size * (k + 1)) if k < case.steps - 1 else None
+    return left, right, slice(inner + size * k, inner + size * (k + 1))
+
+
+def action_jacobian(case, unknowns):
+    """Return the derivative of `action_constraints`, shape (ndN, nd (2 N - 1))."""
+    _, states = action_states(case, unknowns)
+    size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
+    matrix = np.zeros((case.steps * size, unknowns.size))
+    for k, hessian in enumerate(action_blocks(case, states)):
+        rows = matrix[size * k : size * (k + 1)]
+        left, right, momenta = action_columns(case, k)
+        if left is not None:
+            rows[:, left] -= np.eye(size) + h * (1.0 - c) * hessian[size:, :size]
+        if right is not None:
+            rows[:, right] += np.eye(size) - h * c * hessian[size:, :size]
+        rows[:, momenta] -= h * hessian[size:, size:]
+    return matrix
+
+
+def action_hessian(case, unknowns, multipliers):
+    """Return the second derivatives of cost + multipliers . constraints, shape (nd (2 N - 1), nd (2 N - 1)).
+
+    H is quadratic in momenta, so that v . H_p(q, P) = H(q, P + v) - H(q, P) - H(q, v) and no third derivatives are
+    needed.
+    """
+    _, states = action_states(case, unknowns)
+    size, h, c = case.start.size, case.duration / case.steps, case.problem.abscissa
+    weights = np.reshape(multipliers, (case.steps, *case.start.shape))
+    both, alone = states.copy(), states.copy()
+    both[:, 1] += weights
+    alone[:, 1] = weights
+    cost, with_weights, of_weights = (action_blocks(case, s) for s in (states, both, alone))
+    matrix = np.zeros((unknowns.size, unknowns.size))
+    for k in range(case.steps):
+        block = 2.0 * h * cost[k]
+        block[:size, :size] -= h * (with_weights[k] - cost[k] - of_weights[k])[:size, :size]
+        block[:size, size:] -= h * (with_weights[k] - cost[k])[:size, size:]
+        block[size:, :size] = block[:size, size:].T
+        left, right, momenta = action_columns(case, k)
+        matrix[momenta, momenta] += block[size:, size:]
+        for columns, weight in ((left, 1.0 - c), (right, c)):
+            if columns is None or weight == 0.0:
+                continue
+            matrix[columns, momenta] += weight * block[:size, size:]
+            matrix[momenta, columns] += weight * block[size:, :size]
+            for others, other_weight in ((left, 1.0 - c), (right, c)):
+                if others is not None:
+                    matrix[columns, others] += weight * other_weight * block[:size, :size]
+    return matrix
+
+
+def action_path(case, unknowns):
+    """Return the states at the nodes, shape (N + 1, 2, n, d): p_k = P_k + (1 - c) h H_q and p_k+1 = P_k - c h H_q."""
+    positions, states = action_states(case, unknowns)
+    slopes, c = case.duration / case.steps * action_gradients(case, states)[:, 0], case.problem.abscissa
+    momenta = np.concatenate([states[:1, 1] + (1.0 - c) * slopes[:1], states[:, 1] - c * slopes])
+    return np.stack([positions, momenta], axis=1)

@@ -1,21 +1,23 @@
-"""The globalisation cascade of the boundary-value problem: attempts to connect given points, in their order.
+"""The globalisation cascade of the boundary-value problem: attempts to connect given points, in turn.
 
-Each attempt starts where the one before it failed: shooting from the momenta H_pp^-1 (target - start), from those of a
-path of least action where there is kinetic energy alone, from rest, by continuation in the target, on all states at
-once from a guessed path, and with more steps, of which then ever fewer are taken. Only an attempt whose residual is
-below the tolerance, or below what rounding makes of it, counts as a solution. All attempts fill `path`, shape
-(N + 1, 2, n, d), and `points`, shape (N POINTS, 2, n, d), from what is in them, and `log`, see `shoot`.
+The attempts are shooting from the momenta H_pp^-1 (target - start); shooting from the momenta of a path of least
+action, for kinetic energy alone; shooting from rest; continuation in the target; Newton's method on all states at once
+from a guessed path; and continuation from more steps to fewer steps. Only an attempt whose residual is below the
+tolerance, or at the level of rounding errors, counts as a solution. All attempts fill `path`, shape (N + 1, 2, n, d),
+and `points`, shape (N POINTS, 2, n, d), from their initial contents, and `log`, see `shoot`.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.arithmetic import cholesky, solve_cholesky
+from codegen.runtime.kernels import packed_operations
 from codegen.runtime.particles.least_action import momenta_of_least_action, path_intervals
-from codegen.runtime.particles.pair_algebra import cholesky, solve_cholesky
+from codegen.runtime.particles.problem import PairProblem
 from codegen.runtime.particles.shooting import all_states, preconditioner, shoot
-from codegen.runtime.particles.trajectory import cost_and_energies
+from codegen.runtime.particles.steps import cost_and_energies
+from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
 
 OUTCOMES = {
     1: "solved",
@@ -28,8 +30,8 @@ OUTCOMES = {
     -5: "no step along Newton's direction reduces the residual",
     -6: "no guessed path has a finite action, or there are too many particles to look for one",
 }
-MORE_STEPS = (2, 4)  # factors by which steps are made more where no attempt succeeds
-LEAST_PART = 1.0 / 256.0  # least part of the way by which continuation proceeds
+MORE_STEPS = (2, 4)  # factors of the number of steps after all other attempts have failed
+LEAST_PART = 1.0 / 256.0  # least part of the way in one step of continuation
 
 
 def momenta_of(case, positions, velocity):
@@ -45,7 +47,7 @@ def momenta_of(case, positions, velocity):
 
 
 def straight_momenta(case, factor, target):
-    """Return `momenta_of` the velocity of the straight way to a target, (n, d), by the factor of `preconditioner`."""
+    """Return `momenta_of` for the velocity of the straight way to a target, (n, d), by the `preconditioner` factor."""
     moved = target - case.start
     if factor is None:
         return moved / case.duration
@@ -56,7 +58,7 @@ def straight_momenta(case, factor, target):
 def guessed_path(case, steps=None):
     """Return states (N + 1, 2, n, d) on the guessed way, with momenta by the discrete Legendre transform H_pp^-1 dq/h.
 
-    N is the number of steps of the case, or another one.
+    N is the number of steps of the case, or `steps`.
     """
     steps = case.steps if steps is None else steps
     path = np.zeros((steps + 1, 2, *case.start.shape))
@@ -73,7 +75,7 @@ def run_cascade(case, method, guess):
     (path, points), factor = allocate_path(case), preconditioner(case)
     log = np.zeros((case.max_iterations + 1, 3))
     attempts, iterations, tangents = [], 0, 0
-    cascade = attempts_of(case, method) if guess is None else (("shooting from the given momenta", from_guess),)
+    cascade = attempts_of(case, method) if guess is None else (("shooting from the given momenta", from_momenta),)
     for name, attempt in cascade:
         path[:, 0], path[:, 1] = case.start, 0.0 if guess is None else guess
         log[:] = 0.0
@@ -83,20 +85,20 @@ def run_cascade(case, method, guess):
         if outcome > 0:
             break
     if case.problem.quadratic:
-        doubtful = outcome > 0 and guess is None and attempt is not from_least_action
-        if doubtful and misses_by_far(case, path[-1, 0]):
-            made, found, note = by_less_action(case, factor, path, points, log)
+        is_doubtful = outcome > 0 and guess is None and attempt is not from_least_action
+        if is_doubtful and misses_by_far(case, path[-1, 0]):
+            made, cheaper, note = by_less_action(case, factor, path, points, log)
             iterations, tangents = iterations + made, tangents + int(log[:, 1].sum())
-            residual = residual if found is None else found
-            attempts.insert(len(attempts) - (found is None), f"shooting from a path of least action: {note}")
+            residual = residual if cheaper is None else cheaper
+            attempts.insert(len(attempts) - (cheaper is None), f"shooting from a path of least action: {note}")
     return outcome, path, points, iterations, tangents, residual, tuple(attempts)
 
 
 def by_less_action(case, factor, path, points, log):
-    """Shoot from a path of least action as well as whatever led to `path`, and keep what costs less.
+    """Shoot from a path of least action as well, and keep the path with the lower cost.
 
-    With a sigma, equations are solved by any stationary point of the cost, such as two points that ought to change
-    positions and end together half way. Returns iterations, the residual if something cheaper was found, a note.
+    With a sigma, any stationary point of the cost solves the equations. Two points that should change positions may,
+    for example, end together half way. Return iterations, the residual of a cheaper path or None, and a note.
     """
     other, other_points = allocate_path(case)
     log[:] = 0.0
@@ -104,10 +106,10 @@ def by_less_action(case, factor, path, points, log):
     if outcome <= 0:
         return made, None, f"{OUTCOMES[outcome]}, {made} iterations"
     energy, h = np.empty(case.steps + 1), case.duration / case.steps
-    given = case.problem.pairs, h, case.own, case.parameters
+    arguments = case.problem.pairs, h, case.own, case.parameters
     costs = [
-        penalised(case, cost_and_energies(*given, *found, case.problem.costs, energy), found[0][-1, 0])
-        for found in ((path, points), (other, other_points))
+        penalised(case, cost_and_energies(*arguments, *solution, case.problem.costs, energy), solution[0][-1, 0])
+        for solution in ((path, points), (other, other_points))
     ]
     if not costs[1] < costs[0]:
         return made, None, f"solved, {made} iterations, but nothing that costs less"
@@ -116,14 +118,14 @@ def by_less_action(case, factor, path, points, log):
 
 
 def penalised(case, cost, end):
-    """Return half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, shape (n, d), that may miss."""
+    """Return half the cost plus sum |q_N - target|^2/(2 sigma^2) over the points `end`, (n, d), with a sigma."""
     free = case.sigma > 0.0
     missed = ((end - case.target)[free] / case.sigma[free, None]) ** 2
     return 0.5 * (cost + missed.sum())
 
 
 def misses_by_far(case, end):
-    """Return True if some of the points `end`, shape (n, d), that may miss its target does so by more than sigma."""
+    """Return True if any of the points `end`, shape (n, d), with a sigma misses its target by more than sigma."""
     return (np.linalg.norm(end - case.target, axis=1) > case.sigma)[case.sigma > 0.0].any()
 
 
@@ -132,19 +134,14 @@ def shoot_at(case, target, factor, path, points, log):
     return shoot(case._replace(target=target), factor, path, points, log)
 
 
-def from_guess(case, factor, path, points, log):
-    """Shoot from the momenta that are in `path`."""
-    return shoot_at(case, case.target, factor, path, points, log)
-
-
 def from_velocity(case, factor, path, points, log):
     """Shoot from the momenta of the straight way to the target."""
     path[0, 1] = straight_momenta(case, factor, case.target)
     return shoot_at(case, case.target, factor, path, points, log)
 
 
-def from_rest(case, factor, path, points, log):
-    """Shoot from vanishing momenta, whose first step is shortened where the momenta of the straight way fail."""
+def from_momenta(case, factor, path, points, log):
+    """Shoot from the momenta in `path`; from rest, the first step is shortened where straight momenta fail."""
     return shoot_at(case, case.target, factor, path, points, log)
 
 
@@ -157,16 +154,16 @@ def from_least_action(case, factor, path, points, log):
 
 
 def by_continuation(case, factor, path, points, log):
-    """Move the target from the start to where it belongs, by parts that grow with success."""
+    """Move the target from the start to its final position, by parts that grow with success."""
     done, part, total = 0.0, 0.25, 0
-    known = [(0.0, path[0, 1].copy())]
+    solved = [(0.0, path[0, 1].copy())]
     outcome, residual = 0, np.inf
     while done < 1.0 and part >= LEAST_PART:
         wanted = min(1.0, done + part)
         target = np.empty_like(case.target)
         case.problem.guide(case.start, case.target, wanted, target)
-        if len(known) > 1:
-            (s0, p0), (s1, p1) = known[-2:]
+        if len(solved) > 1:
+            (s0, p0), (s1, p1) = solved[-2:]
             path[0, 1] = p1 + (wanted - s1) / (s1 - s0) * (p1 - p0)
         else:
             path[0, 1] = straight_momenta(case, factor, target)
@@ -177,7 +174,7 @@ def by_continuation(case, factor, path, points, log):
         total += made
         if outcome > 0:
             done, part = wanted, 1.6 * part
-            known.append((wanted, path[0, 1].copy()))
+            solved.append((wanted, path[0, 1].copy()))
         else:
             part *= 0.4
     return (outcome if done >= 1.0 or outcome <= 0 else 0), total, residual if done >= 1.0 else np.inf
@@ -191,10 +188,10 @@ def allocate_path(case, start_momenta=None):
 
 
 def by_steps(case, factor, path, points, log):
-    """Solve with two or four times as many steps, then with ever fewer of them.
+    """Solve with two or four times as many steps, then with fewer and fewer steps.
 
-    Momenta are extrapolated in 1/N. Where motions are large, a few explicit steps may have no solution at all: then a
-    note says with how many steps there still is one.
+    Momenta are extrapolated in 1/N. If motions are large, a few explicit steps may have no solution at all. Then a note
+    states the least number of steps with a solution.
     """
     total, outcome = 0, 0
     for multiple in MORE_STEPS:
@@ -208,19 +205,19 @@ def by_steps(case, factor, path, points, log):
             break
     if outcome <= 0:
         return outcome, total, residual, f", with {finer.steps} steps"
-    known, ratio = [(1.0 / finer.steps, fine_path[0, 1].copy())], 0.7
+    solved, ratio = [(1.0 / finer.steps, fine_path[0, 1].copy())], 0.7
     while finer.steps > case.steps:
         fewer = case._replace(steps=max(case.steps, min(finer.steps - 1, int(ratio * finer.steps))))
-        momenta = known[-1][1]
-        if len(known) > 1:
-            (s0, p0), (s1, p1) = known[-2:]
+        momenta = solved[-1][1]
+        if len(solved) > 1:
+            (s0, p0), (s1, p1) = solved[-2:]
             momenta = p1 + (1.0 / fewer.steps - s1) / (s1 - s0) * (p1 - p0)
         fine_path, fine_points = allocate_path(fewer, momenta)
         outcome, made, residual = shoot_at(fewer, fewer.target, factor, fine_path, fine_points, log)
         total += made
         if outcome > 0:
             finer, ratio = fewer, max(0.5, 0.9 * ratio)
-            known.append((1.0 / finer.steps, fine_path[0, 1].copy()))
+            solved.append((1.0 / finer.steps, fine_path[0, 1].copy()))
         elif fewer.steps == finer.steps - 1:
             return outcome, total, residual, f", with {fewer.steps} steps, but solved with {finer.steps}"
         else:
@@ -239,7 +236,7 @@ LEAST_ACTION = ("shooting from the momenta of a path of least action", from_leas
 SHOOTING = (
     ("shooting from the momenta of the straight way", from_velocity),
     LEAST_ACTION,
-    ("shooting from rest", from_rest),
+    ("shooting from rest", from_momenta),
     ("continuation in the target", by_continuation),
 )
 ALL_STATES = (("Newton's method on all states from the guessed path", on_all_states),)
@@ -247,7 +244,7 @@ LAST = (("continuation in the number of steps", by_steps),)
 
 
 def attempts_of(case, method):
-    """Return the attempts of a method, in their order; a path of least action needs kinetic energy alone."""
+    """Return the attempts of a method in turn; a path of least action needs kinetic energy alone."""
     shooting = tuple(attempt for attempt in SHOOTING if attempt is not LEAST_ACTION or case.problem.quadratic)
     first = (*shooting, *ALL_STATES) if method == "stepping" else (*ALL_STATES, *shooting)
     return (*first, *LAST)
@@ -259,7 +256,7 @@ class Solution(NamedTuple):
     Attributes
     ----------
     status, message : str
-        "solved" or "not connected", and a sentence that says what was tried, with a remedy.
+        "solved" or "not connected", and a sentence on the attempts, with a remedy.
     cost : float
         The sum of 2 h H at the scheme's points.
     residual : float
@@ -275,7 +272,7 @@ class Solution(NamedTuple):
     energy : array (N + 1,)
         H.
     margin : float
-        The least value along the path of what the domain demands to be positive.
+        The least margin of the domain along the path, positive inside the domain.
     """
 
     status: str
@@ -294,14 +291,13 @@ class Solution(NamedTuple):
 
 @packed_operations()
 def solve_case(case, guess=None, method=None):
-    """Connect the points of a case, from the momenta `guess` (n, d), if they are given; return a Solution.
+    """Connect the points of a case, from the momenta `guess` (n, d), if given; return a Solution.
 
-    `method` says in which order attempts are made, by default that of the module.
-
-    Never raises when the numerics fail.
+    `method` chooses the order of attempts, by default that of the module. Numerical failures raise no error.
     """
-    found = run_cascade(case, method or case.problem.metadata.method, guess)
-    outcome, path, points, iterations, tangents, residual, attempts = found
+    outcome, path, points, iterations, tangents, residual, attempts = run_cascade(
+        case, method or case.problem.metadata.method, guess
+    )
     status = "solved" if outcome > 0 else "not connected"
     message = (
         attempts[-1]
@@ -310,12 +306,69 @@ def solve_case(case, guess=None, method=None):
         "out points that are close together and move apart"
     )
     h = case.duration / case.steps
-    finite = bool(np.isfinite(path).all() and np.isfinite(points).all())
-    cost, energy = np.nan, np.full(case.steps + 1, np.nan)
-    if finite:
-        given = case.problem.pairs, h, case.own, case.parameters, path, points
-        cost = cost_and_energies(*given, case.problem.costs, energy)
-    margin = min(case.problem.domain_margin(z) for z in path) if finite else np.nan
+    cost, energy, margin = np.nan, np.full(case.steps + 1, np.nan), np.nan
+    if np.isfinite(path).all() and np.isfinite(points).all():
+        arguments = case.problem.pairs, h, case.own, case.parameters, path, points
+        cost = cost_and_energies(*arguments, case.problem.costs, energy)
+        margin = min(case.problem.domain_margin(z) for z in path)
     t = h * np.arange(case.steps + 1)
     q, p = path[:, 0].copy(), path[:, 1].copy()
     return Solution(status, message, cost, residual, iterations, tangents, attempts, t, q, p, energy, margin)
+
+
+class Case(NamedTuple):
+    """Points to connect: start and target (n, d), sigma (n,), own parameters (n, k), settings, the `PairProblem`."""
+
+    start: np.ndarray
+    target: np.ndarray
+    sigma: np.ndarray
+    own: np.ndarray
+    parameters: np.ndarray
+    steps: int
+    duration: float
+    tolerance: float
+    max_iterations: int
+    problem: PairProblem
+
+
+def checked_case(problem, start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations):
+    """Return a Case; ValueError names the unusable points or argument."""
+    start, target = np.array(start, dtype=float), np.array(target, dtype=float)
+    if start.ndim != 2 or start.shape[1] != problem.dimension or start.shape[0] < 1:
+        raise ValueError(f"start has shape {start.shape}, expected (n, {problem.dimension}) with at least one point")
+    if target.shape != start.shape:
+        raise ValueError(f"there are {len(start)} points at the start but {len(target)} at the target")
+    count = len(start)
+    sigma = np.array(np.broadcast_to(np.asarray(sigma, dtype=float), (count,)))
+    if not np.isfinite(sigma).all() or (sigma < 0.0).any():
+        raise ValueError("sigma must be finite and not negative")
+    own = np.array([np.broadcast_to(np.asarray(values, dtype=float), (count,)) for values in own]).reshape(-1, count).T
+    for name, column in zip(problem.metadata.own, own.T, strict=True):
+        if not np.isfinite(column).all():
+            raise ValueError(f"{name} must be finite, got {column}")
+    for what, points in (("start", start), ("target", target)):
+        require_possible(problem, what, points)
+    parameters = np.array(parameters, dtype=float)
+    if not np.isfinite(parameters).all():
+        raise ValueError(f"parameters must be finite, got {parameters}")
+    steps, duration = checked_times(steps, duration)
+    own, max_iterations = np.ascontiguousarray(own), checked_count("max_iterations", max_iterations)
+    tolerance = checked_tolerance(tolerance, 1e-6)
+    return Case(start, target, sigma, own, parameters, steps, duration, tolerance, max_iterations, problem)
+
+
+def require_possible(problem, what, points):
+    """Raise ValueError for points, shape (n, d), that are not finite, outside their domain, or given twice."""
+    if not np.isfinite(points).all():
+        row = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise ValueError(f"{what} of point {row + 1} is {points[row]}, expected finite numbers")
+    if not problem.domain_margin(np.stack([points, np.zeros_like(points)])) > 0.0:
+        margins = (problem.domain_margin(np.stack([points[k : k + 1]] * 2)) for k in range(len(points)))
+        row = next(k for k, margin in enumerate(margins) if not margin > 0.0)
+        position = ", ".join(f"{x:.6g}" for x in points[row])
+        raise ValueError(f"{what} of point {row + 1}, ({position}), is on or outside the boundary of the domain")
+    order = np.lexsort(points.T)
+    same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
+    if same.size:
+        first, second = sorted(order[same[0] : same[0] + 2] + 1)
+        raise ValueError(f"{what} of points {first} and {second} is the same place; no map separates or joins them")

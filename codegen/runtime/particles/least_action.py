@@ -1,28 +1,28 @@
-"""A path of nearly least action between given points: where shooting should start when the straight way misleads it.
+"""A path of nearly least action between given points: a start of shooting where the straight way misleads it.
 
-The action sum_k v.G(q)^-1 v/(2h) with v = q_k+1 - q_k, q midway and G = H_pp is bounded below and grows without bound
-where points are driven together, so that a method of descent finds a minimum from any path. Where only a sigma is
-asked for, |q_N - target|^2/(2 sigma^2) is added and the last positions move as well. The method is BFGS with limited
-memory, which begins from the inverse of the second derivatives that leave out how G changes: a block-tridiagonal
-matrix. Source: Nocedal and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
+The action sum_k v.G(q)^-1 v/(2h), with v = q_k+1 - q_k, q midway and G = H_pp, is bounded below. It grows without bound
+as points approach each other, so that a descent method finds a minimum from any path. With a sigma,
+|q_N - target|^2/(2 sigma^2) is added and the last positions move as well. The method is BFGS with limited memory. It
+begins with the inverse of the second derivatives without the change of G, a block-tridiagonal matrix. Source: Nocedal
+and Wright (2006), Numerical optimization, algorithms 7.4 and 7.5.
 """
 
 import numpy as np
 
-INTERVALS = 20  # least number of intervals of the path: half as many mislead where particles pass closely
-BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # how far first paths are bent aside: particles may meet on the guessed one
+INTERVALS = 20  # least number of intervals of the path; ten mislead where particles pass closely
+BENDS = (0.0, 0.1, -0.1, 0.3, -0.3)  # bends of the first paths: particles may collide on the guessed path
 DESCENTS = 300  # iterations at most
-REFRESHED = 5  # iterations after which the second derivatives are taken anew, and what was learnt is forgotten
-WORTHWHILE = 1e-6  # decrease of the action, as a part of it, that is still worth an iteration
+REFRESHED = 5  # iterations after which second derivatives are evaluated again and the memory is cleared
+WORTHWHILE = 1e-6  # least relative decrease of the action in an iteration
 SUFFICIENT = 1e-4  # part of the decrease along the slope that a step has to reach
 SHORTEST = 2.0**-20  # least part of a step that is tried
-MOST_ENTRIES = 5_000_000  # entries of the matrices G of a path: of more particles than about 500 none is sought
+MOST_ENTRIES = 5_000_000  # largest number of entries of the matrices G of a path, with about 500 particles
 
 
 def action_of(case, positions):
     """Return the action of positions (N + 1, n, d) at the nodes, its gradient, momenta (N, n, d), and all G^-1.
 
-    The action is infinite, and the rest None, where a path leaves the domain or G has no inverse.
+    The action is infinite, and the rest None, if a path leaves the domain or G has no inverse.
     """
     count, (n, d) = len(positions) - 1, case.start.shape
     h, size = case.duration / count, n if case.problem.blocks == 1 else n * d
@@ -73,7 +73,7 @@ def stiffness(case, inverses):
 
 
 def relaxed(pivots, couplings, forces):
-    """Solve with what `stiffness` returned, for forces at the nodes 1 ... N, shape (N, n, d)."""
+    """Solve with the result of `stiffness`, for forces at the nodes 1 ... N, shape (N, n, d)."""
     right = forces.reshape(*pivots.shape[:2], -1).copy()
     for k, coupling in enumerate(couplings):
         right[k + 1] -= coupling.T @ pivots[k] @ right[k]
@@ -105,7 +105,7 @@ def bent_path(case, count, bend):
 
 
 def path_intervals(case):
-    """Return the number of intervals of a path, zero where its matrices were too large to work with."""
+    """Return the number of intervals of a path, zero if its matrices would be too large."""
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     most = MOST_ENTRIES // size**2
     return min(max(INTERVALS, case.steps), most) if most >= INTERVALS else 0
@@ -114,10 +114,10 @@ def path_intervals(case):
 def momenta_of_least_action(case):
     """Return momenta (n, d) at the start of a path of nearly least action.
 
-    NaN where no guessed path has an action, and where there are too many particles for `path_intervals`.
+    NaN if no guessed path has a finite action, and if there are too many particles for `path_intervals`.
     """
     count = path_intervals(case)
-    with np.errstate(all="ignore"):  # what is not finite is looked for wherever it matters
+    with np.errstate(all="ignore"):  # non-finite numbers are tested where they matter
         positions, momenta = descended(case, count) if count else (None, None)
     if momenta is None:
         return np.full(case.start.shape, np.nan)
@@ -138,7 +138,7 @@ def descended(case, count):
             memory = []
             try:
                 pivots, couplings = stiffness(case, inverses)
-            except np.linalg.LinAlgError:  # rounding has made it singular: what was reached has to do
+            except np.linalg.LinAlgError:  # rounding has made the matrix singular: keep the path so far
                 break
         way = direction(pivots, couplings, memory, gradient[1:])
         decrease = -(way * gradient[1:]).sum()
@@ -148,8 +148,8 @@ def descended(case, count):
         while length >= SHORTEST and reached is None:
             trial = positions.copy()
             trial[1:] += length * way
-            found = action_of(case, trial)
-            reached = found if found[0] <= action - SUFFICIENT * length * decrease else None
+            result = action_of(case, trial)
+            reached = result if result[0] <= action - SUFFICIENT * length * decrease else None
             length *= 0.5
         if reached is None:
             break

@@ -1,14 +1,14 @@
-"""The motion of particles from given states: arguments checked, steps made, and what is measured along the motion."""
+"""The motion of particles from initial states: checks of arguments, steps, and quantities along the motion."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from codegen.runtime.addresses import data_of, reals_at
-from codegen.runtime.packing import packed_operations
-from codegen.runtime.particles.steps import advance
-from codegen.runtime.particles.trajectory import energy_of
+from codegen.runtime.kernels import packed_operations
+from codegen.runtime.particles.problem import PairProblem
+from codegen.runtime.particles.steps import advance, energy_of
 from codegen.runtime.search.grid import checked_count, checked_times
 from codegen.runtime.stepping.motion import Solution, describe, require_finite
 from codegen.runtime.stepping.steps import checked, stored, stored_last
@@ -27,7 +27,7 @@ class Grid(NamedTuple):
     parameters: np.ndarray
     start: np.ndarray
     own: np.ndarray
-    problem: Any
+    problem: PairProblem
 
 
 def checked_step_grid(problem, steps, duration, parameters, start, own):
@@ -52,11 +52,11 @@ def checked_step_grid(problem, steps, duration, parameters, start, own):
 def follow_particles(pairs, start, steps, h, own, parameters, every, path, before):
     """Make all steps from a state, and store states in rows of `path` and `before` (M, 2 n d).
 
-    Stops at the first step that fails, and then stores the last good state. Returns the number of steps made, the rows
-    of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
+    A step that fails ends the motion; the last good state is then stored. Return the number of steps made, the rows of
+    `path` in use, the iterations and 0, or a negative number for the reason of the failure.
     """
     state, end, rows, iterations, wait = start.copy(), np.empty(start.shape), 1, 0, every
-    points = np.full((pairs.points, *start.shape), np.nan)  # none is known, and none is near
+    points = np.full((pairs.points, *start.shape), np.nan)  # without an initial guess
     now, after, size = reals_at(data_of(state)), reals_at(data_of(end)), start.size
     states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
     for i in range(size):
@@ -103,10 +103,10 @@ def energies_of(pairs, path, own, parameters, shape, values):
 
 @packed_operations()
 def follow_motion(grid, every=1):
-    """Make all steps and return a Solution; a step that fails ends the motion, and nothing is raised then.
+    """Make all steps and return a Solution; a step that fails ends the motion without an error.
 
-    Every `every`-th state is stored, beside the first and the last. Columns are coordinates, particle after particle.
-    The residual is the max-norm of a step made anew minus the stored state. Raises ValueError when `every` is unusable.
+    Every `every`-th state is stored, and the first and the last. Columns are coordinates, particle after particle. The
+    residual is the max-norm of a repeated step minus the stored state. ValueError if `every` is unusable.
     """
     steps, h, parameters, start, own, problem = grid
     every, size, pairs = min(checked_count("every", every), steps), start.size, problem.pairs
@@ -125,12 +125,12 @@ def follow_motion(grid, every=1):
 def path_residual(grid, path):
     """Return the max-norm of the steps from consecutive states (M, 2 n d) minus the next state."""
     path = np.array(path, dtype=float)
-    given = grid.h, grid.own, grid.parameters, grid.start.shape
-    return largest_difference(grid.problem.pairs, path, path, path.shape[0], *given)
+    arguments = grid.h, grid.own, grid.parameters, grid.start.shape
+    return largest_difference(grid.problem.pairs, path, path, path.shape[0], *arguments)
 
 
 def step(grid, state, t=0.0):
-    """Return the state (2 n d,) a step of length grid.h after `state`; NaN when it cannot be made."""
+    """Return the state (2 n d,) a step of length grid.h after `state`; NaN if the step fails."""
     z, after = np.array(state, dtype=float).reshape(grid.start.shape), np.empty(grid.start.shape)
     points = np.full((grid.problem.points, *z.shape), np.nan)
     outcome = advance(grid.problem.pairs, z, grid.h, grid.own, grid.parameters, points, 0.0, after)

@@ -1,14 +1,14 @@
-"""What is special about particles that interact in pairs, as their generated module states it."""
+"""The definition of a problem of particles that interact in pairs, as its generated module passes it."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value, problem_of
 from codegen.runtime.particles.steps import Pairs
 from codegen.runtime.particles.tracers import Tracers
+from codegen.runtime.record import ParticleRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class PairProblem:
     slope, velocity : Kernel or None
         H_q and H_p (n, d) by themselves, of a separable H whose positions and momenta take turns.
     domain_margin : Value or None
-        The least value of what must be positive wherever a particle is.
+        The least of the functions that must be positive at all particles.
     guide : Kernel or None
         Positions (n, d) after a part of the guessed way.
     tracer_velocity, tracer_gradient : Kernel or None
@@ -46,10 +46,10 @@ class PairProblem:
     cost_weights : tuple
         Weights of the points of a step in the discrete cost.
     abscissa : float
-        Where on an interval the discrete action takes H.
+        Abscissa on an interval at which the discrete action evaluates H.
     """
 
-    metadata: Any
+    metadata: ParticleRecord
     dimension: int
     hamiltonian: Value
     blocks: int = 1
@@ -70,7 +70,7 @@ class PairProblem:
     cost_weights: tuple[float, ...] = ()
     abscissa: float = 0.0
     block: int = 1
-    coefficients: Any = field(init=False)
+    coefficients: np.ndarray = field(init=False)
 
     def __post_init__(self):
         """Keep the coefficients of the scheme as one array: substeps (s, 3), or rows and weights (s + 1, s)."""
@@ -93,7 +93,7 @@ class PairProblem:
 
     @cached_property
     def pairs(self):
-        """What compiled code knows of the problem: addresses and numbers."""
+        """Addresses and numbers of the problem for compiled code."""
         return Pairs(
             self.hamiltonian.address, address_of(self.gradient), address_of(self.hessian if self.is_implicit else None),
             0, address_of(self.slope), address_of(self.velocity), address_of(self.domain_margin), self.points,
@@ -102,7 +102,7 @@ class PairProblem:
 
     @cached_property
     def pairs_with_products(self):
-        """The same, with products of second derivatives and directions, which take the place of stored derivatives."""
+        """The same, with products of second derivatives and directions instead of stored derivatives."""
         return self.pairs._replace(products=self.products.address)
 
     @cached_property
@@ -112,7 +112,7 @@ class PairProblem:
 
     @cached_property
     def tracers(self):
-        """What compiled code knows of points without momenta."""
+        """Addresses and numbers of points without momenta for compiled code."""
         return Tracers(
             self.tracer_velocity.address, self.tracer_gradient.address, self.dimension, self.block, self.points,
             int(not self.substeps), self.coefficients.ctypes.data,
@@ -127,11 +127,11 @@ class PairProblem:
         return tuple(kernel for kernel in every if kernel is not None)
 
     def compile(self):
-        """Compile what is special about the problem."""
+        """Compile all kernels of the problem."""
         for kernel in self.kernels():
             kernel.address  # noqa: B018
 
 
 def address_of(kernel):
-    """Return the address of a kernel, 0 where there is none."""
+    """Return the address of a kernel, or 0 for None."""
     return 0 if kernel is None else kernel.address

@@ -1,24 +1,108 @@
-"""Newton's method on the initial momenta, by exact tangents of the trajectory.
+"""Newton's method on the initial momenta, by exact tangents of the trajectory, and Broyden's method before it.
 
-The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target; with sigma = 0 points are met exactly. For sigma > 0 this
+The equations are r(p0) = q_N(p0) + sigma^2 p_N(p0) - target. With sigma = 0 points are met exactly. For sigma > 0 this
 is stationarity of the cost's half plus sum |q_N - target|^2/(2 sigma^2), since p_N is its gradient by q_N. The same
-method solves for all states at once (multiple shooting with one step for each interval): then each step may have a
-defect, and states move along the linearised trajectory, which is what elimination of the block-banded Jacobian gives.
+method solves for all states at once (multiple shooting with one step for each interval). Then each step may have a
+defect, and states move along the linearised trajectory: this is elimination of the block-banded Jacobian.
 
-Few unknowns are solved for by tangents in all directions at once. Many are first improved by Broyden's method, then
-solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing terms
-are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2; the line search halves
-steps until the residual decreases.
+Few unknowns are solved for by tangents in all directions at once. Many unknowns are first improved by Broyden's method,
+then solved for by GMRES preconditioned with H_pp at the start, the derivative of r for vanishing motion. The forcing
+terms are those of Eisenstat and Walker (1996), SIAM Journal on Scientific Computing 17, choice 2. The line search
+halves steps until the residual decreases.
+
+An iteration of Broyden's method costs one trajectory and no derivative. The first approximation of the derivative is
+duration times H_pp at the start. Each step corrects the approximation by a matrix of rank one. Newton's method takes
+over when the residual no longer falls. Source: Kelley (1995), Iterative methods for linear and nonlinear equations,
+section 7.3 (the inverse as a product).
 """
 
 import numpy as np
 from numba import njit
 
-from codegen.runtime.lu import factor_matrix, solve_factored
-from codegen.runtime.particles.broyden import broyden_steps
-from codegen.runtime.particles.pair_algebra import cholesky, largest, solve_cholesky
-from codegen.runtime.particles.steps import advance_directions, curvature_at
-from codegen.runtime.particles.trajectory import defects, follow
+from codegen.runtime.arithmetic import cholesky, factor_matrix, max_norm, solve_cholesky, solve_factored
+from codegen.runtime.particles.steps import advance_directions, curvature_at, defects, follow
+
+BROYDEN_STEPS = 40  # iterations, each of which keeps two vectors
+PATIENCE = 6  # iterations after which the residual must have halved
+ENOUGH = 1e-4  # relative accuracy of implicit steps, as a part of that of the arrival before
+
+
+@njit(error_model="numpy")
+def fill_end_residual(state, target, sigma, residual):
+    """Fill `residual`, shape (nd,), with q_N + sigma^2 p_N - target; return its largest entry and its 2-norm."""
+    size, total, k = 0.0, 0.0, 0
+    for i in range(target.shape[0]):
+        for a in range(target.shape[1]):
+            value = state[0, i, a] + sigma[i] * sigma[i] * state[1, i, a] - target[i, a]
+            residual[k] = value
+            size, total, k = max(size, abs(value)), total + value * value, k + 1
+    return size, np.sqrt(total)
+
+
+@njit(error_model="numpy")
+def approximate_inverse(factor, left, right, values, change):
+    """Fill `change`, shape (nd,), with the approximate inverse of the derivative times `values`.
+
+    A row of `left` and `right`, shape (steps, nd), is the correction by a step.
+    """
+    for k in range(values.size):
+        change[k] = values[k]
+    solve_cholesky(factor, change.reshape((factor.shape[0], values.size // factor.shape[0])))
+    for c in range(left.shape[0]):
+        product = 0.0
+        for k in range(values.size):
+            product += right[c, k] * change[k]
+        for k in range(values.size):
+            change[k] += left[c, k] * product
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def broyden_steps(pairs, h, own, parameters, target, sigma, factor, tolerance, path, points):
+    """Improve path[0, 1], shape (n, d), as long as the residual falls; return the number of steps.
+
+    At the end `path` and `points` belong to the best momenta. The caller has to evaluate the residual.
+    """
+    size = target.size
+    left, right = np.empty((BROYDEN_STEPS, size)), np.empty((BROYDEN_STEPS, size))
+    step, change, residual = np.empty(size), np.empty(size), np.empty(size)
+    momenta = path[0, 1].reshape(size)
+    kept = momenta.copy()
+    error, norm = fill_end_residual(path[-1], target, sigma, residual)
+    scale = max(max_norm(target.reshape(size)), 1e-300)
+    start, best, halved, waited, made, is_kept = norm, norm, norm, 0, 0, True
+    approximate_inverse(factor, left[:made], right[:made], residual, step)
+    while made < BROYDEN_STEPS and error > tolerance and waited < PATIENCE:
+        for k in range(size):
+            step[k] = -step[k]
+            momenta[k] += step[k]
+        made, waited, is_kept = made + 1, waited + 1, False
+        if follow(pairs, h, own, parameters, path, points, max(ENOUGH * error / scale, 1e-15)) < 0:
+            break
+        error, norm = fill_end_residual(path[-1], target, sigma, residual)
+        if not norm <= 2.0 * start:
+            break
+        if norm < best:
+            best, kept, is_kept = norm, momenta.copy(), True
+        if norm < 0.5 * halved:
+            halved, waited = norm, 0
+        approximate_inverse(factor, left[: made - 1], right[: made - 1], residual, change)
+        along = 0.0
+        for k in range(size):
+            along += step[k] * (step[k] + change[k])
+        if not abs(along) > 0.0:
+            break
+        product = 0.0
+        for k in range(size):
+            left[made - 1, k], right[made - 1, k] = -change[k] / along, step[k]
+            product += step[k] * change[k]
+        for k in range(size):
+            step[k] = change[k] * (1.0 - product / along)
+    if not is_kept:
+        for k in range(size):  # an assignment of arrays has numba compile text for errors: a tenth of all time
+            momenta[k] = kept[k]
+        follow(pairs, h, own, parameters, path, points, 0.0)
+    return made
+
 
 SOLVED, ROUNDED, LIMIT, STALLED, SINGULAR = 1, 2, 0, -5, -2  # how a Newton iteration ends; negative also: `follow`
 DENSE = 24  # unknowns up to which tangents in all directions are taken
@@ -31,7 +115,7 @@ VISIBLE = 1e-8  # residuals above this are not put down to rounding
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def tangents(pairs, hessians, points, steps, h, own, parameters, directions):
-    """Propagate directions, shape (2nd, m), over all steps in place; return whether every step was solved."""
+    """Propagate directions, shape (2nd, m), over all steps in place; return True if every step was solved."""
     after = np.empty(directions.shape)
     for k in range(steps):
         if not advance_directions(pairs, hessians, points, k * pairs.points, h, own, parameters, directions, after):
@@ -96,18 +180,18 @@ class Linearised:
         self.pairs = case.problem.pairs if self.hessians.size else case.problem.pairs_with_products
 
     def advance(self, k, directions, after):
-        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if it cannot be had."""
+        """Fill `after` (2nd, m) with the derivative of step k times directions; return False if that fails."""
         case, first = self.case, k * self.pairs.points
-        given = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
-        return advance_directions(*given, directions, after)
+        arguments = self.pairs, self.hessians, self.points, first, case.duration / case.steps, case.own, case.parameters
+        return advance_directions(*arguments, directions, after)
 
     def tangents(self, directions):
         """Propagate directions, shape (2nd, m), over all steps in place; NaN where a step cannot be solved."""
         case = self.case
         self.count += directions.shape[1]
         h = case.duration / case.steps
-        given = self.pairs, self.hessians, self.points, case.steps, h, case.own, case.parameters
-        if not tangents(*given, directions):
+        arguments = self.pairs, self.hessians, self.points, case.steps, h, case.own, case.parameters
+        if not tangents(*arguments, directions):
             directions[:] = np.nan
         return directions
 
@@ -141,7 +225,7 @@ class Linearised:
         return result.ravel()
 
     def gmres(self, right, forcing):
-        """Return the same to a relative residual of `forcing`, as far as BASIS directions go."""
+        """Return the result of `solved` to a relative residual of `forcing`, as far as BASIS directions suffice."""
         most, norm = min(BASIS, right.size), np.linalg.norm(right)
         basis, rotated = np.empty((most + 1, right.size)), np.zeros((most, most + 1))
         rotations, remainder = np.zeros((most, 2)), np.zeros(most + 1)
@@ -161,7 +245,7 @@ class Linearised:
 def preconditioner(case):
     """Return the Cholesky factor of duration times H_pp at the start plus sigma^2, shape (n, n) or (nd, nd).
 
-    It is what `end_residual` changes by where momenta are small. None if it is not definite.
+    The matrix is the derivative of `end_residual` for small momenta. None if it is not definite.
     """
     size = case.start.shape[0] if case.problem.blocks == 1 else case.start.size
     matrix = np.empty((size, size))
@@ -178,58 +262,53 @@ def jittered(values):
 
 
 def rounding(case, path):
-    """Return how far the residual moves when the initial momenta move by a unit in the last place.
+    """Return the change of the residual when the initial momenta change by a unit in the last place.
 
-    They cannot be had more exactly, and the trajectory's own rounding errors show as well: no iteration can be expected
-    to get below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
+    Momenta cannot be more exact, and rounding errors of the trajectory add to this. No iteration can be expected to get
+    below. Source: More and Wild (2011), Estimating computational noise, SIAM Journal on Scientific Computing 33.
     """
     h, residual, noise = case.duration / case.steps, end_residual(path[-1], case.target, case.sigma), 0.0
     trial, points = path.copy(), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for momenta in jittered(path[0, 1]):
         trial[0, 1] = momenta
         if follow(case.problem.pairs, h, case.own, case.parameters, trial, points, 0.0) >= 0:
-            noise = max(noise, largest(end_residual(trial[-1], case.target, case.sigma) - residual))
+            noise = max(noise, max_norm(end_residual(trial[-1], case.target, case.sigma) - residual))
     return noise
 
 
 def rounding_of_states(case, path, errors):
-    """Return the same for the defects (N, 2, n, d) of all steps, when all states move by a unit in the last place."""
+    """Return the change of the defects (N, 2, n, d) of all steps when all states change by a unit in the last place."""
     h, noise = case.duration / case.steps, 0.0
-    found, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
+    moved_errors, points = np.empty_like(errors), np.empty((case.steps * case.problem.points, *path.shape[1:]))
     for trial in jittered(path):
-        if defects(case.problem.pairs, h, case.own, case.parameters, trial, points, found) >= 0:
-            noise = max(noise, largest((found - errors).ravel()))
+        if defects(case.problem.pairs, h, case.own, case.parameters, trial, points, moved_errors) >= 0:
+            noise = max(noise, max_norm((moved_errors - errors).ravel()))
     return noise
 
 
 def without_progress(error, noise):
-    """Return how an iteration ends whose steps no longer reduce the residual: rounding excuses no more than VISIBLE."""
+    """Return the outcome when steps no longer reduce the residual; rounding errors are VISIBLE at most."""
     return ROUNDED if error <= min(noise, VISIBLE) else STALLED
-
-
-def first_steps(case, h, factor, path, points):
-    """Steps of Broyden's method, where unknowns are many and H_pp at the start is definite; return how many."""
-    if factor is None or case.start.size <= DENSE:
-        return 0
-    given = case.problem.pairs, h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance
-    return broyden_steps(*given, path, points)
 
 
 def shoot(case, factor, path, points, log):
     """Improve the initial momenta path[0, 1] until the trajectory arrives; fill `path`, `points` and `log`.
 
     `factor` is that of `preconditioner`. A row of `log`, one for each iteration, is (residual, tangents, step length).
-    Return how it ended, the iterations and the last residual.
+    Return the outcome, the iterations and the last residual.
     """
     h = case.duration / case.steps
     trial_path, trial_points = np.empty_like(path), np.empty_like(points)
     outcome = follow(case.problem.pairs, h, case.own, case.parameters, path, points, 0.0)
     if outcome < 0:
         return outcome, 0, np.inf
-    made = first_steps(case, h, factor, path, points)
+    made = 0
+    if factor is not None and case.start.size > DENSE:
+        arguments = case.problem.pairs, h, case.own, case.parameters, case.target, case.sigma, factor, case.tolerance
+        made = broyden_steps(*arguments, path, points)
     residual, previous = end_residual(path[-1], case.target, case.sigma), np.inf
     for iteration in range(case.max_iterations + 1):
-        error, norm = largest(residual), np.linalg.norm(residual)
+        error, norm = max_norm(residual), np.linalg.norm(residual)
         log[iteration, 0] = error
         if error <= case.tolerance or iteration == case.max_iterations:
             return SOLVED if error <= case.tolerance else LIMIT, made + iteration, error
@@ -269,7 +348,7 @@ def all_states(case, factor, path, points, log):
         return outcome, 0, np.inf
     residual = end_residual(path[-1], case.target, case.sigma)
     for iteration in range(case.max_iterations + 1):
-        error = max(largest(errors.ravel()), largest(residual))
+        error = max(max_norm(errors.ravel()), max_norm(residual))
         log[iteration, 0] = error
         if error <= case.tolerance or iteration == case.max_iterations:
             return SOLVED if error <= case.tolerance else LIMIT, iteration, error
@@ -286,12 +365,11 @@ def all_states(case, factor, path, points, log):
         length, accepted = 1.0, False
         for _ in range(HALVINGS):
             trial_path[:] = path + length * shifts.reshape(path.shape)
-            inside = all(case.problem.domain_margin(z) > 0.0 for z in trial_path)
-            if (
-                inside
-                and defects(case.problem.pairs, h, case.own, case.parameters, trial_path, trial_points, trial_errors)
-                >= 0
-            ):
+            outcome = -1
+            if all(case.problem.domain_margin(z) > 0.0 for z in trial_path):
+                arguments = case.problem.pairs, h, case.own, case.parameters
+                outcome = defects(*arguments, trial_path, trial_points, trial_errors)
+            if outcome >= 0:
                 trial = end_residual(trial_path[-1], case.target, case.sigma)
                 if np.hypot(np.linalg.norm(trial_errors), np.linalg.norm(trial)) <= (1.0 - 1e-4 * length) * norm:
                     accepted = True

@@ -1,11 +1,11 @@
-"""One step of particles that interact in pairs, and its derivative.
+"""Steps of particles that interact in pairs, derivatives of steps, and sequences of steps.
 
-A composition method takes the field F = (H_p, -H_q) of each substep at one point between its ends: z1 = z0 + f h F(q,
-p) with q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1. Implicit substeps are iterated as they stand, which contracts by
-about h |H''|; where that is slow, Newton's method takes over with the generated second derivatives, whose matrix is
-factored anew only when the factors at hand no longer serve. Where H is separable and a and b are zero or one,
-positions and momenta take turns. An explicit Runge-Kutta method is k_i = F(z0 + h sum_j a_ij k_j), z1 = z0 + h sum_i
-b_i k_i.
+A composition method evaluates the field F = (H_p, -H_q) of each substep at one point between its ends:
+z1 = z0 + f h F(q, p) with q = (1 - a) q0 + a q1, p = (1 - b) p0 + b p1. Implicit substeps are solved by fixed-point
+iteration, which contracts by about h |H''|. Where that is slow, Newton's method takes over with the generated second
+derivatives. Its matrix is factored again only when the present factors no longer serve. If H is separable and a and b
+are zero or one, positions and momenta are updated in turn. An explicit Runge-Kutta method is
+k_i = F(z0 + h sum_j a_ij k_j), z1 = z0 + h sum_i b_i k_i.
 
 States have shape (2, n, d), own parameters (n, k).
 """
@@ -15,21 +15,21 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, njit
 
-from codegen.runtime.addresses import call, data_of, reals_at
-from codegen.runtime.lu import factor_matrix, solve_factored
-from codegen.runtime.particles.pair_algebra import copy_state, symmetric_product
+from codegen.runtime.addresses import call, call_value, data_of, reals_at
+from codegen.runtime.arithmetic import copy_state, factor_matrix, solve_factored, symmetric_product
 
-NON_FINITE, NOT_CONVERGED = -1, -3  # why a step fails
-PLAIN, NEWTON = 40, 25  # iterations of a substep as it stands, and by Newton's method
-ROUNDING = 1e-15  # relative change below which nothing is left but rounding
-STORED = 3.0e7  # numbers in all matrices of second derivatives up to which they are stored (240 MB)
+NON_FINITE, NOT_CONVERGED = -1, -3  # outcomes of a step that fails
+OUTSIDE = -4  # outcome of `follow` when a particle leaves its domain
+PLAIN, NEWTON = 40, 25  # fixed-point iterations of a substep, and Newton iterations
+ROUNDING = 1e-15  # smaller relative changes are rounding errors
+STORED = 3.0e7  # largest number of entries of all stored second derivatives (240 MB)
 
 
 class Pairs(NamedTuple):
-    """What compiled code knows of a `PairProblem`: integers, so that passing them counts no references.
+    """The data of a `PairProblem` for compiled code: integers, so that passing them counts no references.
 
-    Addresses of kernels, 0 where there is none; `points` of a step at which H is evaluated; 1 for Runge-Kutta methods;
-    and the address of the coefficients of the scheme.
+    Addresses of kernels, 0 for none; `points` of a step at which H is evaluated; 1 for Runge-Kutta methods; and the
+    address of the coefficients of the scheme.
     """
 
     hamiltonian: int
@@ -52,10 +52,10 @@ def fill(kernel, z, own, parameters, filled):
 
 @njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 def advance(pairs, z, h, own, parameters, points, near, after):
-    """Fill the state `after` a step from z; return the iterations, or why the step failed.
+    """Fill the state `after` a step from z; return the iterations, or the negative outcome of a failure.
 
-    `points` (points, 2, n, d) take the states at which H is evaluated. Where they are those of a step from a nearby
-    state, `near` is the relative accuracy that suffices for implicit substeps, which then begin there; else it is zero.
+    `points` (points, 2, n, d) take the states at which H is evaluated. If they are those of a step from a nearby state,
+    `near` is the relative accuracy that suffices for implicit substeps, which then begin there; else it is zero.
     """
     if pairs.slope:
         return take_turns(pairs, z, h, own, parameters, points, after)
@@ -114,8 +114,8 @@ def combined(z, h, gradients, weights, count, result):
 def take_turns(pairs, z, h, own, parameters, points, after):
     """Make a step of a separable Hamiltonian, in which nothing is solved; otherwise as `advance`.
 
-    Neighbouring substeps share what has not changed between them: H_q as long as positions rest, H_p as long as momenta
-    do. `points[0]` keeps H_q and the positions to which it belongs, for the step that follows.
+    Neighbouring substeps share unchanged derivatives: H_q as long as positions stay, H_p as long as momenta stay.
+    `points[0]` keeps H_q and the positions to which it belongs, for the step that follows.
     """
     rates, slopes, positions = np.empty(z[0].shape), points[0, 0], points[0, 1]
     table = carray(reals_at(pairs.coefficients), (pairs.points, 3))
@@ -183,16 +183,16 @@ def between(before, after, a, b, point):
 
 @njit(error_model="numpy")
 def is_settled(change, previous, size, accuracy):
-    """Return True if an iteration has come to a relative accuracy, or to where only rounding errors change it."""
+    """Return True if an iteration has reached a relative accuracy, or only rounding errors change it."""
     return change <= accuracy * size or (change <= 1e-12 * size and change >= 0.5 * previous)
 
 
 @njit(error_model="numpy")
 def implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient, point, after):
-    """Fill `after` (2, n, d) with the end of a substep; return the iterations, or why there is no solution.
+    """Fill `after` (2, n, d) with the end of a substep; return the iterations, or the negative outcome of a failure.
 
-    Where `point` is near to where the field will be evaluated, `near` is the relative accuracy that suffices, and the
-    iteration starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
+    If `point` is near the point of the solution, `near` is the relative accuracy that suffices, and the iteration
+    starts with the field at `point`. Else it is zero, and the start is an explicit Euler step.
     """
     if not near > 0.0:
         copy_state(before, point)
@@ -205,7 +205,7 @@ def implicit_substep(pairs, before, step, a, b, own, parameters, near, gradient,
         change, size = moved(before, step, gradient, after)
         if is_settled(change, previous, size, max(near, ROUNDING)):
             return iteration + 1
-        # Positions and momenta take turns, so that two iterations are compared.
+        # Positions and momenta change in turn, so that every second iteration is compared.
         if not change < np.inf or (iteration > 3 and change > 0.5 * earlier):
             break
         previous, earlier = change, previous
@@ -263,7 +263,7 @@ def substep_matrix(hessian, step, a, b, matrix):
 
 
 def curvature_at(problem, points, own, parameters):
-    """Return the second derivatives (P, 2nd, 2nd) at points (P, 2, n, d); an empty array where they are too many."""
+    """Return the second derivatives (P, 2nd, 2nd) at points (P, 2, n, d); an empty array if they exceed STORED."""
     are_too_many = float(points.shape[0]) * points[0].size ** 2 > STORED
     hessians = np.empty((0 if are_too_many else points.shape[0], points[0].size, points[0].size))
     if hessians.size:
@@ -282,7 +282,7 @@ def fill_curvature(hessian, points, own, parameters, hessians):
 def linearised_field(pairs, hessians, points, k, own, parameters, directions, products):
     """Fill `products` (2nd, m) with J H'' at the k-th point times directions.
 
-    H'' is stored in `hessians`, or where that is empty, a kernel makes products with it.
+    H'' is stored in `hessians`; if that is empty, a kernel computes products with it.
     """
     if hessians.shape[0] > 0:
         symmetric_product(hessians[k], directions, products)
@@ -393,4 +393,84 @@ def direct_directions(hessian, step, a, b, before, after):
         solve_factored(matrix, pivots, right)
         for row in range(size):
             after[row, c] = right[row]
+    return True
+
+
+@njit(error_model="numpy", forceinline=True)
+def energy_of(hamiltonian, z, own, parameters):
+    """Return H at a state (2, n, d), by a Value at an address."""
+    return call_value(hamiltonian, (data_of(z), z.shape[1], data_of(own), data_of(parameters)))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def follow(pairs, h, own, parameters, path, points, near):
+    """Fill `path` (N + 1, 2, n, d) from its first state, and `points` (N points, 2, n, d).
+
+    If `points` are those of a nearby trajectory, `near` is the relative accuracy that suffices for implicit steps,
+    which then begin there; else it is zero. Return the iterations of all implicit steps, or the negative outcome of a
+    failure.
+    """
+    iterations, count = 0, pairs.points
+    for k in range(path.shape[0] - 1):
+        after = path[k + 1]
+        outcome = advance(pairs, path[k], h, own, parameters, points[k * count : (k + 1) * count], near, after)
+        if outcome < 0:
+            return outcome
+        if not call_value(pairs.domain_margin, (data_of(after), after.shape[1])) > 0.0:
+            return OUTSIDE
+        iterations += outcome
+    return iterations
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def discrete_cost(pairs, h, own, parameters, points, weights):
+    """Return the sum of 2 h H over the points (N points, 2, n, d), with the scheme's weights."""
+    cost = 0.0
+    for k in range(points.shape[0]):
+        cost += 2.0 * h * weights[k % pairs.points] * energy_of(pairs.hamiltonian, points[k], own, parameters)
+    return cost
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def defects(pairs, h, own, parameters, path, points, errors):
+    """Fill `errors` (N, 2, n, d) with a step from each state minus the next state; return as `follow` does."""
+    after, iterations, count = np.empty(path[0].shape), 0, pairs.points
+    for k in range(path.shape[0] - 1):
+        outcome = advance(pairs, path[k], h, own, parameters, points[k * count : (k + 1) * count], 0.0, after)
+        if outcome < 0:
+            return outcome
+        for s in range(2):
+            for i in range(after.shape[1]):
+                for a in range(after.shape[2]):
+                    errors[k, s, i, a] = after[s, i, a] - path[k + 1, s, i, a]
+        iterations += outcome
+    return iterations
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cost_and_energies(pairs, h, own, parameters, path, points, weights, energy):
+    """Fill `energy` (N + 1,) with H at every state; return the discrete cost, see `discrete_cost`.
+
+    H is evaluated once if the first point of a step is the state from which the step starts.
+    """
+    cost, count = 0.0, pairs.points
+    for k in range(path.shape[0]):
+        energy[k] = energy_of(pairs.hamiltonian, path[k], own, parameters)
+    for k in range(points.shape[0]):
+        if same_state(points[k], path[k // count]):
+            value = energy[k // count]
+        else:
+            value = energy_of(pairs.hamiltonian, points[k], own, parameters)
+        cost += 2.0 * h * weights[k % count] * value
+    return cost
+
+
+@njit(error_model="numpy")
+def same_state(one, other):
+    """Return True if two states (2, n, d) are equal in every number."""
+    for s in range(2):
+        for i in range(one.shape[1]):
+            for a in range(one.shape[2]):
+                if one[s, i, a] != other[s, i, a]:
+                    return False
     return True

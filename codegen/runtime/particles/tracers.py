@@ -1,13 +1,13 @@
-"""Points without momenta, carried along the motion of particles, forwards or backwards, a block of them at once.
+"""Points without momenta, carried along the motion of particles, forwards or backwards, a block of points at once.
 
-They make the steps that the particles make. A substep of a composition method is x1 = x0 + f h V(x) at
-x = (1 - a) x0 + a x1, where V belongs to the particles' position at which their field was evaluated; its inverse is a
+They make the same steps as the particles. A substep of a composition method is x1 = x0 + f h V(x) at
+x = (1 - a) x0 + a x1, where V belongs to the particles' position at which their field was evaluated. Its inverse is a
 substep of length -f h with 1 - a in place of a. An explicit Runge-Kutta method has V_i = V(x0 + h sum_j a_ij V_j) at
-the particles' stage i, and x1 = x0 + h sum_i b_i V_i; its inverse solves this equation for x0. Equations are solved by
+the particles' stage i, and x1 = x0 + h sum_i b_i V_i. Its inverse solves this equation for x0. Equations are solved by
 Newton's method with the exact derivative.
 
-Positions, velocities and their changes of a block have shape (d block,), coordinate after coordinate, with those of all
-points in each. A matrix of each point, d rows of c columns, is kept in the same way, entry after entry: (d c block,).
+Positions, velocities and their changes of a block have shape (d block,), coordinate after coordinate, each for all
+points. A matrix of each point, d rows of c columns, is stored in the same way, entry after entry: (d c block,).
 """
 
 from typing import NamedTuple
@@ -16,15 +16,15 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import call, data_of, reals_at
-from codegen.runtime.particles.trajectory import defects
+from codegen.runtime.particles.steps import defects
 
-MOST = 30  # iterations of Newton's method
-SETTLED = 1e-15  # a change of a position, in units of length, that is not made any more
-NEAR = 3e-5  # a change after which the derivative at hand serves for another iteration
+MOST = 30  # largest number of iterations of Newton's method
+SETTLED = 1e-15  # negligible change of a position, in units of length
+NEAR = 3e-5  # smaller changes allow another iteration with the same derivative
 
 
 class Tracers(NamedTuple):
-    """What compiled code knows of points without momenta: integers, see `Pairs`."""
+    """The data of points without momenta for compiled code: integers, see `Pairs`."""
 
     velocity: int
     gradient: int
@@ -38,15 +38,15 @@ class Tracers(NamedTuple):
 @njit(error_model="numpy", forceinline=True)
 def velocity_at(tracers, positions, z, own, parameters, rates):
     """Fill `rates` (d block,) with velocities."""
-    given = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
-    call(tracers.velocity, given)
+    arguments = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
+    call(tracers.velocity, arguments)
 
 
 @njit(error_model="numpy", forceinline=True)
 def gradient_at(tracers, positions, z, own, parameters, rates, gradients):
     """Fill `rates` (d block,) with velocities and `gradients` (d d block,) with their derivatives."""
-    given = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
-    call(tracers.gradient, (*given, data_of(gradients)))
+    arguments = data_of(positions), data_of(z), z.shape[1], data_of(own), data_of(parameters), data_of(rates)
+    call(tracers.gradient, (*arguments, data_of(gradients)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -130,7 +130,7 @@ def substeps(tracers, k, h, stages, own, parameters, positions, tangents, veloci
 def implicit_positions(tracers, positions, step, z, own, parameters, middle, rates, gradients, matrices):
     """Solve middle = positions + step V(middle) by Newton's method from the guess in `middle`.
 
-    Once the positions are near, velocities alone are evaluated, and the derivative of the last iteration serves again.
+    Close to the solution only velocities are evaluated, with the derivative of the iteration before.
     """
     d, block = tracers.dimension, tracers.block
     changes, previous, is_chord = np.empty(d * block), np.inf, False
@@ -236,7 +236,7 @@ def unit_and_combined(d, block, h, slopes, weights, count, result):
 
 @njit(error_model="numpy")
 def inverse_positions(tracers, positions, h, first, stages, own, parameters, before, rates, derivative):
-    """Solve before + h (mean velocity from there) = positions by Newton's method from the guess in `before`."""
+    """Solve before + h (mean velocity from `before` on) = positions by Newton's method from the guess in `before`."""
     d, block = tracers.dimension, tracers.block
     changes, previous = np.empty(d * block), np.inf
     for _ in range(MOST):
@@ -255,7 +255,7 @@ def inverse_positions(tracers, positions, h, first, stages, own, parameters, bef
 def eliminated(d, block, matrices, right, columns):
     """Solve the equations of each point, with a number of `columns` on the right, in place.
 
-    The matrices are close to the unit matrix, or their steps would be too long to be inverted: there is no pivoting.
+    There is no pivoting: the matrices are close to the unit matrix, unless steps are too long to be inverted.
     """
     factors = np.empty(block)
     for c in range(d):
@@ -293,7 +293,7 @@ def shifted_unit(d, block, gradients, factor, matrices):
 
 @njit(error_model="numpy")
 def times(d, block, matrices, tangents, products):
-    """Fill `products` with the matrix of each point times its tangent, which is a matrix as well."""
+    """Fill `products` with the matrix of each point times its tangent matrix."""
     for a in range(d):
         for b in range(d):
             row = (a * d + b) * block
@@ -307,7 +307,7 @@ def times(d, block, matrices, tangents, products):
 
 @njit(error_model="numpy")
 def moved_positions(positions, changes):
-    """Add `changes` to the positions; return the largest of them."""
+    """Add `changes` to the positions; return the largest modulus of a change."""
     largest = 0.0
     for k in range(positions.size):
         positions[k] += changes[k]
@@ -318,9 +318,9 @@ def moved_positions(positions, changes):
 
 @njit(error_model="numpy")
 def extrapolated(velocities, known, guess):
-    """Fill `guess` with what follows the last `known` of equally spaced velocities, the latest of which is the first.
+    """Fill `guess` by extrapolation from the last `known` equally spaced velocities; the first row is the latest.
 
-    Then make room for another one in their place.
+    Then shift the rows to make room for the next velocity.
     """
     for m in range(guess.size):
         a, b, c, d = velocities[0, m], velocities[1, m], velocities[2, m], velocities[3, m]
@@ -339,9 +339,9 @@ def extrapolated(velocities, known, guess):
 def has_settled(change, previous, is_chord):
     """Return True if another iteration would change next to nothing.
 
-    Changes decrease quadratically, the next one is about change^3/previous^2; after an iteration with the derivative of
-    the one before, it is 2 change^2/previous. The largest changes of a block may belong to different points, for which
-    there is a factor of ten.
+    Changes decrease quadratically: the next one is about change^3/previous^2. After an iteration with the derivative of
+    the one before, it is 2 change^2/previous. The largest changes of a block may belong to different points, therefore
+    the factor of ten.
     """
     ratio = change / previous
     return change <= SETTLED or (previous < np.inf and 10.0 * change * (2.0 if is_chord else ratio) * ratio <= SETTLED)
@@ -349,7 +349,7 @@ def has_settled(change, previous, is_chord):
 
 @njit(error_model="numpy")
 def without_unsettled(d, block, positions, changes):
-    """Make those points of a block NaN for which Newton's method has found no position."""
+    """Set the points of a block to NaN for which Newton's method has not converged."""
     for m in range(block):
         for a in range(d):
             if abs(changes[a * block + m]) > 1e-13:
@@ -368,13 +368,13 @@ def stages_of(case, path):
 
 
 def carry(case, stages, points, first=0.0, last=None, derivative=False):
-    """Carry points (m, d) along the motion whose `stages` are given, from one time to another.
+    """Carry points (m, d) along the motion with the arguments `stages`, from one time to another.
 
-    Times are in steps, from 0 to the number of steps; by default the points are carried from the first to the last, and
-    from `first` back to an earlier `last` by the inverse of that map. A time between two nodes is reached by part of a
-    step. Returns the positions (m, d), and the derivatives of the map (m, d, d), or None. A point outside the domain of
-    the particles stays where it is; one for which an implicit step has no solution becomes NaN. Raises ValueError when
-    points or times are unusable.
+    Times are in steps, from 0 to the number of steps. By default points are carried from the first to the last node,
+    and from `first` back to an earlier `last` by the inverse of that map. A time between two nodes is reached by part
+    of a step. Return the positions (m, d), and the derivatives of the map (m, d, d) or None. A point outside the domain
+    of the particles stays; a point without a solution of an implicit step becomes NaN. ValueError if points or times
+    are unusable.
     """
     tracers, d = case.problem.tracers, case.problem.dimension
     points = np.array(points, dtype=float)

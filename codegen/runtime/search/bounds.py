@@ -1,13 +1,14 @@
-"""Bounds of unknowns: active ones, and those that prescribed values violate."""
+"""Bounds of unknowns, and the slacks s >= 0 that turn an inequality g <= 0 into an equation g + s = 0."""
 
 import numpy as np
 from numba import njit
 
-from codegen.runtime.search.grid import free_unknowns
+from codegen.runtime.search.grid import free_unknowns, views
 from codegen.runtime.search.point import evaluate
 
 LEAST_SLACK = 1e-7  # slacks below -LEAST_SLACK are not rounding errors
-UNSURE = 10.0  # error of a value that end conditions determine, in multiples of their residual
+UNSURE = 10.0  # error of a value that end conditions determine, in multiples of the residual
+HOLDS = 1e-9  # equations with smaller residuals hold
 END_NAMES = "start", "end"
 
 
@@ -42,8 +43,8 @@ def contradictory_bounds(grid):
 def prescribed_beyond(grid, unknowns):
     """Return a text on a prescribed value or path condition at an end that violates bounds farther inside, or "".
 
-    Unknowns are in the problem's own units; margins are relative to scaling factors if the grid has them. Prescribed
-    values have no bounds of their own, so a motion that begins outside a bound would leap inside in the first interval.
+    Unknowns are in the problem's own units. Margins are relative to scaling factors if the grid has them. Prescribed
+    values have no bounds themselves. A motion that begins outside a bound would jump inside in the first interval.
     """
     if grid.steps == 1 or grid.problem.variable_bounds is None:
         return ""
@@ -51,7 +52,7 @@ def prescribed_beyond(grid, unknowns):
     units, (lower, upper), sizes = units_of(grid), bounds_of(grid), (s.bodies, s.stride, s.node, grid.steps)
     index, inner = first_beyond(*sizes, unknowns, units, lower, upper, 0.0)
     if index >= 0 and free_unknowns(grid)[index]:
-        # Conditions at the end determine it, no better than they hold.
+        # Conditions at the end determine this unknown, as accurately as the conditions hold.
         unsure = UNSURE * evaluate(grid, unknowns / units).residual
         index, inner = first_beyond(*sizes, unknowns, units, lower, upper, unsure)
     if index < 0:
@@ -68,11 +69,10 @@ def prescribed_beyond(grid, unknowns):
 
 @njit(cache=True, error_model="numpy")
 def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, unsure):
-    """Return the index of the first unknown at an end that is beyond the bounds farther inside, and its neighbour's.
+    """Return the index of the first unknown at an end that violates the bounds of its neighbour, and the neighbour's.
 
-    `unknowns`, `units`, `lower` and `upper` are (n,). Values that are given have no bounds themselves, and are known
-    but for what is `unsure`; slacks of what is prescribed have no least value. Both are -1 where there is no such
-    unknown.
+    `unknowns`, `units`, `lower` and `upper` are (n,). Prescribed values have no bounds themselves, and have an error of
+    up to `unsure`. Slacks of prescribed values have no least value. Both indices are -1 if no unknown violates bounds.
     """
     for body in range(bodies):
         for i in range(stride):
@@ -87,3 +87,27 @@ def first_beyond(bodies, stride, node, steps, unknowns, units, lower, upper, uns
                 if (i < node and is_given and (is_below or is_above)) or (i >= node and is_below):
                     return index, inner
     return -1, -1
+
+
+def with_slacks(grid, unknowns):
+    """Return `unknowns` (n,) with slacks that satisfy their equations; zero where an inequality is violated."""
+    s, unknowns = grid.problem.structure, unknowns.copy()
+    _, intervals = views(grid, unknowns)
+    intervals[:, :, s.slacks - s.node] = 0.0
+    _, residuals = views(grid, evaluate(grid, unknowns).gradient)
+    intervals[:, :, s.slacks - s.node] = np.maximum(0.0, -residuals[:, :, s.slack_multipliers - s.node])
+    return unknowns
+
+
+def with_violations(grid, point):
+    """Return the point with the violation of each inequality g <= 0 in the row of its equation g + s = 0.
+
+    During a search g + s may be large although the inequality holds. The point stays unchanged if no equation and no
+    inequality is violated. Everything is in the problem's own units.
+    """
+    s, gradient = grid.problem.structure, point.gradient.copy()
+    (_, rows), (_, unknowns) = views(grid, gradient), views(grid, point.unknowns)
+    violations = rows[:, :, s.slack_multipliers - s.node] - unknowns[:, :, s.slacks - s.node]
+    rows[:, :, s.slack_multipliers - s.node] = np.maximum(violations, 0.0)
+    holds = np.abs(gradient[grid.is_multiplier]).max() <= HOLDS
+    return point if holds else point._replace(gradient=gradient)

@@ -1,19 +1,19 @@
-"""Newton's method with a filter line search; where unknowns have bounds, a primal-dual interior-point method.
+"""Newton's method with a filter line search; for bounded unknowns, a primal-dual interior-point method.
 
-One compiled function for all problems. It knows vectors, addresses of what is special about a problem, and work space;
-it allocates nothing, raises nothing, holds no lock of the interpreter, and returns after a given number of iterations
-or where something else has to be done. Its state stays in the work space, so that the next call goes on.
+There is one compiled function for all problems. Its arguments are vectors, addresses of the loops and the linear system
+of a problem, and work space. It allocates nothing, raises nothing and holds no lock of the interpreter. It returns
+after a given number of iterations, or when Python has to act. Its state stays in the work space for the next call.
 
-Bounds are replaced by a logarithmic barrier whose weight mu tends to zero. For each weight Newton's method solves the
-optimality conditions, with the inertia of the KKT matrix corrected until the step is one of descent, and a filter
-decides how far to go. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter
-line-search algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
+A logarithmic barrier with a weight mu replaces bounds; mu tends to zero. For each weight Newton's method solves the
+optimality conditions. The inertia of the KKT matrix is corrected until the step is a descent step, and a filter decides
+on the step length. Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search
+algorithm for large-scale nonlinear programming, whose equation and algorithm numbers are quoted.
 
 Every finite bound is an entry of flat arrays: `indices` of its unknown x, its `side` s, 1 for a lower and -1 for an
-upper bound, its `magnitude`. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
-gradient - s z = 0 and z d = mu. Distances are moved along with the unknowns instead of being computed anew, because
-close to a bound rounding would leave nothing of a difference. Bounds are relaxed a little, so that equations may force
-unknowns onto them; the relaxation goes to rounding level with mu.
+upper bound, and its `magnitude`. With distance d = s (x - b) and dual z, the perturbed optimality conditions are
+gradient - s z = 0 and z d = mu. Distances are updated along with the unknowns and not computed again: close to a bound,
+rounding would leave nothing of a difference. Bounds are relaxed a little, so that equations may force unknowns onto
+them. The relaxation falls to rounding level with mu.
 """
 
 import numpy as np
@@ -23,23 +23,23 @@ from codegen.runtime.kkt.system import SINGULAR
 from codegen.runtime.search.linear_system import call_hessians, factor_at, global_index, multiply_entries, solve_at
 from codegen.runtime.search.point import measured_gradient
 
-# Why the function returns.
+# Reasons to return.
 (
     CONTINUE, SOLVED, SADDLE, NON_FINITE, UNBOUNDED, INFEASIBLE, RANK_DEFICIENT, STALLED, RESTORE, ROOM, GROSS,
 ) = range(11)  # fmt: skip
 WORDS = (
     "iteration limit", "solved", "saddle point", "non-finite", "unbounded", "infeasible", "rank-deficient", "stalled",
 )  # fmt: skip
-"""Termination status by these numbers."""
+"""Termination statuses by the first of these numbers."""
 
 # Rows of the vectors (VECTORS, n) and of the arrays (BARRIERS, m) of the work space.
 (
     X, G, TRIAL, TRIAL_G, RIGHT, DIAGONAL, STEP, SCALED, SPARE, RIGHT2, STEP2, WATCH_X, LOOSE_X,
 ) = range(13)  # fmt: skip
 VECTORS = 13
-DISTANCE, DUALS, MOVED, PUSHED, DUAL_STEP, DUAL_STEP2, WATCH_DISTANCE, WATCH_DUALS, LOOSE_DISTANCE, LOOSE_DUALS = range(
-    10
-)
+(
+    DISTANCE, DUALS, MOVED, PUSHED, DUAL_STEP, DUAL_STEP2, WATCH_DISTANCE, WATCH_DUALS, LOOSE_DISTANCE, LOOSE_DUALS,
+) = range(10)  # fmt: skip
 BARRIERS = 10
 
 # Numbers of the state.
@@ -56,39 +56,39 @@ REALS = 27
 ) = range(25)  # fmt: skip
 INTEGERS = 25
 
-# The stage of a search: it goes on; it begins with an iterate, with primal unknowns, or with those of a neighbour,
-# which `begin_beside` makes an iterate before.
+# The stage of a search: it continues; it begins with an iterate, with primal unknowns, or with the unknowns of a
+# neighbour, from which `begin_beside` makes an iterate first.
 GO_ON, WITH_ITERATE, WITH_UNKNOWNS, WITH_NEIGHBOUR = range(4)
 
 # The start.
 AT_GUESS, BESIDE, FROM_AFAR = (0.1, 1e-2), (1e-5, 1e-4), (0.1, 0.1)
-"""First weight of the barrier, and push inside the bounds, of a search from a guess; of a warm start without
-multipliers; of one with multipliers whose residual exceeds NEAR: close to their bounds, unknowns would shorten all
-steps."""
-WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; with 1 it takes an iteration more
+"""First weight of the barrier, and push inside the bounds: of a search from a guess, of a warm start without
+multipliers, and of a warm start with multipliers whose residual exceeds NEAR. Unknowns close to their bounds would
+shorten all steps."""
+WARM_WEIGHT = 0.1  # the barrier's weight of a warm start, relative to the tolerance; 1 costs one more iteration
 CLOSE = 1e-8  # least distance of unknowns to their bounds at a warm start
-NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes half as many iterations again on one problem
+NEAR = 0.1  # largest residual of a warm start with multipliers; 0.3 takes 50 percent more iterations on one problem
 LARGEST_DUAL = 1e3  # at a start, where a bound is closer than the central path
 LARGEST_MULTIPLIER = 1e3  # least-squares multipliers above it say that equations depend on each other
-FILTERED = 1e-4  # part of the first violation up to which the switching condition asks for descent
-GROSSLY = 0.03  # residuals above this part of the equations' terms are a gross violation
+FILTERED = 1e-4  # largest violation, relative to the first, for which the switching condition requires descent
+GROSSLY = 0.03  # larger residuals, relative to the equations' terms, are a gross violation
 
 # Sizes of residuals and terms.
 UNIT_ROUNDOFF = 2.2e-16
 VANISHED = 1e-20  # a residual below it counts as zero, since a cost of squares may vanish with all its terms
-WORTH_MEASURING = 1e-7  # the sizes of terms are not computed for larger errors
+WORTH_MEASURING = 1e-7  # sizes of terms are not computed for larger errors
 ROUNDED = 1e-12  # residuals below it are rounding errors, which no step reduces
 NEARLY = 1e-6  # largest error of an iterate that may be a saddle point
-NEARLY_FEASIBLE = 1e-6  # largest residual, or tenth of that part of the terms, of an unbounded problem's iterate
+NEARLY_FEASIBLE = 1e-6  # largest residual of an unbounded problem's iterate, relative to max(1, ten times the terms)
 
 # The end of a search.
-PROGRESS = 0.5  # a warm search ends at rounding level if a step leaves more than this part of the error
-UNCHANGED, REST = 1e-3, 5  # largest relative change of the error of a search at rest; iterates in turn that end it
+PROGRESS = 0.5  # a warm search ends at rounding level if a step reduces the error by a smaller factor
+UNCHANGED, REST = 1e-3, 5  # largest relative change of an unchanged error; unchanged iterates in turn that end a search
 FLAT = 1e-8  # curvatures above -FLAT count as positive
 UNBOUNDED_BELOW = 1e10  # a cost below minus this number times max(1, |first cost|) counts as minus infinity
 LARGEST = 1e20  # a problem with bounds counts as unbounded if an unknown exceeds it
 PATIENCE = 8  # iterations with the last weight after which multipliers are scaled in the convergence test
-VAIN = 20  # full steps in turn without effect on the violation after which equations count as contradictory
+VAIN = 20  # full steps in turn without effect on the violation, after which equations count as contradictory
 
 # The barrier.
 LEAST_PART = 0.025  # the last weight, relative to the tolerance; with 0.1 the cost of a crane is off by 2e-9
@@ -99,8 +99,8 @@ ROUNDING = 1e-15  # residuals up to it are zero in steps: at a distance of 1e-12
 
 # Inertia correction.
 SINGULAR_STEP = 1e12  # a step that exceeds the right-hand side by this factor is a rounding error
-LARGE_SHIFT = 1e8  # above this delta_w, a delta_c is tried: an eigenvalue of zero has the sign of its rounding error
-SMALL_DELTA_W = 1e-2  # if a lower shift is below it, none is tried first
+LARGE_SHIFT = 1e8  # for a larger delta_w, a delta_c is tried: a zero eigenvalue has the sign of its rounding error
+SMALL_DELTA_W = 1e-2  # if a lower shift is below it, the first factorisation has no shift
 FAR = 10.0  # a step beyond this multiple of the largest unknown needs a larger first shift
 DUAL_SHIFT = 1e-8  # delta_c, for equations that may be dependent
 LEAST_DAMPING = 1e-5  # of the Hessian, after steps that the filter shortened much
@@ -110,22 +110,22 @@ ACCURATE = 1e-10  # largest residual, relative to right-hand side and solution, 
 NEARLY_ACCURATE = 1e-6  # largest residual that may be rounding of a large solution, if two corrections do not halve it
 LARGE_STEP = 1e6  # largest solution that a residual is compared with, relative to the right-hand side
 SOLVED_AGAIN = 10  # largest number of corrections, as in IPOPT
-UNSOLVED = 0.1  # part of the residual that a full step may leave before its linear system is looked at
+UNSOLVED = 0.1  # relative residual after a full step above which the residual of its linear system is measured
 
 # Line search.
 CORRECTIONS = 4  # second-order corrections at one iterate
-SHORT = 0.25  # largest part of a step that counts as much shortened
+SHORT = 0.25  # largest relative length of a much shortened step
 SHORT_IN_TURN = 6  # much shortened steps in turn after which the Hessian is damped
 SHORTENED_IN_TURN = 10  # shortened steps in turn after which the watchdog begins
 FULL_STEPS = 4  # untested full steps of the watchdog
-TINY, CLOSER = 1e-13, 0.9  # a step of TINY max(1, |x|) changes nothing; part of the error that a closer trial leaves
-MISLED = 5  # steps in turn that the filter alone has shortened, after which the filter is emptied
+TINY, CLOSER = 1e-13, 0.9  # a step of TINY max(1, |x|) changes nothing; largest ratio of errors of a closer trial
+MISLED = 5  # steps in turn, shortened by the filter alone, after which the filter is emptied
 EMPTIED_AT_MOST = 5  # largest number of times that the filter is emptied, so that a search cannot cycle
 
 
 @njit(error_model="numpy")
 def sum_of_logarithms(distance):
-    """Return the sum of the logarithms of positive numbers, from products of several, since a logarithm takes long."""
+    """Return the sum of the logarithms of positive numbers, by products of several, since a logarithm takes long."""
     total, product = 0.0, 1.0
     for j in range(distance.size):
         product *= distance[j]
@@ -145,7 +145,7 @@ def relaxation(mu, least):
 def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
     """Fill `closer` with the distances to bounds that are `by` nearer, relative to their magnitudes.
 
-    `unknowns` that are then closer than `least` move inside. Return the sum of logarithms, and whether any moved.
+    `unknowns` closer than `least` are moved inside. Return the sum of logarithms, and True if any unknown was moved.
     """
     moves = False
     for j in range(indices.size):
@@ -161,8 +161,8 @@ def approach(unknowns, indices, side, magnitude, by, least, distance, closer):
 def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals, spare):
     """Return measures of the optimality conditions with the duals of bounds.
 
-    The max-norm of the stationarity, the sum of complementarities z d, the least and the largest z d, the means of all
-    |multipliers| and duals together and of the duals alone, and the largest |unknown|.
+    The measures are the max-norm of the stationarity, the sum of complementarities z d, the least and the largest z d,
+    the means of all |multipliers| and duals together and of the duals alone, and the largest |unknown|.
     """
     total, lowest, highest, size = 0.0, np.inf, -np.inf, 0.0
     for i in range(gradient.size):
@@ -187,9 +187,9 @@ def optimality(gradient, unknowns, is_multiplier, indices, side, distance, duals
 
 @njit(error_model="numpy")
 def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vectors):
-    """Fill the gradient; return (cost, residual, violation, stationarity, error) and what `optimality` measures.
+    """Fill the gradient; return (cost, residual, violation, stationarity, error) and the result of `optimality`.
 
-    Duals of bounds take part in stationarity and error.
+    Stationarity and error include the duals of bounds.
     """
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
     cost, residual, violation, stationarity, error = measured_gradient(
@@ -206,7 +206,7 @@ def evaluated(problem, grid, bounds, unknowns, gradient, distance, duals, vector
 
 @njit(error_model="numpy")
 def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors):
-    """Return what `evaluated` does where gradient and measures are `known`, but for duals of bounds."""
+    """Return the result of `evaluated` for `known` gradient and measures, with other duals of bounds."""
     cost, residual, violation, stationarity, error = known[0], known[1], known[2], np.inf, np.inf
     measured = optimality(g, x, is_multiplier, bounds[0], bounds[1], distance, duals, vectors[SPARE])
     if known[4] < np.inf:
@@ -217,7 +217,7 @@ def measured_again(bounds, is_multiplier, known, x, g, distance, duals, vectors)
 
 @njit(error_model="numpy")
 def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
-    """Factor with the diagonal and the right-hand side of the work space, solve for the step if that `is_wanted`."""
+    """Factor with the diagonal and the right-hand side of the work space; solve for the step if `is_wanted`."""
     steps, h, nodes, parameters, _, sizes, _, _, _, _, _ = grid
     tables, factors, orders, entries, scaled, costless, inverses, counts, equations, _, _ = system
     chosen = scaled if weight_of_cost == 1.0 else costless
@@ -231,8 +231,8 @@ def factored(problem, grid, system, x, weight_of_cost, vectors, is_wanted):
 def terms(problem, grid, system, x, is_costless, vectors):
     """Return the largest sums of absolute terms |K| |x| in an equation, and in a stationarity condition.
 
-    Half a unit in the last place of every unknown changes a residual by as much as that times the unit roundoff; see
-    Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
+    A change of every unknown by half a unit in the last place changes a residual by up to that sum times the unit
+    roundoff; see Higham (2002), Accuracy and stability of numerical algorithms, section 7.2.
     """
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
@@ -246,7 +246,7 @@ def terms(problem, grid, system, x, is_costless, vectors):
         sums[i] = 0.0
     multiply_entries(entries, rows, columns, steps, counts, unknowns, sums, True)
     for j in range(fillings.shape[0]):
-        # What intervals have added for an unknown of the start alone is no term, and its entry takes it back.
+        # The one that intervals add for an unknown of the start alone is no term; the entry of the start cancels it.
         value, row = entries[fillings[j, 0]], fillings[j, 1]
         sums[row] += (abs(value + 1.0) - 1.0 - abs(value)) * abs(unknowns[row])
     equations, stationarity = 0.0, 0.0
@@ -261,15 +261,15 @@ def terms(problem, grid, system, x, is_costless, vectors):
 
 @njit(error_model="numpy")
 def is_small(value, size, tolerance):
-    """Return True if a sum of terms of a given size is zero, to the tolerance or but for rounding."""
+    """Return True if a sum of terms of a given size is zero to the tolerance, or to rounding."""
     return value <= max(tolerance * min(1.0, size), UNIT_ROUNDOFF * size, VANISHED)
 
 
 @njit(error_model="numpy")
 def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_costless, vectors):
-    """Return True if residual and stationarity are within the tolerance, or no more than rounding of their terms.
+    """Return True if residual and stationarity are within the tolerance, or at the rounding level of their terms.
 
-    The tolerance is absolute where the terms of the equations exceed one and relative to them where they are smaller.
+    The tolerance is absolute where the terms of the equations exceed one, and relative to smaller terms.
     """
     if max(residual, stationarity) > max(tolerance, WORTH_MEASURING):
         return False
@@ -281,9 +281,9 @@ def is_solved(problem, grid, system, x, residual, stationarity, tolerance, is_co
 
 @njit(error_model="numpy")
 def have_large_terms(problem, grid, system, x, vectors):
-    """Return True if there are terms of an equation and of a stationarity condition that are one or more.
+    """Return True if an equation and a stationarity condition both have a term of one or more.
 
-    As in `terms`, of which these are a part: most often an end and a few intervals tell that the tolerance is absolute.
+    These are a part of the sums of `terms`. Most often an end and a few intervals show that the tolerance is absolute.
     """
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, fillings = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
@@ -305,7 +305,7 @@ def have_large_terms(problem, grid, system, x, vectors):
                 first = body * chain + (steps - 1 if kind == 2 else k) * stride
                 for j in range(count):
                     if fillings.shape[0] and kind < 2 and k == 0:
-                        break  # entries of a start may take back what the first interval has
+                        break  # entries of a start may cancel entries of the first interval
                     row = global_index(rows[first_local + j], first, element, own, bodies, body, linking)
                     column = global_index(columns[first_local + j], first, element, own, bodies, body, linking)
                     for i, other in ((row, column), (column, row)):
@@ -357,9 +357,9 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
     """Fill `dual_step`; return (slope, is_of_rounding, longest primal length, longest dual length) of a step.
 
     The slope is that of the cost along the primal part. With A the Jacobian of the equations and d the primal part,
-    A d = -residual, so the multipliers' share of the Lagrangian has slope -multipliers . residual, which is taken away
-    again. A step that is far longer than its right-hand side is one of rounding. Lengths keep 1 - tau of every distance
-    and of every dual (15).
+    A d = -residual. The share of the multipliers in the Lagrangian has the slope -multipliers . residual, which is
+    subtracted again. A step that is far longer than its right-hand side is a rounding error. Lengths keep 1 - tau of
+    every distance and of every dual (15).
     """
     is_multiplier, indices, side = grid[4], bounds[0], bounds[1]
     slope = size = largest = 0.0
@@ -381,7 +381,7 @@ def measure_step(grid, bounds, x, right, step, distance, duals, mu, dual_step):
 def move(bounds, x, step, length, distance, duals, dual_step, dual_length, mu, trial, moved, pushed):
     """Fill the trial after parts of a step, its distances and duals; return the sum of logarithms of distances.
 
-    Rounding must not make a distance vanish; duals are kept within a factor of 1e10 of mu / d (16).
+    Rounding must not make a distance vanish. Duals are kept within a factor of 1e10 of mu / d (16).
     """
     indices, side = bounds[0], bounds[1]
     for i in range(x.size):
@@ -409,7 +409,7 @@ def lets_pass(pairs, count, violation, objective):
 def add_pair(pairs, count, violation, objective):
     """Add the envelope of a point to the filter, whose first pair stays; return the new number of pairs.
 
-    Pairs that the new one makes superfluous go.
+    Pairs that the new pair dominates are removed.
     """
     violation, objective = (1.0 - 1e-5) * violation, objective - 1e-8 * violation
     kept = 1
@@ -425,11 +425,11 @@ def add_pair(pairs, count, violation, objective):
 
 @njit(error_model="numpy")
 def accepts(pairs, integers, violation, objective, trial_violation, trial_objective, slope, length, small):
-    """Return True if a trial may be taken (19, 20); the filter grows unless the objective fell as the slope promised.
+    """Return True if the filter accepts a trial (19, 20); it grows unless the objective fell as the slope promised.
 
-    Points of long ago, nearly feasible and cheap, may bar the way for many iterations. Where the last trial that an
-    iterate refused was refused by the filter alone, five times in turn, all pairs but the first are forgotten, as IPOPT
-    does (its option filter_reset_trigger).
+    Old points, nearly feasible and cheap, may block progress for many iterations. If the filter alone refused the last
+    refused trial of an iterate, five times in turn, all pairs but the first are dropped, as in IPOPT (its option
+    filter_reset_trigger).
     """
     rounding = 2e-15 * abs(objective)
     promising = slope < 0.0 and length * (-slope) ** 2.3 > violation**1.1
@@ -453,8 +453,8 @@ def accepts(pairs, integers, violation, objective, trial_violation, trial_object
 
 
 @njit(error_model="numpy")
-def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, left):
-    """Fill `left` with KKT matrix . step + weight_of_right . right; return its `inaccuracy`."""
+def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight_of_right, vectors, remainder):
+    """Fill `remainder` with KKT matrix . step + weight_of_right . right; return its `inaccuracy`."""
     steps, h, nodes, parameters, is_multiplier, sizes, forces, _, ties, is_free, _ = grid
     _, _, _, entries, _, _, _, counts, _, rows, columns = system
     unknowns, vector = x, step
@@ -464,36 +464,37 @@ def fill_linear_residual(problem, grid, system, x, diagonal, right, step, weight
             unknowns[i] = x[i] * sizes[i]
             vector[i] = np.sqrt(sizes[i] * forces[i]) * step[i]
     call_hessians(problem[1], unknowns, steps, h, nodes, parameters, counts, entries)
-    for i in range(left.size):
-        left[i] = 0.0
-    multiply_entries(entries, rows, columns, steps, counts, vector, left, False)
-    for i in range(left.size):
+    for i in range(remainder.size):
+        remainder[i] = 0.0
+    multiply_entries(entries, rows, columns, steps, counts, vector, remainder, False)
+    for i in range(remainder.size):
         if sizes.size:
-            left[i] *= np.sqrt(sizes[i] * forces[i])
-        left[i] += diagonal[i] * step[i] + weight_of_right * right[i]
+            remainder[i] *= np.sqrt(sizes[i] * forces[i])
+        remainder[i] += diagonal[i] * step[i] + weight_of_right * right[i]
     for j in range(ties.shape[0]):
-        left[ties[j, 1]] += left[ties[j, 0]]
-    for i in range(left.size):
+        remainder[ties[j, 1]] += remainder[ties[j, 0]]
+    for i in range(remainder.size):
         if not is_free[i]:
-            left[i] = 0.0
-    return inaccuracy(right, step, left, is_multiplier)
+            remainder[i] = 0.0
+    return inaccuracy(right, step, remainder, is_multiplier)
 
 
 @njit(error_model="numpy")
-def inaccuracy(gradient, step, left, is_multiplier):
-    """Return how large `left` (n,) is in the equations, and in all rows, relative to right-hand side and solution.
+def inaccuracy(gradient, step, remainder, is_multiplier):
+    """Return the size of `remainder` (n,) in the equations, and in all rows, relative to right-hand side and solution.
 
-    Large multipliers, and barriers close to their bounds, take no part in the equations. NaN if `left` is not finite.
+    Large multipliers, and barriers close to their bounds, do not count for the equations. NaN if an entry is not
+    finite.
     """
     unsolved, remaining, right, slope, multiplier, primal = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(left.size):
-        if not abs(left[i]) < np.inf:
+    for i in range(remainder.size):
+        if not abs(remainder[i]) < np.inf:
             return np.nan
         if is_multiplier[i]:
-            unsolved, right = max(unsolved, abs(left[i])), max(right, abs(gradient[i]))
+            unsolved, right = max(unsolved, abs(remainder[i])), max(right, abs(gradient[i]))
             multiplier = max(multiplier, abs(step[i]))
         else:
-            remaining, slope = max(remaining, abs(left[i])), max(slope, abs(gradient[i]))
+            remaining, slope = max(remaining, abs(remainder[i])), max(slope, abs(gradient[i]))
             primal = max(primal, abs(step[i]))
     most = LARGE_STEP * max(right, slope)
     of_equations = unsolved / max(right + min(primal, most), 1e-300)
@@ -503,19 +504,21 @@ def inaccuracy(gradient, step, left, is_multiplier):
 
 @njit(error_model="numpy")
 def refined(problem, grid, system, x, vectors, room):
-    """Refine the step of the work space until it is accurate, or only rounding remains; return if that lowered it.
+    """Refine the step of the work space until it is accurate, or only rounding remains; return True if that lowered it.
 
-    `room` (2 SOLVED_AGAIN + 2, n) takes corrections, what the matrix makes of them, and residuals. The products are
-    made orthogonal, so that each correction adds what lowers the residual most: generalised conjugate residuals, with
-    the factors as preconditioner. Corrections one after the other need not converge where factors are inaccurate.
-    Sources: Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz
-    (1983), Variational iterative methods for nonsymmetric systems of linear equations; the measure of the residual is
-    that of Waechter and Biegler (2006), section 3.10.
+    `room` (2 SOLVED_AGAIN + 2, n) takes corrections, their products with the matrix, and residuals. The products are
+    made orthogonal, so that each correction lowers the residual most: generalised conjugate residuals, with the factors
+    as preconditioner. Simple corrections one after the other need not converge if factors are inaccurate. Sources:
+    Higham (2002), Accuracy and stability of numerical algorithms, chapter 12; Eisenstat, Elman and Schultz (1983),
+    Variational iterative methods for nonsymmetric systems of linear equations; the measure of the residual is that of
+    Waechter and Biegler (2006), section 3.10.
     """
     steps, n = grid[0], x.size
     tables, factors, orders, _, _, _, inverses, counts, equations, _, _ = system
-    right, step, left, scaled = vectors[RIGHT], vectors[STEP], room[2 * SOLVED_AGAIN], room[2 * SOLVED_AGAIN + 1]
-    first = error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, left)
+    right, step, remainder, scaled = vectors[RIGHT], vectors[STEP], room[2 * SOLVED_AGAIN], room[2 * SOLVED_AGAIN + 1]
+    first = error = fill_linear_residual(
+        problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, remainder
+    )
     for again in range(SOLVED_AGAIN):
         if not ACCURATE < error < np.inf:
             return again > 0
@@ -523,10 +526,10 @@ def refined(problem, grid, system, x, vectors, room):
             return False
         correction, product, norm = room[2 * again], room[2 * again + 1], 0.0
         for i in range(n):
-            norm += left[i] * left[i]
+            norm += remainder[i] * remainder[i]
         norm = np.sqrt(norm)
         for i in range(n):
-            scaled[i] = left[i] / norm
+            scaled[i] = remainder[i] / norm
         solve_at(problem[2], steps, tables, scaled, equations, factors, orders, inverses, counts, correction)
         fill_linear_residual(
             problem, grid, system, x, vectors[DIAGONAL], right, correction, 0.0, vectors, product
@@ -547,10 +550,10 @@ def refined(problem, grid, system, x, vectors, room):
         for i in range(n):
             product[i] /= size
             correction[i] /= size
-            share -= product[i] * left[i]
+            share -= product[i] * remainder[i]
         for i in range(n):
             step[i] += share * correction[i]
-        error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, left)
+        error = fill_linear_residual(problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, remainder)
     return True
 
 
@@ -559,12 +562,12 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                barriers, room):  # fmt: skip
     """Find a Newton step with the least delta_w on the Hessian, from `damping` on, that makes it a descent step.
 
-    This is algorithm IC. Equations that are dependent, as those of a vehicle at rest often are, may have an eigenvalue
-    of zero to which rounding gave a sign, so that the count of negative ones means nothing: a step, or a shift, without
-    end tells of it. Without bounds two changes save factorisations: where the iterate before needed a shift for its
-    curvatures, a lower one is tried at once, and none only when that has become small; and the more often in turn a
-    lower shift was enough, the lower the next one is. With `careful`, the residual of the linear system is measured,
-    and solved for again where it is large. Return (found, slope, longest, dual length, delta_w, refined).
+    This is algorithm IC. Dependent equations, such as those of a vehicle at rest, may have an eigenvalue of zero with
+    the sign of a rounding error. Then the count of negative eigenvalues means nothing, but a step, or a shift, without
+    limit shows the dependence. Without bounds two changes save factorisations. If the iterate before needed a shift for
+    its curvatures, a lower shift is tried at once, and no shift only when that has become small. The more often in turn
+    a lower shift was enough, the lower the next one is. With `careful`, the residual of the linear system is measured,
+    and refined if it is large. Return (found, slope, longest, dual length, delta_w, refined).
     """
     is_bounded, n = bounds[0].size > 0, x.size
     last, before, is_multiplier = reals[LAST_DELTA_W], reals[DELTA_W], grid[4]
@@ -596,7 +599,7 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
                     delta_w *= 100.0
                     continue
             is_refined = False
-            if careful:  # corrections that are not worth their name change the step as well
+            if careful:  # even corrections that do not lower the residual change the step
                 is_refined = refined(problem, grid, system, x, vectors, room)
                 slope, of_rounding, longest, dual_length = measure_step(
                     grid, bounds, x, right, step, distance, duals, mu, barriers[DUAL_STEP]
@@ -623,9 +626,9 @@ def regularise(problem, grid, system, bounds, x, g, distance, duals, mu, damping
 
 @njit(error_model="numpy")
 def is_minimum(problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors):
-    """Return True if a stationary point is a minimum to second order, with the barrier to stand for bounds.
+    """Return True if a stationary point is a minimum to second order, with the barrier in place of bounds.
 
-    Multipliers are known to the tolerance, and so are curvatures, up to a factor.
+    Multipliers are accurate to the tolerance, and so are curvatures, up to a factor.
     """
     shift = max(FLAT, 100.0 * tolerance)
     fill_newton_system(grid, bounds, g, distance, duals, 0.0, shift, FLAT, vectors[RIGHT], vectors[DIAGONAL])
@@ -665,7 +668,7 @@ def has_multipliers(unknowns, is_multiplier):
 
 @njit(error_model="numpy")
 def tie(grid, x):
-    """Give unknowns that equal linking variables their values."""
+    """Copy the values of linking variables to the unknowns that equal them."""
     sizes, ties = grid[5], grid[8]
     for j in range(ties.shape[0]):
         i, other = ties[j, 0], ties[j, 1]
@@ -674,7 +677,10 @@ def tie(grid, x):
 
 @njit(cache=True, error_model="numpy")
 def push_inside(grid, bounds, push, x):
-    """Move unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
+    """Move unknowns at least `push` max(1, |bound|) inside their bounds (36).
+
+    Between two bounds, the push is at most that part of their distance.
+    """
     indices, lower, upper = bounds[0], bounds[4], bounds[5]
     for i in indices:
         width = push * (upper[i] - lower[i])
@@ -687,9 +693,9 @@ def push_inside(grid, bounds, push, x):
 
 @njit(cache=True, error_model="numpy")
 def begin(problem, grid, bounds, reals, integers, vectors, barriers):
-    """Put the iterate at the primal unknowns X, which are pushed inside their bounds, into the work space.
+    """Put the iterate at the primal unknowns X, pushed inside their bounds, into the work space.
 
-    Duals are one, or `ON_PATH`, the central path. The weight of the barrier and the push are in the work space.
+    Duals are one, or with `ON_PATH` on the central path. The weight of the barrier and the push are in the work space.
     """
     x, distance, duals, mu = vectors[X], barriers[DISTANCE], barriers[DUALS], reals[MU]
     indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -704,7 +710,7 @@ def begin(problem, grid, bounds, reals, integers, vectors, barriers):
 
 @njit(error_model="numpy")
 def begin_at(start, problem, grid, bounds, reals, integers, vectors, barriers):
-    """As `begin`, with duals on the central path, and weight and push as in BESIDE or FROM_AFAR."""
+    """Do the same as `begin`, with duals on the central path, and weight and push from BESIDE or FROM_AFAR."""
     reals[MU] = start[0] if bounds[0].size else 0.0
     reals[PUSH], integers[ON_PATH], integers[IS_FACTORED] = start[1], 1, 0
     begin(problem, grid, bounds, reals, integers, vectors, barriers)
@@ -715,13 +721,12 @@ def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, bar
     """Put the warm start at a neighbour's unknowns X into the work space.
 
     IS_BESIDE is set if the start has the neighbour's multipliers. They are dropped if all are zero, if the start is not
-    finite, or, without bounds, if the residual exceeds NEAR. Duals of bounds follow
-    from the multipliers: where the Lagrangian falls towards a bound, by more than the distance to it, the bound is
-    active, and its dual is that slope; the others are on the central path. The barrier's weight begins where it ends,
-    and unknowns stay close to their bounds. Far from the equations, as after a push, other bounds become active: then
-    the start is farther inside.
-    Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming, SIAM J.
-    Optim. 12: the larger the change of the data, the larger the weight of the barrier from which to begin.
+    finite, or, without bounds, if the residual exceeds NEAR. Duals of bounds follow from the multipliers. If the
+    Lagrangian falls towards a bound by more than the distance to the bound, the bound is active, and its dual is that
+    slope. Other duals are on the central path. The barrier's weight begins at its final value, and unknowns stay close
+    to their bounds. Far from the equations, as after a push, other bounds become active: then the start is farther
+    inside. Source: Yildirim and Wright (2002), Warm-start strategies in interior-point methods for linear programming,
+    SIAM J. Optim. 12: the larger the change of the data, the larger the first weight of the barrier.
     """
     x, g, distance, duals, is_multiplier = vectors[X], vectors[G], barriers[DISTANCE], barriers[DUALS], grid[4]
     indices, side, magnitude, value = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -750,7 +755,7 @@ def begin_beside(problem, grid, bounds, tolerance, reals, integers, vectors, bar
 
 @njit(error_model="numpy")
 def evaluate_iterate(problem, grid, reals, vectors):
-    """Evaluate the iterate of the work space; duals of bounds take no part in its measures."""
+    """Evaluate the iterate of the work space; its measures do not include duals of bounds."""
     steps, h, nodes, parameters, is_multiplier, sizes, _, weight, _, _, _ = grid
     measures = measured_gradient(
         problem[0], vectors[X], sizes, weight, steps, h, nodes, parameters, is_multiplier,
@@ -762,10 +767,7 @@ def evaluate_iterate(problem, grid, reals, vectors):
 
 @njit(cache=True, error_model="numpy")
 def estimate_multipliers(problem, grid, system, bounds, reals, vectors, barriers):
-    """Give an iterate the multipliers that solve stationarity by least squares (36), none if these are huge.
-
-    All its multipliers are zero.
-    """
+    """Give an iterate without multipliers those that solve stationarity by least squares (36), unless they are huge."""
     is_multiplier, indices, side, duals = grid[4], bounds[0], bounds[1], barriers[DUALS]
     x, g, right, diagonal, step = vectors[X], vectors[G], vectors[RIGHT], vectors[DIAGONAL], vectors[STEP]
     if indices.size == 0 and reals[STATIONARITY] == 0.0:
@@ -816,10 +818,10 @@ def is_gross(problem, grid, system, reals, vectors):
 def descend(
     problem, grid, system, bounds, tolerance, limit, most, reals, integers, vectors, barriers, pairs, room, log
 ):
-    """Follow Newton's steps; return why that ends, a number.
+    """Follow Newton's steps; return the number of the reason to return.
 
-    At the STAGE of a search that begins, this is from the iterate in the work space, or from the primal unknowns there.
-    A search without bounds that LOOKS ends at once, GROSS, where the equations are grossly violated.
+    A search begins, by its STAGE, at the iterate in the work space or at the primal unknowns there. A search without
+    bounds and with LOOKS ends at once, as GROSS, if the equations are grossly violated.
 
     Parameters
     ----------
@@ -833,9 +835,9 @@ def descend(
     bounds : tuple
         indices, side, magnitude, value (m,) of all finite bounds; least and greatest values (n,), or empty without any.
     tolerance : float
-        Of residual and stationarity, as `is_solved` has it.
+        Tolerance of residual and stationarity, see `is_solved`.
     limit, most : int
-        Iterations in all, and in this call.
+        Limits of iterations in all, and in this call.
     reals, integers : (REALS,), (INTEGERS,)
         The state; the measures of the iterate are at COST.
     vectors, barriers : (VECTORS, n), (BARRIERS, m)
@@ -869,7 +871,7 @@ def descend(
         mu, iteration = reals[MU], integers[ITERATIONS]
         log_row(grid, g, cost, residual, stationarity, log[done])
         log[done, 3], log[done, 4], log[done, 5] = reals[DELTA_W], reals[LENGTH], mu
-        # Has it come to an end?
+        # Convergence test.
         converged = False
         if error < np.inf and (m == 0 or highest <= tolerance):
             converged = is_solved(
@@ -879,16 +881,16 @@ def descend(
             converged = is_acceptable(
                 problem, grid, system, x, measures, measured, tolerance, is_costless, vectors
             )  # fmt: skip
-        if integers[SEEN] <= iteration:  # an iterate from which another call goes on has been looked at
+        if integers[SEEN] <= iteration:  # the call before has tested the iterate from which this call continues
             integers[SEEN] = iteration + 1
             is_closed = m == 0 or highest <= tolerance
             if not converged and integers[IS_WARM] and PROGRESS * reals[LAST_ERROR] < error < np.inf:
-                # A search that begins near a solution may be there at once, but for rounding.
+                # A search that begins near a solution may reach it at once, apart from rounding.
                 converged = is_closed and is_at_rounding_level(
                     problem, grid, system, x, residual, stationarity, is_costless, vectors
                 )
-            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not show in the second ones. Their
-            # rounding is larger than `terms` tells, and steps change neither cost nor error any more.
+            # Terms that cancel in the first derivatives, as in exp(x) - 1, do not appear in the second ones. Their
+            # rounding errors exceed the estimate of `terms`, and steps change neither cost nor error any more.
             is_unchanged = cost == reals[LAST_COST] and abs(error - reals[LAST_ERROR]) <= UNCHANGED * error
             integers[AT_REST] = integers[AT_REST] + 1 if is_unchanged and is_closed and error <= tolerance else 0
             converged = converged or integers[AT_REST] >= REST
@@ -897,7 +899,7 @@ def descend(
             status = NON_FINITE
         elif converged:
             status = SOLVED
-            # Newton's steps went downhill; a start that is stationary, or a shifted Hessian, leaves room for doubt.
+            # Newton's steps went downhill; a stationary start, or a shifted Hessian, leaves room for doubt.
             if (iteration == 0 or reals[DELTA_W] > 0.0) and not is_minimum(
                 problem, grid, system, bounds, x, g, distance, duals, tolerance, vectors
             ):
@@ -905,12 +907,12 @@ def descend(
         elif m > 0 and largest > LARGEST:
             status = UNBOUNDED
         elif cost < -UNBOUNDED_BELOW * max(1.0, abs(reals[FIRST_COST])):
-            # Where unknowns are huge, so is the residual of a motion that all but obeys the equations.
+            # Huge unknowns have huge residuals even if a motion nearly obeys the equations.
             of_equations, _ = terms(problem, grid, system, x, is_costless, vectors)
             if residual <= NEARLY_FEASIBLE * max(1.0, 10.0 * of_equations):
                 status = UNBOUNDED
         if status == CONTINUE and integers[HAS_KNOWN] and max(residual, stationarity) <= NEARLY:
-            # Beside a saddle point, that leads no lower.
+            # The search from beside a saddle point leads no lower.
             predicted = cost - gap
             for i in range(n):
                 if is_multiplier[i]:
@@ -921,7 +923,7 @@ def descend(
             status = INFEASIBLE
         if status != CONTINUE or iteration >= limit or done >= most:
             break
-        # The barrier's weight, and bounds relaxed less with it.
+        # Update of the barrier's weight, and of the relaxation of bounds.
         if m > 0:
             new = mu
             if residual <= 10.0 * mu:
@@ -948,7 +950,7 @@ def descend(
                     logarithms, moves = approach(x, indices, side, magnitude, by, least, distance, moved)
                     copy(moved, distance)
                     if moves:
-                        for j in range(grid[8].shape[0]):  # what equals a linking variable moves along
+                        for j in range(grid[8].shape[0]):  # unknowns that equal a linking variable move along
                             x[grid[8][j, 0]] += x[grid[8][j, 1]] - trial[grid[8][j, 1]]
                         measures, measured = evaluated(problem, grid, bounds, x, g, distance, duals, vectors)
                         cost, residual, violation, stationarity, error = measures
@@ -957,7 +959,7 @@ def descend(
             if mu <= least_mu:
                 integers[LATE] += 1
         objective, small = cost - mu * logarithms, reals[SMALL_VIOLATION]
-        # Newton's step, at first perhaps with factors of a matrix beside the iterate.
+        # Newton's step, possibly first with the factors of a matrix at a nearby point.
         accepted, has_step, delta_w, longest, slope, dual_length, is_watched = False, False, 0.0, 0.0, 0.0, 0.0, False
         with_factors = integers[IS_FACTORED] == 1
         integers[IS_FACTORED] = 0
@@ -989,8 +991,8 @@ def descend(
                     integers[DOUBTFUL] = 1 if is_refined else 0
                     integers[ENOUGH] = 1 if is_refined else 4 * integers[ENOUGH]
                 if attempt == 1 and integers[SHORTENED] == SHORTENED_IN_TURN:
-                    # Where the equations' curvature makes the filter shorten step after step, full ones may be better
-                    # after all. If none is, all goes on from here: the watchdog technique, section 3.2.
+                    # If the equations' curvature makes the filter shorten step after step, full steps may be better.
+                    # If none is, the search continues from this iterate: the watchdog technique, section 3.2.
                     integers[WATCHING] = FULL_STEPS
                     copy(x, vectors[WATCH_X])
                     copy(distance, barriers[WATCH_DISTANCE])
@@ -1020,8 +1022,8 @@ def descend(
                         of_trial = max(t_measures[4], t_measured[3] - mu, mu - t_measured[2])
                         is_closer = is_closer or of_trial < CLOSER * of_barrier
                     if is_closer:
-                        # Cost and violation tell nothing of steps that move, or leave, rounding alone. IPOPT takes tiny
-                        # steps unseen: section 3.9.
+                        # Cost and violation cannot judge steps at rounding level. IPOPT accepts tiny steps without a
+                        # test: section 3.9.
                         rests = True
                         for i in range(n):
                             rests = rests and (is_multiplier[i] or abs(step[i]) <= TINY * max(1.0, abs(x[i])))
@@ -1030,7 +1032,7 @@ def descend(
                         )
                     if not accepted and t_measures[2] >= violation:
                         # Second-order corrections (27) of a full step that the equations' curvature spoils. Duals
-                        # follow the corrected step: those of the refused one belong to other distances.
+                        # follow the corrected step: those of the refused step belong to other distances.
                         copy(right, right2)
                         soc_length, refused = longest, t_measures[2]
                         for correction in range(CORRECTIONS):
@@ -1039,17 +1041,9 @@ def descend(
                                     before = g[i] if correction == 0 else right2[i]
                                     right2[i] = soc_length * before + tg[i]
                             solve_at(
-                                problem[2],
-                                grid[0],
-                                system[0],
-                                right2,
-                                system[8],
-                                system[1],
-                                system[2],
-                                system[6],
-                                system[7],
-                                step2,
-                            )
+                                problem[2], grid[0], system[0], right2, system[8], system[1], system[2], system[6],
+                                system[7], step2,
+                            )  # fmt: skip
                             _, _, soc_length, soc_dual = measure_step(
                                 grid, bounds, x, right2, step2, distance, duals, mu, dual_step2
                             )
@@ -1073,17 +1067,17 @@ def descend(
             if attempt == 0:
                 attempt = 1
                 continue
-            # Were the equations linear, 1 - length of each would be left: more is curvature, or an inaccurate step.
+            # Linear equations would leave 1 - length of each residual: more is curvature, or an inaccurate step.
             expected = max(ROUNDED, (1.0 - reals[LENGTH] + UNSOLVED) * residual)
             is_tested = accepted and attempt == 1 and not careful and (m > 0 or delta_w == 0.0)
             if is_tested and t_measures[1] > expected:
                 integers[DOUBTFUL] += 1
                 if integers[DOUBTFUL] >= integers[ENOUGH]:
                     fill_newton_system(grid, bounds, g, distance, duals, mu, delta_w, 0.0, right, vectors[DIAGONAL])
-                    left = fill_linear_residual(
+                    remainder = fill_linear_residual(
                         problem, grid, system, x, vectors[DIAGONAL], right, step, 1.0, vectors, right2
                     )
-                    if left > ACCURATE:
+                    if remainder > ACCURATE:
                         if room.shape[0] == 0:
                             status = ROOM
                             break
@@ -1095,7 +1089,7 @@ def descend(
                     integers[DOUBTFUL], integers[ENOUGH] = 0, 4 * integers[ENOUGH]
             break
         if status == ROOM:
-            integers[DOUBTFUL] = integers[ENOUGH]  # so that the step is made again, and refined
+            integers[DOUBTFUL] = integers[ENOUGH]  # the step is made again, and refined
             reals[DELTA_W], reals[LAST_DELTA_W] = delta_before, last_before
             integers[LOWERED], integers[WAS_SINGULAR] = lowered_before, singular_before
             break
@@ -1128,7 +1122,7 @@ def descend(
             as_before = not shorter and t_measures[2] >= 0.999 * violation
             integers[IN_VAIN] = integers[IN_VAIN] + 1 if as_before else 0
             if integers[SHORTENED] or reals[DAMPING] > 0.0:
-                # A Hessian that is barely positive definite sends steps far beyond where it means something.
+                # A Hessian that is barely positive definite makes steps far too long.
                 damping = reals[DAMPING]
                 if not accepted:
                     reals[DAMPING] = 0.0
@@ -1156,7 +1150,7 @@ def descend(
             elif m > 0 and not gap <= tolerance * m:
                 status = STALLED
             else:
-                status = SOLVED if convex else SADDLE  # rounding has the last word
+                status = SOLVED if convex else SADDLE  # only rounding errors remain
             break
         copy(trial, x)
         copy(tg, g)

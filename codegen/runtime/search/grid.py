@@ -1,4 +1,7 @@
-"""The time grid of a solve with all its data, and views of the unknowns."""
+"""The time grid of a solve with all its data, views of the unknowns, inner times and measurements.
+
+A measurement reaches the kernels as a sample: its interval, its place in the interval, values and weights.
+"""
 
 import math
 from typing import NamedTuple
@@ -8,9 +11,10 @@ import numpy as np
 from codegen.runtime.search.problem import ControlProblem
 
 NONE = np.zeros(0)  # scaling factors of a grid in the problem's own units
-SHORTEST = 1e-10  # part of the duration, or of a phase, that an interval has at least
-EQUAL = 1e-12  # parts of their length by which equal intervals may differ
-AT_NODE = 1e-9  # parts of the duration by which a node may miss an inner time
+SHORTEST = 1e-10  # least length of an interval, relative to the duration or the phase
+EQUAL = 1e-12  # largest relative difference of the lengths of equal intervals
+TIME_ROUNDING = 1e-9  # largest excess of a measured time, relative to the duration
+AT_NODE = 1e-9  # largest distance of a node from its inner time, relative to the duration
 
 
 class Grid(NamedTuple):
@@ -31,7 +35,7 @@ class Grid(NamedTuple):
         Scaling factors: unknowns are in multiples of `sizes`, the cost is multiplied by `weight`, and the gradient by
         `forces`, which is weight times sizes. Empty and 1 in the problem's own units.
     bounds : tuple
-        Least and greatest values (n,), scaled, if they are known already.
+        Least and greatest values (n,), scaled, once they are computed.
     inner : tuple of int
         Nodes at inner times.
     problem : ControlProblem
@@ -89,7 +93,7 @@ def checked_times(steps, duration):
 def checked_grid(problem, steps, duration, parameters, fractions):
     """Return a Grid; `parameters` are numbers, or arrays (bodies,).
 
-    ValueError names what is not finite, or not positive.
+    ValueError names a value that is not finite, or not positive.
     """
     s = problem.structure
     steps, duration = checked_times(steps, duration)
@@ -113,8 +117,8 @@ def checked_grid(problem, steps, duration, parameters, fractions):
 def checked_nodes(chains, steps, fractions):
     """Return the number of intervals, the indices of all nodes in mean lengths, and True if intervals are equal.
 
-    `fractions`, if given, are parts of the duration, (N,), or of each of the phases, `chains` of them, also
-    (chains, N). ValueError for others.
+    `fractions`, if given, are the lengths of intervals relative to the duration, (N,). For several phases, `chains` of
+    them, they are relative to each phase, also (chains, N). ValueError for other arrays.
     """
     if fractions is None:
         return steps, np.arange(chains * steps + 1.0), True
@@ -140,7 +144,7 @@ def plain_grid(grid):
 
 
 def replace_values(boundary, where, values):
-    """Overwrite prescribed boundary values by name; ValueError tells which names there are."""
+    """Overwrite prescribed boundary values by name; ValueError for a name that is not prescribed."""
     for quantity, value in (values or {}).items():
         key = f"{where} {quantity}"
         if key not in boundary:
@@ -175,13 +179,13 @@ def side_by_side(values):
 
 
 def layout_of(grid):
-    """Return which unknowns are multipliers and which are free: those that no boundary condition fixes."""
+    """Return the Layout of a grid: masks and indices of multipliers and of free unknowns."""
     s = grid.problem.structure
     return s.inner_layouts(grid.steps, grid.inner) if s.inner_times else s.layouts(grid.steps)
 
 
 def free_unknowns(grid):
-    """Return the mask (n,) of the unknowns that no boundary condition fixes and that mean something."""
+    """Return the mask (n,) of the unknowns that are present and that no boundary condition prescribes."""
     return layout_of(grid).is_free
 
 
@@ -196,7 +200,7 @@ def multiplier_unknowns(grid):
 
 
 def with_pinned_values(grid, unknowns):
-    """Return a copy of `unknowns` (n,) in which those that a boundary condition fixes have their values."""
+    """Return a copy of `unknowns` (n,) with the values that boundary conditions prescribe."""
     unknowns = np.array(unknowns, dtype=float)
     if unknowns.shape != grid.is_multiplier.shape:
         raise ValueError(f"guess has shape {unknowns.shape}, expected {grid.is_multiplier.shape}")
@@ -225,10 +229,10 @@ def least_duration(grid, unknowns):
 
 
 def inner_fractions(steps, duration, times, fractions):
-    """Return the lengths (N,) of intervals in parts of the duration, with all inner `times` among the nodes.
+    """Return the lengths (N,) of intervals relative to the duration, with all inner `times` among the nodes.
 
-    `fractions`, if given, are those of the caller. ValueError where they miss a time, for too few steps, and for times
-    that are not in order between start and end.
+    `fractions`, if given, are the lengths that the caller prescribes. ValueError if these miss a time, for too few
+    steps, and for times that do not ascend between start and end.
     """
     steps, duration = checked_times(steps, duration)
     ends = np.array([*times, duration], dtype=float) / duration
@@ -243,22 +247,17 @@ def inner_fractions(steps, duration, times, fractions):
         return fractions
     if steps < lengths.size:
         raise ValueError(f"steps must be at least {lengths.size}, as {len(times)} inner times are nodes, got {steps}")
-    counts = shared_out(steps, lengths)
-    return np.repeat(lengths / counts, counts)
-
-
-def shared_out(steps, lengths):
-    """Return how many of all intervals each segment gets, one at least: the longest ones are divided in turn."""
+    # Each segment gets one interval at least; the segments with the longest intervals are divided in turn.
     counts = np.maximum(1, np.floor(steps * lengths * (1.0 + AT_NODE)).astype(np.int64))
     while counts.sum() > steps:
         counts[np.argmin(np.where(counts > 1, lengths / counts, np.inf))] -= 1
     while counts.sum() < steps:
         counts[np.argmax(lengths / counts)] += 1
-    return counts
+    return np.repeat(lengths / counts, counts)
 
 
 def with_inner_times(grid):
-    """Return the grid with the numbers of the nodes at inner times; the times become those of the nodes exactly."""
+    """Return the grid with the numbers of the nodes at inner times; the times become exactly those of the nodes."""
     s = grid.problem.structure
     place = slice(s.inner_first, s.inner_first + s.inner_times)
     numbers = np.abs(grid.nodes[:, None] * grid.h - grid.parameters[0, place]).argmin(axis=0)
@@ -267,22 +266,100 @@ def with_inner_times(grid):
 
 
 def through_inner_times(grid, values, numbers, wanted, at_start, at_end):
-    """Return values (bodies, N + 1) at nodes, moved along straight lines to those that are `wanted` at inner times.
+    """Return values (bodies, N + 1) at nodes, shifted piecewise linearly to the `wanted` values at inner times.
 
-    They stay as they are `at_start` and `at_end`, where that is true.
+    Values at the start and at the end stay if `at_start` and `at_end` are true.
     """
-    known, moved = [grid.inner[number] for number in numbers], values.copy()
+    inner, shifted = [grid.inner[number] for number in numbers], values.copy()
+    nodes = np.concatenate([[0] * at_start, inner, [grid.steps] * at_end]).astype(np.int64)
     for body in range(len(values)):
-        there = [np.ravel(value)[body % np.size(value)] for value in wanted]
-        missing = np.array(there) - values[body, known]
-        nodes = np.concatenate([[0] * at_start, known, [grid.steps] * at_end]).astype(np.int64)
-        missing = np.concatenate([[0.0] * at_start, missing, [0.0] * at_end])
-        moved[body] += np.interp(grid.nodes, grid.nodes[nodes], missing)
-    return moved
+        targets = np.array([np.ravel(value)[body % np.size(value)] for value in wanted])
+        shifts = np.concatenate([[0.0] * at_start, targets - values[body, inner], [0.0] * at_end])
+        shifted[body] += np.interp(grid.nodes, grid.nodes[nodes], shifts)
+    return shifted
 
 
 def without_inner_unknown(grid, number):
-    """Return which nodes (N + 1,) lack an unknown, the `number`th of those that belong to inner times."""
+    """Return a mask (N + 1,) of the nodes that lack the unknown `number` of those at inner times."""
     absent = np.ones(grid.steps + 1, bool)
     absent[np.array(grid.inner)[grid.problem.structure.inner_present[:, number]]] = False
     return absent
+
+
+def with_tables(grid, tables):
+    """Return the grid with the numbers of all tables behind its parameters; `tables` as in `solve`."""
+    from codegen.runtime.tabulated import table_numbers
+
+    rows = np.tile(table_numbers(grid.problem, tables), (grid.problem.structure.bodies, 1))
+    return grid._replace(parameters=np.hstack([grid.parameters, rows]))
+
+
+def with_observations(grid, observations):
+    """Return the grid with the samples of each body behind its parameters; `observations` as in `solve`."""
+    bodies = grid.problem.structure.bodies
+    observations = grid.problem.observations if observations is None else observations
+    if isinstance(observations, np.ndarray):
+        observations = (observations,)
+    if len(observations) != bodies:
+        raise ValueError(f"there are observations of {len(observations)} bodies, and {bodies} move")
+    rows = [samples_of(grid, checked_observations(grid.problem, measured)) for measured in observations]
+    samples = np.full((bodies, max(row.size for row in rows)), np.inf)  # an infinite time ends the samples of a body
+    for body, row in enumerate(rows):
+        samples[body, : row.size] = row.ravel()
+    return grid._replace(parameters=np.hstack([grid.parameters, samples]))
+
+
+def checked_observations(problem, measured):
+    """Return rows (time, values, standard deviations) of one body by time; ValueError for unusable rows."""
+    rows, width = np.array(measured, dtype=float), problem.structure.sample - 1
+    if rows.ndim != 2 or rows.shape[1] != width or not rows.size:
+        columns = ", ".join(problem.metadata.observations.columns)
+        raise ValueError(f"observations have shape {rows.shape}, expected rows of time, {columns}, standard deviations")
+    values, sigmas = np.split(rows[:, 1:], 2, axis=1)
+    if not np.isfinite(rows[:, 0]).all() or np.isinf(values).any():
+        raise ValueError("observations must have finite times and values, NaN where nothing was measured")
+    if not (np.isnan(values) | (sigmas > 0.0) & (sigmas < np.inf)).all():
+        raise ValueError("standard deviations of observations must be positive and finite")
+    return rows[np.argsort(rows[:, 0], kind="stable")]
+
+
+def samples_of(grid, rows):
+    """Return the samples (m, sample) for kernels of rows by time; ValueError for times outside the motion."""
+    nodes = grid.nodes * grid.h
+    least, greatest = rows[0, 0], rows[-1, 0]
+    if least < -TIME_ROUNDING * nodes[-1] or greatest > (1.0 + TIME_ROUNDING) * nodes[-1]:
+        raise ValueError(f"observations are from t = {least:g} to {greatest:g}, the motion from 0 to {nodes[-1]:g}")
+    k = np.clip(np.searchsorted(nodes, rows[:, 0], side="right") - 1, 0, grid.steps - 1)
+    values, sigmas = np.split(rows[:, 1:], 2, axis=1)
+    missing = np.isnan(values)
+    return np.column_stack(
+        [
+            (nodes[k] + nodes[k + 1]) / 2.0,
+            np.clip((rows[:, 0] - nodes[k]) / (nodes[k + 1] - nodes[k]), 0.0, 1.0),
+            np.where(missing, 0.0, values),
+            np.where(missing, 0.0, 1.0 / np.where(missing, 1.0, sigmas)),
+        ]
+    )
+
+
+def through_samples(grid, values, column, at_start, at_end):
+    """Return values (bodies, N + 1) at nodes by linear interpolation of the measurements in a column.
+
+    Measurements at equal times count by their mean. Values at the start and at the end stay if `at_start` and `at_end`
+    are true, and so do values of bodies without measurements.
+    """
+    times, interpolated, s = grid.nodes * grid.h, values.copy(), grid.problem.structure
+    for body in range(s.bodies):
+        samples = grid.parameters[body, s.first_sample :].reshape(-1, s.sample)
+        samples = samples[samples[:, 2 + column + (s.sample - 2) // 2] > 0.0]  # with a weight of their own
+        samples = samples[np.isfinite(samples[:, 0])]
+        if samples.size:
+            k = np.searchsorted(times, samples[:, 0]) - 1
+            at, index = np.unique(times[k] + samples[:, 1] * (times[k + 1] - times[k]), return_inverse=True)
+            measured = np.bincount(index, samples[:, 2 + column]) / np.bincount(index)
+            interpolated[body] = np.interp(times, at, measured)
+        if at_start:
+            interpolated[body, 0] = values[body, 0]
+        if at_end:
+            interpolated[body, -1] = values[body, -1]
+    return interpolated

@@ -1,6 +1,6 @@
-"""Iterates of a search: how they begin, and how they follow each other where Python leads the search.
+"""Iterates of a search: initialisation, and the steps of an iterate where Python leads the search.
 
-The Newton loop itself is compiled, see `descent`; restoration, exact bounds and starts take these steps.
+The Newton loop itself is compiled, see `descent`. Restoration, final bounds and starts take the steps of this module.
 """
 
 from functools import cached_property
@@ -11,30 +11,30 @@ from numba import njit
 
 from codegen.runtime.search import descent
 from codegen.runtime.search.bounds import bounds_of
-from codegen.runtime.search.descent import COST, DISTANCE, DUALS, LARGEST_DUAL, LEAST_RELAXED, MU, RELAXED, G, X
+from codegen.runtime.search.descent import COST, DISTANCE, DUALS, LARGEST_DUAL, LEAST_RELAXED, MU, G, X
 from codegen.runtime.search.grid import NONE, Grid, layout_of, multiplier_unknowns, with_pinned_values
 from codegen.runtime.search.linear_system import System, allocate_system, with_entry_factors
 from codegen.runtime.search.point import Point, evaluate, lagrangian
 from codegen.runtime.search.structure import NO_INDICES
 
-LARGEST_KEPT = 4_000_000  # numbers of the storage that is kept between searches: 32 MB
+LARGEST_KEPT = 4_000_000  # largest number of floats of a storage that is kept between searches: 32 MB
 
 
 class Attempt(NamedTuple):
-    """How a search begins.
+    """The start of a search.
 
     Attributes
     ----------
     weight, push : float
-        First weight of the barrier, and how far inside their bounds unknowns begin.
+        First weight of the barrier, and least distance of unknowns to their bounds at the start.
     nearby : float
         Part of the violation at the guess that may remain before the search begins.
     shortest : float
-        Steps below it make way for restoration.
+        Shorter steps are replaced by a restoration.
     funnel : float
         Factor by which the violation may grow.
     bulge : float
-        Part of its size by which the guess is bent.
+        Bulge of the guess, relative to its size.
     on_path : bool
         True if duals begin on the central path, not at one.
     """
@@ -55,15 +55,15 @@ FROM_NEIGHBOUR = Attempt(*descent.BESIDE, 1.0, 1e-12, 1e4, on_path=True)
 CASCADE_WITH_BOUNDS = (
     Attempt(0.1, 1e-2, 0.1, 1e-3, 2.0),
     Attempt(10.0, 1e-2, 1.0, 1e-3, 2.0),
-    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # where equations depend on each other at the guess alone
+    Attempt(0.1, 1e-2, 1.0, 1e-12, 1e4, 0.1),  # for equations that depend on each other only at the guess
 )
 CASCADE = (CASCADE_WITH_BOUNDS[0], CASCADE_WITH_BOUNDS[2])
 
 
 class Bounds(NamedTuple):
-    """Indices, sides, magnitudes, one or more, and values of all finite bounds; least and greatest values (n,).
+    """Indices, sides, magnitudes (at least one) and values of all finite bounds; least and greatest values (n,).
 
-    The latter are empty where a problem has no bounds.
+    The least and greatest values are empty if a problem has no bounds.
     """
 
     indices: np.ndarray
@@ -94,7 +94,7 @@ NO_BOUNDS = Bounds(NO_INDICES, NONE, NONE, NONE, NONE, NONE)
 
 
 class Workspace:
-    """The work space of the compiled search on a grid, which serves all searches with so many unknowns and bounds."""
+    """The work space of the compiled search, used again by searches with as many unknowns and bounds."""
 
     def __init__(self, n, m):
         self.vectors, self.barriers = np.zeros((descent.VECTORS, n)), np.zeros((descent.BARRIERS, m))
@@ -114,9 +114,9 @@ class Workspace:
 
 
 class Search(NamedTuple):
-    """What stays the same during a solve: grid, bounds, storage of the linear system, work space.
+    """The constant data of a solve: grid, bounds, storage of the linear system, work space.
 
-    Bounds are relaxed by `least` at least, relative to their magnitudes. `arguments` are those of the compiled search.
+    Bounds are relaxed by at least `least`, relative to their magnitudes. `arguments` are those of the compiled search.
     """
 
     grid: Grid
@@ -161,7 +161,7 @@ class Step(NamedTuple):
 
 
 def search_on(grid):
-    """Return what stays the same during a solve on a grid, whose bounds the grid of the search has."""
+    """Return the Search on a grid; the grid of the search has the bounds."""
     bounds = NO_BOUNDS
     if grid.problem.variable_bounds is not None:
         box = bounds_of(grid)
@@ -183,14 +183,14 @@ def keep_storage(search):
 
 
 def storage_key(grid, bounds):
-    """Return what the lengths of all arrays of a search follow from."""
+    """Return the numbers that determine the lengths of all arrays of a search."""
     return grid.steps, grid.is_uniform, bounds.side.size
 
 
 def on_grid(search, grid):
-    """Return the search on a grid with as many intervals and finite bounds: its storage serves again.
+    """Return the search on a grid with as many intervals and finite bounds, with the same storage.
 
-    A grid that has no bounds yet has those of the search.
+    A grid without bounds takes the bounds of the search.
     """
     if grid is search.grid:
         return search
@@ -203,7 +203,7 @@ def on_grid(search, grid):
 
 
 def arguments_of(grid, system):
-    """Return problem, grid and linear system as the compiled search takes them."""
+    """Return problem, grid and linear system in the form of the arguments of the compiled search."""
     steps, h, nodes, _, parameters, is_multiplier, sizes, forces, weight, _, _, problem = grid
     s = problem.structure
     data = (
@@ -214,7 +214,7 @@ def arguments_of(grid, system):
 
 
 def begin(search, unknowns, attempt):
-    """Return the iterate at primal unknowns that are pushed inside their bounds, with duals of one or on the path."""
+    """Return the iterate at primal unknowns pushed inside their bounds, with duals of one or on the central path."""
     work = search.work
     work.vectors[X] = unknowns
     work.reals[MU], work.reals[descent.PUSH] = attempt.weight if search.is_bounded else 0.0, attempt.push
@@ -241,14 +241,17 @@ def stored(search):
 
 
 def pushed_inside(search, unknowns, push):
-    """Return unknowns at least `push` max(1, |bound|) inside their bounds, or that part of the way between two (36)."""
+    """Return unknowns at least `push` max(1, |bound|) inside their bounds (36).
+
+    Between two bounds, the push is at most that part of their distance.
+    """
     inside = unknowns.copy()
     descent.push_inside(search.arguments[1], search.arguments[3], push, inside)
     return inside
 
 
 def with_tied_values(grid, unknowns):
-    """Return unknowns in which those that equal linking variables have their values."""
+    """Return unknowns in which unknowns of the end nodes have the values of the linking variables that they equal."""
     if not grid.problem.structure.is_tied:
         return unknowns
     if grid.sizes.size:
@@ -257,7 +260,7 @@ def with_tied_values(grid, unknowns):
 
 
 def central_duals(mu, distance):
-    """Return duals (m,) on the central path, or large ones where a bound is closer."""
+    """Return duals (m,) on the central path, limited where a bound is close."""
     return np.minimum(mu / distance, LARGEST_DUAL)
 
 
@@ -272,7 +275,7 @@ def with_least_squares_multipliers(search, iterate):
 
 
 def measured_point(search, iterate):
-    """Return the point of an iterate, in whose stationarity and error the duals of bounds take part."""
+    """Return the point of an iterate, with the duals of bounds included in its stationarity and error."""
     point, bounds = iterate.point, search.bounds
     if not search.is_bounded:
         return point
@@ -282,13 +285,6 @@ def measured_point(search, iterate):
     )[0]  # fmt: skip
     error = max(point.residual, stationarity) if point.error < np.inf else np.inf
     return point._replace(stationarity=stationarity, error=error)
-
-
-def barrier_curvature(search, iterate):
-    """Return what the barrier adds to the Hessian's diagonal (n,)."""
-    curvature = np.zeros(iterate.point.unknowns.size)
-    np.add.at(curvature, search.bounds.indices, iterate.duals / iterate.distance)
-    return curvature
 
 
 def newton_system(search, iterate, gradient, delta_w, delta_c):
@@ -312,7 +308,7 @@ def step_along(search, iterate, right, primal):
 
 
 def moved(search, iterate, step, length):
-    """Return the iterate after a length of a step's primal part and the longest of its dual part."""
+    """Return the iterate after a length of the primal part of a step and the longest length of its dual part."""
     unknowns, distance, duals = (np.empty_like(x) for x in (iterate.point.unknowns, iterate.distance, iterate.duals))
     descent.move(
         search.arguments[3], iterate.point.unknowns, step.primal, length, iterate.distance, iterate.duals, step.dual,
@@ -323,7 +319,7 @@ def moved(search, iterate, step, length):
 
 
 def newton_step(search, iterate):
-    """Return the refined Newton step with the least shift of the Hessian that makes it one of descent, or None."""
+    """Return the refined Newton step with the least shift of the Hessian that makes it a descent step, or None."""
     work, point = search.work, iterate.point
     is_found, _, longest, dual_length, _, _ = descent.regularise(
         *search.arguments, point.unknowns, point.gradient, iterate.distance, iterate.duals, iterate.mu, 0.0, True,
@@ -336,19 +332,10 @@ def newton_step(search, iterate):
 
 
 def predicted_cost(search, iterate):
-    """Return the cost of the optimum nearby, to first order: residuals, and distances to bounds, cost multipliers.
+    """Return the cost of the nearby optimum to first order, by multipliers times residuals and duals times distances.
 
-    Bounds count as they are, not relaxed.
+    Bounds are not relaxed here.
     """
     bounds = search.bounds
     distance = bounds.side * (iterate.point.unknowns[bounds.indices] - bounds.value)
     return lagrangian(search.grid, iterate.point) - iterate.duals @ distance
-
-
-def with_relaxed_bounds(search):
-    """Return the search with bounds that stay as relaxed as they are at first.
-
-    Where equations force unknowns onto their bounds, and all multipliers are huge, the relaxation is what gives the
-    feasible set an inside; IPOPT keeps it as well.
-    """
-    return search._replace(least=RELAXED)

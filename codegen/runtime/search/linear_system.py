@@ -11,11 +11,11 @@ from codegen.runtime.search.grid import NONE, layout_of
 
 
 class System(NamedTuple):
-    """The storage of a linear system: index tables, work space, second derivatives, scaling factors of these.
+    """The storage of a linear system: index tables, work space, second derivatives and their scaling factors.
 
-    `scaled` and `costless` are the factors of all entries with the cost and without the cost; the former
-    is empty where it makes no difference. `counts` are bodies, entries of an interval, of a start and of an end, own
-    linking variables, and all linking variables. `equations` is the number of multipliers.
+    `scaled` and `costless` are the factors of all entries with the cost and without the cost. `scaled` is empty if all
+    factors are one. `counts` are bodies, entries of an interval, of a start and of an end, own linking variables, all
+    linking variables, and the lengths of an element and of a stride. `equations` is the number of multipliers.
     """
 
     address: int
@@ -47,7 +47,7 @@ def allocate_system(grid):
 
 
 def with_entry_factors(grid, system):
-    """Return the same storage with the factors of entries on a grid."""
+    """Return the same storage with the scaling factors of entries on a grid."""
     s = grid.problem.structure
     if not grid.sizes.size:
         return system._replace(scaled=NONE, costless=s.without_cost)
@@ -70,11 +70,11 @@ def global_index(local, first, element, own, bodies, body, linking):
 
 @njit(cache=True, error_model="numpy")
 def fill_entry_factors(sizes, forces, rows, columns, is_multiplier, without_cost, counts, factors):
-    """Fill what entries of an interval, of both ends, and of conditions between linking variables are multiplied by.
+    """Fill the scaling factors of the entries of an interval, of both ends, and of coupling conditions.
 
-    These are the roots of `sizes` times `forces` of both unknowns, which have the weight of the grid in them; in the
-    second row of `factors` (2, entries) zero where both unknowns are primal. The one for a multiplier that an interval
-    lacks stays one: a shift of the multipliers' diagonal would turn the sign of a smaller one.
+    A factor is the root of `sizes` times `forces` of both unknowns, which contain the weight of the grid. The second
+    row of `factors` (2, entries) is zero where both unknowns are primal. The one for a multiplier that an interval
+    lacks stays one: with a smaller one, a shift of the multipliers' diagonal would turn its sign.
     """
     bodies, own, root, element = counts[0], counts[4], counts[5], counts[6]
     linking = sizes.size - root
@@ -95,13 +95,13 @@ def fill_entry_factors(sizes, forces, rows, columns, is_multiplier, without_cost
 
 
 def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=None):
-    """Factor the KKT matrix and return how many more negative eigenvalues it has than there are equations.
+    """Factor the KKT matrix and return its excess of negative eigenvalues over the number of equations.
 
-    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low: the
-    elimination stops when there are too many. None means that the matrix is singular, or that a block that is
-    condensed is not positive definite. The Hessian of the cost is multiplied by `weight`, 0 or 1; then `diagonal` (n,)
-    is added to the diagonal of the whole matrix. Where it was factored, `step` (n,), if given, is Newton's: the
-    solution of KKT matrix . step = -gradient. Everything is scaled where the grid is.
+    Zero means that the reduced Hessian is positive definite, as at a minimum. A positive number may be too low, since
+    the elimination stops early. None means that the matrix is singular, or that a condensed block is not positive
+    definite. The Hessian of the cost is multiplied by `weight`, 0 or 1. Then `diagonal` (n,) is added to the diagonal
+    of the matrix. After a factorisation, `step` (n,), if given, is Newton's step: the solution of
+    KKT matrix . step = -gradient. Everything is scaled if the grid is.
     """
     steps, h, nodes, _, parameters, _, sizes, *_ = grid
     factors = system.scaled if weight == 1.0 else system.costless
@@ -115,7 +115,7 @@ def factor_kkt(grid, unknowns, weight, diagonal, system, gradient=None, step=Non
 
 
 def is_factored(excess):
-    """Return True if what `factor_kkt` gave says that the whole matrix was factored, so that there is a solution."""
+    """Return True if the result of `factor_kkt` says that the matrix was factored, so that there is a solution."""
     return excess is not None and excess <= 0
 
 
@@ -180,8 +180,8 @@ def fill_entries(loop, unknowns, sizes, scaled, factors, steps, h, nodes, parame
 def multiply_entries(entries, rows, columns, steps, counts, vector, product, is_absolute):
     """Add the symmetric matrix of all entries times `vector` to `product`, both (n,); or absolute values of terms.
 
-    A one for a multiplier that an interval lacks, and that an end takes back, is no term: it is left out of absolute
-    values by both.
+    The one for a multiplier that an interval lacks, and that an end subtracts again, is no term. `descent.terms` leaves
+    it out.
     """
     size, place, first_local = vector.size, 0, 0
     bodies, own, root, element, stride = counts[0], counts[4], counts[5], counts[6], counts[7]

@@ -1,17 +1,24 @@
-"""One sentence on how a solution ended: what is wrong, in which row and where, and what to try."""
+"""One sentence on how a search ended: the problem, the row and place of the worst equation, and a remedy."""
 
 import numpy as np
 
 from codegen.runtime.record import phrase
-from codegen.runtime.search.bounds import at_bounds, bounds_of, contradictory_bounds, prescribed_beyond, units_of
-from codegen.runtime.search.callbacks import hessian, jacobian
+from codegen.runtime.search.bounds import (
+    HOLDS,
+    at_bounds,
+    bounds_of,
+    contradictory_bounds,
+    prescribed_beyond,
+    units_of,
+    with_violations,
+)
+from codegen.runtime.search.cascade import negative_curvature_direction
 from codegen.runtime.search.grid import least_duration, multiplier_unknowns, node_times, plain_grid, primal_unknowns
-from codegen.runtime.search.parts import interval_parts
-from codegen.runtime.search.saddle_points import negative_curvature_direction
-from codegen.runtime.search.slacks import with_violations
-from codegen.runtime.search.table_ranges import OUTSIDE_TABLE, tables_beyond
-from codegen.runtime.search.termination import GROWTH, HOLDS
+from codegen.runtime.search.point import fill, hessian, interval_parts, jacobian
+from codegen.runtime.search.termination import GROWTH
 
+OUTSIDE_TABLE = "outside a table"  # the status of an optimum that reads a table outside its range
+TABLE_MARGIN = 1e-8  # excess of an input, relative to the range, that is a rounding error
 REMEDIES = {
     "iteration limit": "raise max_iterations, or start from a better guess",
     "time limit": "raise time_limit, take fewer steps, or start from a better guess",
@@ -25,15 +32,15 @@ REMEDIES = {
     OUTSIDE_TABLE: "keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'",
 }
 LONGEST = 80  # characters of a condition that a message quotes
-NAMED = 3  # how many equations a message names
+NAMED = 3  # number of equations that a message names
 
 
 def describe(grid, guess, point, status):
-    """Return the final status and the sentence about it; guess and point are in the problem's own units."""
+    """Return the final status and a sentence about it; guess and point are in the problem's own units."""
     if grid.problem.variable_bounds is not None:
-        beyond = prescribed_beyond(grid, point.unknowns)
-        if beyond:
-            return "infeasible", f"infeasible: {beyond}; change the value or the bound"
+        violation = prescribed_beyond(grid, point.unknowns)
+        if violation:
+            return "infeasible", f"infeasible: {violation}; change the value or the bound"
         index = contradictory_bounds(grid) if status != "solved" else -1
         if index >= 0:
             least, greatest = (float(bound[index] * units_of(grid)[index]) for bound in bounds_of(grid))
@@ -41,9 +48,9 @@ def describe(grid, guess, point, status):
             limits = f"at least {least:g} and at most {greatest:g}"
             return "infeasible", f"infeasible: {name} is to be {limits}; change one of the bounds"
     if grid.problem.inputs is not None and status == "solved":
-        beyond = tables_beyond(grid, point.unknowns)
-        if beyond:
-            return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {beyond}; {REMEDIES[OUTSIDE_TABLE]}"
+        excess = tables_beyond(grid, point.unknowns)
+        if excess:
+            return OUTSIDE_TABLE, f"{OUTSIDE_TABLE}: {excess}; {REMEDIES[OUTSIDE_TABLE]}"
     if status == "solved":
         return status, f"all {reached(point)}"
     if grid.sizes.size:
@@ -58,8 +65,33 @@ def reached(point):
     return f"equations hold to {point.residual:.1e}, optimality conditions to {point.stationarity:.1e}"
 
 
+def tables_beyond(grid, unknowns):
+    """Return a text on the table that an optimum reads farthest outside its range, with value and place, or "".
+
+    Rows of `inputs`, (bodies, N + 2, inputs, 2), have the least and greatest values at the start, on all intervals and
+    at the end. `unknowns` are in the problem's own units.
+    """
+    problem = grid.problem
+    s, ranges = problem.structure, np.asarray(problem.ranges)
+    inputs = np.empty((s.bodies, grid.steps + 2, 2 * len(ranges)))
+    fill(problem.inputs.address, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, inputs.reshape(-1))
+    inputs = inputs.reshape(s.bodies, grid.steps + 2, len(ranges), 2)
+    ends = grid.parameters[:, ranges][:, None]
+    excess = np.maximum(ends[..., 0] - inputs[..., 0], inputs[..., 1] - ends[..., 1]) / (ends[..., 1] - ends[..., 0])
+    body, k, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    if not excess[body, k, j] > TABLE_MARGIN:
+        return ""
+    least, greatest = ends[body, 0, j]
+    low, high = inputs[body, k, j]
+    value, k = low if least - low >= high - greatest else high, k - 1
+    node = min(max(k, 0), grid.steps)
+    where = f"on interval {k}" if 0 <= k < grid.steps else f"at node {node}"
+    at = f"(t = {max(0.0, node_time(grid, unknowns, node)):.3g}){of_body(grid, body)}"
+    return f"{problem.range_names[j]} is {value:g} {where} {at}, outside {least:g} to {greatest:g}"
+
+
 def finding(grid, guess, point, status):
-    """Return a text on what was found, by the names of the author."""
+    """Return a text on the reason of a status, by the names of the author."""
     if status == "non-finite":
         return not_finite(grid, point)
     if status == "infeasible" or (status == "rank-deficient" and point.residual > HOLDS):
@@ -107,7 +139,7 @@ def violated(grid, point):
 
 
 def dependent(grid, point):
-    """Return the equations with the largest multipliers, or the count where no multiplier is large."""
+    """Return a text on the equations with the largest multipliers, or on other reasons of a singular matrix."""
     rows, columns = multiplier_unknowns(grid), primal_unknowns(grid)
     indices = largest_by_name(grid, point.unknowns, rows)
     if indices and abs(point.unknowns[indices[0]]) > 1e3:
@@ -122,7 +154,7 @@ def dependent(grid, point):
 def largest_by_name(grid, values, rows):
     """Return the indices of the largest comparable values among some rows, one for each name.
 
-    The first of them come first where they are as large as each other but for a thousandth.
+    Values that differ from the largest by less than a thousandth keep their order.
     """
     size, indices = np.abs(values[rows]), {}
     order = rows[np.argsort(-np.minimum(size, 0.999 * size.max(initial=0.0)), kind="stable")]
@@ -155,15 +187,28 @@ def negative_curvature_unknown(grid, point):
 
 def not_finite(grid, point):
     """Return a text on the first derivative or share of the cost that is infinite or NaN, with its kernel."""
+    s = grid.problem.structure
     bad = np.flatnonzero(~np.isfinite(point.gradient))
     if bad.size:
-        index = int(bad[0])
+        index, chain = int(bad[0]), grid.steps * s.stride + s.node
         text = f"the derivative of the Lagrangian by {unknown_name(grid, point.unknowns, index)}"
         if grid.is_multiplier[index]:
             text = equation_name(grid, point.unknowns, index)
-        return f"{text} is {point.gradient[index]} (kernel {kernel_name(grid, index)})"
+        # The kernels whose values add up to the row.
+        local, kernel = index % chain, "interval_gradient"
+        if index >= grid.is_multiplier.size - s.couplings:
+            kernel = "coupling_term"
+        elif index < s.bodies * chain and not s.node <= local < chain - s.node:
+            kernel = f"interval_gradient or {'start' if local < s.node else 'end'}_gradient"
+        return f"{text} is {point.gradient[index]} (kernel {kernel})"
     if not np.isfinite(point.cost):
-        return cost_not_finite(grid, point)
+        costs = interval_parts(grid, point.unknowns)[..., -1]
+        bad = np.argwhere(~np.isfinite(costs))
+        if bad.size:
+            body, k = bad[0]
+            where = f"interval {k}{of_body(grid, body)}"
+            return f"the cost is {costs[body, k]} on {where} (kernel interval_gradient)"
+        return f"the cost is {point.cost} at the end (kernel end_gradient)"
     for entries, rows in ((hessian, primal_unknowns(grid)), (jacobian, multiplier_unknowns(grid))):
         row, _, values = entries(grid, point.unknowns)
         bad = row[~np.isfinite(values)]
@@ -171,28 +216,6 @@ def not_finite(grid, point):
             name = unknown_name(grid, point.unknowns, int(rows[bad[0]]))
             return f"a second derivative by {name} is not finite (kernel interval_hessian)"
     return worst_row(grid, point)
-
-
-def cost_not_finite(grid, point):
-    """Return a text on the interval whose discrete cost is infinite or NaN."""
-    costs = interval_parts(grid, point.unknowns)[..., -1]
-    bad = np.argwhere(~np.isfinite(costs))
-    if bad.size:
-        body, k = bad[0]
-        return f"the cost is {costs[body, k]} on interval {k}{of_body(grid, body)} (kernel interval_gradient)"
-    return f"the cost is {point.cost} at the end (kernel end_gradient)"
-
-
-def kernel_name(grid, index):
-    """Return the kernels whose values add up to a row."""
-    s = grid.problem.structure
-    chain = grid.steps * s.stride + s.node
-    if index >= grid.is_multiplier.size - s.couplings:
-        return "coupling_term"
-    local = index % chain
-    if index >= s.bodies * chain or s.node <= local < chain - s.node:
-        return "interval_gradient"
-    return f"interval_gradient or {'start' if local < s.node else 'end'}_gradient"
 
 
 def unknown_name(grid, unknowns, index):
@@ -212,7 +235,7 @@ def equation_name(grid, unknowns, index):
 
 
 def local_name(grid, index):
-    """Return the name of an unknown without its place, or of a shared one with its body."""
+    """Return the name of an unknown without its place, or of a linking variable with its body."""
     s, metadata = grid.problem.structure, grid.problem.metadata
     chain = grid.steps * s.stride + s.node
     if index >= s.bodies * chain:
@@ -228,12 +251,16 @@ def whereabouts(grid, unknowns, index):
         return ""
     body, (k, local) = index // chain, divmod(index % chain, s.stride)
     kind = "at node" if local < s.node else "on interval"
-    t = grid.problem.duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
-    if s.phases:
-        t = node_times(grid, unknowns)[k]
-    return f" {kind} {k} (t = {t:.3g}){of_body(grid, body)}"
+    return f" {kind} {k} (t = {node_time(grid, unknowns, k):.3g}){of_body(grid, body)}"
+
+
+def node_time(grid, unknowns, k):
+    """Return the time of node k."""
+    if grid.problem.structure.phases:
+        return node_times(grid, unknowns)[k]
+    return grid.problem.duration_of(grid, unknowns) * grid.nodes[k] / grid.steps
 
 
 def of_body(grid, body):
-    """Return the number of a body in words, where there are several."""
+    """Return the number of a body in words if there are several."""
     return f" of body {body}" if grid.problem.structure.bodies > 1 else ""

@@ -1,7 +1,7 @@
-"""The discretised problem as a nonlinear program, for optimisers from outside.
+"""The discretised problem as a nonlinear program for external optimisers.
 
-Minimise f(x) such that c(x) = 0 and lower <= x <= upper. The unknowns x are the free primal unknowns: values that
-boundary conditions prescribe, and multipliers, are not among them.
+Minimise f(x) such that c(x) = 0 and lower <= x <= upper. The unknowns x are the free primal unknowns, without
+multipliers and without prescribed boundary values.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import Grid, multiplier_unknowns, primal_unknowns, with_pinned_values
 from codegen.runtime.search.messages import unknown_name
@@ -86,23 +86,23 @@ class NonlinearProgram:
 
     def cost(self, x):
         """Return the discrete cost f(x)."""
-        return float(callbacks.cost(self.grid, self.unknowns(x)))
+        return float(point.cost(self.grid, self.unknowns(x)))
 
     def gradient(self, x):
         """Return the gradient (n,) of the cost."""
-        return callbacks.cost_gradient(self.grid, self.unknowns(x))
+        return point.cost_gradient(self.grid, self.unknowns(x))
 
     def constraints(self, x):
         """Return the residuals c(x), (m,)."""
-        return callbacks.constraints(self.grid, self.unknowns(x))
+        return point.constraints(self.grid, self.unknowns(x))
 
     def stationarity(self, x, multipliers):
         """Return the gradient (n,) of the Lagrangian f + multipliers . c."""
-        return callbacks.stationarity(self.grid, self.unknowns(x, multipliers))
+        return point.stationarity(self.grid, self.unknowns(x, multipliers))
 
     def jacobian(self, x):
         """Return the Jacobian (m, n) of c as a `scipy.sparse.csr_array`."""
-        return self._sparse(callbacks.jacobian(self.grid, self.unknowns(x)), self.dual.size)
+        return self._sparse(point.jacobian(self.grid, self.unknowns(x)), self.dual.size)
 
     def hessian(self, x, multipliers=None, weight=1.0):
         """Return the Hessian of weight f + multipliers . c, both triangles, as a `scipy.sparse.csr_array` (n, n).
@@ -116,9 +116,9 @@ class NonlinearProgram:
         weight : float
             0 for the Hessian of the constraints alone, as `scipy.optimize.NonlinearConstraint` takes it.
         """
-        rows, columns, values = callbacks.hessian(self.grid, self.unknowns(x, multipliers))
+        rows, columns, values = point.hessian(self.grid, self.unknowns(x, multipliers))
         if weight != 1.0:  # the Lagrangian is linear in weight and multipliers
-            values = values + (weight - 1.0) * callbacks.hessian(self.grid, self.unknowns(x))[2]
+            values = values + (weight - 1.0) * point.hessian(self.grid, self.unknowns(x))[2]
         return self._sparse((rows, columns, values), self.primal.size)
 
     def unknowns(self, x, multipliers=None):

@@ -1,4 +1,8 @@
-"""A vector of unknowns with the cost, the gradient of the Lagrangian and the norms that are measured there."""
+"""The discretised problem at a vector of unknowns: cost, residuals, norms, shares of intervals, sparse derivatives.
+
+Sparse derivatives are (rows, columns, values) in the free primal unknowns and the free multipliers. Index arrays pick
+these out of the vector of all unknowns. Unknowns that a boundary condition prescribes are in neither.
+"""
 
 from typing import NamedTuple
 
@@ -6,13 +10,15 @@ import numpy as np
 from numba import njit
 
 from codegen.runtime.addresses import call_loop
+from codegen.runtime.search.grid import multiplier_unknowns, primal_unknowns
+from codegen.runtime.search.linear_system import allocate_system, filled_entries
 
 
 class Point(NamedTuple):
     """Unknowns (n,), gradient (n,) of the Lagrangian there, discrete cost, and norms of residual and stationarity.
 
-    `residual` is the largest residual of an equation and `violation` the sum of all; `error` is the max-norm of all
-    optimality conditions, infinite where the cost is not finite.
+    `residual` is the largest residual of an equation and `violation` the sum of all. `error` is the max-norm of all
+    optimality conditions, infinite if the cost is not finite.
     """
 
     unknowns: np.ndarray
@@ -69,3 +75,139 @@ def measured_gradient(
             stationarity = max(stationarity, value)
     error = max(residual, stationarity) if abs(cost) < np.inf else np.inf
     return cost, residual, violation, stationarity, error
+
+
+def interval_parts(grid, unknowns):
+    """Return the gradient of each interval's share of the Lagrangian, then its cost: (bodies, N, element + shared + 1).
+
+    `unknowns` (n,) are in the problem's own units.
+    """
+    s = grid.problem.structure
+    parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))
+    fill(grid.problem.parts.address, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, parts.reshape(-1))
+    return parts
+
+
+@njit(cache=True, error_model="numpy")
+def fill(loop, unknowns, steps, h, nodes, parameters, filled):
+    """Call the loop at an address, which fills a vector; return the result of the loop."""
+    return call_loop(
+        loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
+        filled.ctypes.data,
+    )  # fmt: skip
+
+
+def discrete_momenta(grid, unknowns):
+    """Return the momenta (bodies, N + 1, m) by the forced discrete Legendre transforms.
+
+    p_k = -(D1 Ld + f-) of the interval after a node, and D2 Ld + f+ of the last interval. Both are the factors of the
+    multipliers of the equations of motion in an interval's share of the Lagrangian.
+    """
+    s = grid.problem.structure
+    parts = np.empty((s.bodies, grid.steps, s.element + s.shared + 1))
+    momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
+    fill_momenta(
+        grid.problem.parts.address, unknowns, grid.steps, grid.h, grid.nodes, grid.parameters, s.equations, s.stride,
+        parts, momenta,
+    )  # fmt: skip
+    return momenta
+
+
+@njit(cache=True, error_model="numpy")
+def fill_momenta(loop, unknowns, steps, h, nodes, parameters, equations, stride, parts, momenta):
+    """Fill the momenta (bodies, N + 1, m); `parts` (bodies, N, element + shared + 1) takes what the loop fills."""
+    call_loop(
+        loop, unknowns.ctypes.data, steps, h, nodes.ctypes.data, parameters.ctypes.data, parameters.shape[1],
+        parts.ctypes.data,
+    )  # fmt: skip
+    for body in range(parts.shape[0]):
+        for i in range(equations.size):
+            for k in range(steps):
+                momenta[body, k, i] = -parts[body, k, equations[i]]
+            momenta[body, steps, i] = parts[body, steps - 1, stride + equations[i]]
+
+
+def cost(grid, unknowns):
+    """Return the discrete cost."""
+    return evaluate(grid, unknowns).cost
+
+
+def cost_gradient(grid, unknowns):
+    """Return the gradient of the discrete cost by the free primal unknowns."""
+    without_multipliers = np.where(grid.is_multiplier, 0.0, unknowns)
+    return evaluate(grid, without_multipliers).gradient[primal_unknowns(grid)]
+
+
+def constraints(grid, unknowns):
+    """Return the residuals of all discrete equations."""
+    return evaluate(grid, unknowns).gradient[multiplier_unknowns(grid)]
+
+
+def stationarity(grid, unknowns):
+    """Return the gradient of the Lagrangian by the free primal unknowns, at the multipliers in `unknowns`."""
+    return evaluate(grid, unknowns).gradient[primal_unknowns(grid)]
+
+
+def jacobian(grid, unknowns):
+    """Return the Jacobian of the residuals by the free primal unknowns, as (rows, columns, values)."""
+    return submatrix(grid, unknowns, multiplier_unknowns(grid), primal_unknowns(grid), False)
+
+
+def hessian(grid, unknowns):
+    """Return the Hessian of the Lagrangian by the free primal unknowns, both triangles, as (rows, columns, values)."""
+    return submatrix(grid, unknowns, primal_unknowns(grid), primal_unknowns(grid), True)
+
+
+def submatrix(grid, unknowns, rows, columns, is_curvature):
+    """Return entries of the KKT matrix in the given rows and columns, renumbered; duplicates are to be added."""
+    row, column = global_entries(grid.problem.structure, grid.steps)
+    value = filled_entries(grid, unknowns, allocate_system(grid)).copy()
+    wanted = ((grid.is_multiplier[row] == grid.is_multiplier[column]) == is_curvature) & (row >= 0)
+    row, column, value = row[wanted], column[wanted], value[wanted]
+    off_diagonal = row != column
+    row, column = np.concatenate([row, column[off_diagonal]]), np.concatenate([column, row[off_diagonal]])
+    value = np.concatenate([value, value[off_diagonal]])
+    new_row, new_column = np.full(unknowns.size, -1), np.full(unknowns.size, -1)
+    new_row[rows], new_column[columns] = np.arange(rows.size), np.arange(columns.size)
+    tied = grid.problem.structure.ties(grid.steps)
+    if tied.size:
+        representative = np.arange(unknowns.size)
+        representative[tied[:, 0]] = tied[:, 1]
+        row, column = representative[row], representative[column]
+    inside = (new_row[row] >= 0) & (new_column[column] >= 0)
+    return new_row[row[inside]], new_column[column[inside]], value[inside]
+
+
+def global_entries(s, steps):
+    """Return rows and columns, among all unknowns, of all second derivatives; of the root matrix the lower triangle.
+
+    Entries of the upper triangle of the root matrix have row and column -1, which is no unknown: they repeat.
+    """
+    chain, size, n = steps * s.stride + s.node, s.size(steps), s.node
+    root = size - s.root
+    parts = [[], []]
+    of_ends = (
+        (0, (s.start_rows, s.start_columns), range(1)),
+        (steps * s.stride, (s.end_rows, s.end_columns), range(1)),
+    )
+    first = (np.arange(s.bodies)[:, None] * chain + s.stride * np.arange(steps)).ravel()
+    shared = np.repeat(root + s.root_indices(), steps, axis=0)
+    for which, local in enumerate((s.rows, s.columns)):
+        indices = first[:, None] + np.minimum(local, s.element - 1)
+        linking = local >= s.element
+        if linking.any():
+            indices[:, linking] = shared[:, local[linking] - s.element]
+        parts[which].append(indices.ravel())
+    for begin, ends, _ in of_ends:
+        for which, local in enumerate(ends):
+            for body in range(s.bodies):
+                own = body * chain + begin + np.minimum(local, n - 1)
+                linking = local >= n
+                if linking.any():
+                    own[linking] = root + s.root_indices()[body][local[linking] - n]
+                parts[which].append(own)
+    if s.root:
+        i, j = np.divmod(np.arange(s.root**2), s.root)
+        parts[0].append(np.where(i >= j, root + i, -1))
+        parts[1].append(np.where(i >= j, root + j, -1))
+    return tuple(np.concatenate(part).astype(np.int64) for part in parts)

@@ -1,4 +1,4 @@
-"""What is special about an optimal control problem, as its generated module states it."""
+"""The definition of an optimal control problem: structure, loops and formulas that its generated module passes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,12 +10,12 @@ from numba import config
 
 from codegen.runtime.addresses import LOOP, callback
 from codegen.runtime.kernels import Addressed, problem_of
-from codegen.runtime.kkt.any_shape import any_shape_address
-from codegen.runtime.kkt.specialised import system_address
+from codegen.runtime.kkt.specialised import any_shape_address, system_address
 from codegen.runtime.linking import link_inner_functions
+from codegen.runtime.record import ControlRecord
 from codegen.runtime.search.structure import Structure
 
-MOST_KEPT = 4  # searches whose storage is kept, for as many threads
+MOST_KEPT = 4  # searches whose storage is kept, one for each of four threads
 
 
 class Loop(Addressed):
@@ -26,10 +26,11 @@ class Loop(Addressed):
         """The compiled function, or the callback."""
         if self.is_interpreted or config.DISABLE_JIT:
             return callback(LOOP, self.function)
-        # Functions of the runtime may be called from Python elsewhere.
+        # Only functions of the module itself are linked: Python may call functions of the runtime elsewhere.
         space = self.function.__globals__
-        own = [value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space]
-        link_inner_functions(own)
+        link_inner_functions(
+            value for value in space.values() if is_inner(value) and value.py_func.__globals__ is space
+        )
         return self.compiled_as(LOOP)
 
 
@@ -40,15 +41,15 @@ def is_inner(value):
 
 @dataclass(frozen=True, eq=False)
 class DataDerivatives:
-    """How the Lagrangian and the formulas of a problem depend on its data, for sensitivities.
+    """Derivatives of the Lagrangian and of the formulas of a problem by its data, for sensitivities.
 
-    Data are all parameters but linking variables, time and length of an interval, and numbers of its left node, which
-    are those of conditions at inner times. Of an end, the unknowns of its node come behind them, as some are pinned.
+    Data are all parameters but linking variables, time and length of an interval, and numbers of its left node from
+    conditions at inner times. For an end, the unknowns of its node follow, since some are pinned.
 
     Attributes
     ----------
     quantities : tuple of str
-        Names of what derivatives of solutions are by.
+        Names of the quantities by which solutions are differentiated.
     count, parametric : int
         Number of data, and of those among the parameters.
     acting, bounding : array of int
@@ -64,7 +65,7 @@ class DataDerivatives:
     durations : callable
         (grid, unknowns, moves, rates, duration) -> (m, D): derivatives of the durations of D phases.
     bounds : callable or None
-        (grid, rates of one quantity) -> lower, upper: derivatives of bounds, where these depend on parameters.
+        (grid, rates of one quantity) -> lower, upper: derivatives of bounds that depend on parameters.
     clock : int or None
         The time of a node among its unknowns.
     """
@@ -72,13 +73,13 @@ class DataDerivatives:
     quantities: tuple[str, ...]
     count: int
     parametric: int
-    acting: Any
-    rows: Any
-    columns: Any
-    start_rows: Any
-    start_columns: Any
-    end_rows: Any
-    end_columns: Any
+    acting: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    start_rows: np.ndarray
+    start_columns: np.ndarray
+    end_rows: np.ndarray
+    end_columns: np.ndarray
     loop: Loop
     rates: Callable[..., Any]
     pins: Callable[..., Any]
@@ -88,9 +89,9 @@ class DataDerivatives:
     clock: int | None = None
 
     def tables(self, structure):
-        """Return rows, columns and counts for `sensitivities.change_along`, and the length of what the loop fills.
+        """Return rows, columns and counts for `sensitivities.change_along`, and the length of the result of the loop.
 
-        The length has two parts: of each interval, and of all others.
+        The length has two parts: the numbers of each interval, and all others.
         """
         s, sizes = structure, [part.size for part in (self.rows, self.start_rows, self.end_rows)]
         counts = np.array([self.count, self.parametric, s.shared, s.inner_first, s.inner_times, *sizes])
@@ -103,7 +104,7 @@ class DataDerivatives:
 
 
 class Storage:
-    """Arrays of searches that have ended, for the next searches with as many intervals and bounds.
+    """Arrays of finished searches, used again by searches with as many intervals and bounds.
 
     Threads may take and keep at any time: methods of lists are atomic.
     """
@@ -112,7 +113,7 @@ class Storage:
         self.kept = []
 
     def take(self, key):
-        """Return what was kept last under a key, which nobody else then has, or None."""
+        """Remove and return the arrays that were kept last, or None if their key differs."""
         try:
             kept, arrays = self.kept.pop()
         except IndexError:
@@ -120,14 +121,14 @@ class Storage:
         return arrays if kept == key else None
 
     def keep(self, key, arrays):
-        """Keep arrays under a key, unless enough are kept."""
+        """Keep arrays under a key, unless the storage is full."""
         if len(self.kept) < MOST_KEPT:
             self.kept.append((key, arrays))
 
 
 @dataclass(frozen=True, eq=False)
 class ControlProblem:
-    """An optimal control problem: its structure, its loops over intervals, and what depends on the author's formulas.
+    """An optimal control problem: structure, loops over intervals, and functions made from the author's formulas.
 
     Attributes
     ----------
@@ -140,7 +141,7 @@ class ControlProblem:
     duration_of : callable
         Length of the time interval: (grid, unknowns) -> float.
     initial_guess, pin_values : callable
-        (grid) -> unknowns, and (grid, unknowns, nodes) -> None, which gives what boundary conditions fix its values.
+        (grid) -> unknowns, and (grid, unknowns, nodes) -> None, which sets prescribed boundary values.
     unpack : callable
         (grid, unknowns) -> times, positions, momenta, controls, multipliers.
     variable_bounds : callable or None
@@ -148,13 +149,13 @@ class ControlProblem:
     phase_durations : callable or None
         (grid, unknowns) -> lengths of all phases.
     inputs : Loop or None
-        Fill the least and greatest inputs of tables with ranges; `ranges` and `range_names` say which these are.
+        Fills the least and greatest inputs of tables with ranges; `ranges` and `range_names` identify the inputs.
     data : DataDerivatives or None
         Derivatives by data, if the module was built with sensitivities.
     """
 
     structure: Structure
-    metadata: Any
+    metadata: ControlRecord
     gradient: Loop
     hessians: Loop
     parts: Loop
@@ -168,8 +169,8 @@ class ControlProblem:
     data: DataDerivatives | None = None
     ranges: Any = ()
     range_names: tuple[str, ...] = ()
-    tables: Mapping[str, Any] = field(default_factory=dict)
-    observations: tuple[Any, ...] = ()
+    tables: Mapping[str, np.ndarray] = field(default_factory=dict)
+    observations: tuple[np.ndarray, ...] = ()
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""
@@ -177,7 +178,7 @@ class ControlProblem:
 
     @cached_property
     def storage(self):
-        """The storage of searches that have ended."""
+        """The storage of finished searches."""
         return Storage()
 
     @cached_property
@@ -199,7 +200,7 @@ class ControlProblem:
         return tuple(loop for loop in loops if loop is not None)
 
     def compile(self):
-        """Compile what is special about the problem: the loops, and the linear system of its shape."""
+        """Compile the loops of the problem and the linear system of its shape."""
         for loop in self.kernels():
             loop.address  # noqa: B018
         self.system  # noqa: B018

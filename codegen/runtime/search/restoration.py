@@ -1,9 +1,9 @@
-"""Feasibility restoration: lower the violation of the equations when the line search finds no way on.
+"""Feasibility restoration: lower the violation of the equations when the line search fails.
 
-Minimises half the sum of squares of the residuals c by Levenberg and Marquardt's method, with a barrier where there are
-bounds: with A the Jacobian of the equations and the bounds' distances r and duals z as in `descent`, the step d solves
-(A'A + damping + z/r) d = -(A'c - nu s / r), which is the KKT matrix without cost, with -1 on the multipliers' diagonal.
-Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3, for the purpose.
+The method minimises half the sum of squares of the residuals c by Levenberg and Marquardt's method, with a barrier for
+bounds. Let A be the Jacobian of the equations, and r and z the distances and duals of bounds as in `descent`. The step
+d solves (A'A + damping + z/r) d = -(A'c - nu s / r). Its matrix is the KKT matrix without cost, with -1 on the
+multipliers' diagonal. Source: Nocedal and Wright (2006), section 10.3; Waechter and Biegler (2006), section 3.3.
 """
 
 import numpy as np
@@ -14,19 +14,19 @@ from codegen.runtime.search.point import evaluate
 
 RESTORATION_STEPS = 200
 FIRST_DAMPING = 1e-2  # damping of the first step, relative to the squared slope of the residuals
-FEASIBILITY_STEPS = 1000  # of the search for the least violation
+FEASIBILITY_STEPS = 1000  # largest number for the search of the least violation
 STATIONARY, NEARLY_STATIONARY = 1e-6, 1e-3  # largest slope of the least violation, relative to the residual
 WEIGHT = 1e-2  # the barrier's weight relative to the squared residual
-LARGEST_DAMPING = 1e12  # in units of that weight where it exceeds one: squared residuals have their own units
-HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; no unknowns
-LARGEST_DUAL = 0.1  # at the start; with 1e3, half of the searches of the space shuttle from noise fail, not 2 of 30
+LARGEST_DAMPING = 1e12  # times the barrier's weight if that exceeds one: squared residuals have their own units
+HOLDING, NONE_HELD = 1e16, slice(0)  # the curvature that holds unknowns fixed; the empty set of unknowns
+LARGEST_DUAL = 0.1  # at the start; with 1e3, 15 of 30 searches of the space shuttle from noise fail, not 2
 
 
 def restore(search, iterate, reduction, pairs, is_late):
     """Lower the violation; return ("restored", an iterate that the filter accepts) or (status, the last iterate).
 
-    When restored, the violation is at most `reduction` times the first. `pairs` (k, 2) are those of the filter,
-    `is_late` tells when the time is up. With bounds, the weight and the duals are those of the restoration.
+    When restored, the violation is at most `reduction` times the first. `pairs` (k, 2) are the pairs of the filter.
+    `is_late` returns True once the time is up. With bounds, the weight and the duals are those of the restoration.
     """
     grid, damping = search.grid, 0.0
     largest = LARGEST_DAMPING * max(1.0, WEIGHT * iterate.point.residual**2)
@@ -35,14 +35,14 @@ def restore(search, iterate, reduction, pairs, is_late):
         if is_late():
             return "time limit", current
         point = current.point
-        pull = residual_gradient(grid, point)
-        damping = damping or first_damping(grid, point, pull)
-        error = restoration_error(search, current, pull)
+        residual_slope = residual_gradient(grid, point)
+        damping = damping or first_damping(grid, point, residual_slope)
+        error = restoration_error(search, current, residual_slope)
         if error <= 1e-8 * point.residual:
             return "infeasible", current
         if search.is_bounded:
             current = current._replace(mu=lower_weight(current.mu, error))
-        taken = damped_step(search, current, pull, damping, largest)
+        taken = damped_step(search, current, residual_slope, damping, largest)
         if taken is None:
             return ("infeasible" if error <= NEARLY_STATIONARY * point.residual else "stalled"), current
         current, damping = taken
@@ -55,13 +55,12 @@ def restore(search, iterate, reduction, pairs, is_late):
 
 
 def least_violation(search, iterate, tolerance, is_late, held):
-    """Minimise the violation; return ("infeasible", iterate at its minimum) or ("restored", one where it is zero).
+    """Minimise the violation; return ("infeasible", iterate at its minimum) or ("restored", iterate where it is zero).
 
-    Otherwise (what went wrong, the last iterate). The first says that no small change of the unknowns brings the
-    equations closer to zero, as far as first derivatives tell. The search begins inside the bounds, and its steps are
-    those of Newton: where residuals do not vanish, steps without the equations' curvature converge slowly or not at
-    all. That curvature is the Hessian of a Lagrangian whose multipliers are the residuals. Unknowns that are `held`, a
-    slice, stay as they are.
+    Otherwise return (status, the last iterate). "infeasible" means that no small change of the unknowns brings the
+    equations closer to zero, as far as first derivatives tell. The search begins inside the bounds and takes Newton's
+    steps. If residuals do not vanish, steps without the equations' curvature converge slowly or not at all. That
+    curvature is the Hessian of a Lagrangian whose multipliers are the residuals. Unknowns in the slice `held` stay.
     """
     grid, damping = search.grid, 0.0
     inside = begin(search, np.where(grid.is_multiplier, 0.0, iterate.point.unknowns), FROM_GUESS)
@@ -72,15 +71,15 @@ def least_violation(search, iterate, tolerance, is_late, held):
         point = current.point
         if point.residual <= tolerance:
             return "restored", current
-        pull = residual_gradient(grid, point)
-        pull[held] = 0.0
-        damping = damping or first_damping(grid, point, pull)
-        error = restoration_error(search, current, pull)
+        residual_slope = residual_gradient(grid, point)
+        residual_slope[held] = 0.0
+        damping = damping or first_damping(grid, point, residual_slope)
+        error = restoration_error(search, current, residual_slope)
         if error <= STATIONARY * point.residual:
             return "infeasible", current
         if search.is_bounded:
             current = current._replace(mu=lower_weight(current.mu, error))
-        taken = damped_step(search, current, pull, damping, LARGEST_DAMPING, True, held)
+        taken = damped_step(search, current, residual_slope, damping, LARGEST_DAMPING, True, held)
         if taken is None:
             return "stalled", current
         current, damping = taken
@@ -94,7 +93,7 @@ def restoration_start(search, iterate):
         start = iterate._replace(point=evaluate(grid, np.where(grid.is_multiplier, 0.0, unknowns)))
     if search.is_bounded:
         nu = max(1e-12, WEIGHT * iterate.point.residual**2)
-        # Where nu is 1e8, duals on the central path would hold all that is close to bounds for many iterations.
+        # With nu of 1e8, duals on the central path would hold unknowns close to bounds for many iterations.
         start = start._replace(mu=nu, duals=np.minimum(nu / start.distance, LARGEST_DUAL))
     return start
 
@@ -102,23 +101,23 @@ def restoration_start(search, iterate):
 def residual_gradient(grid, point):
     """Return A' c, the gradient of half the squared residuals by primal unknowns."""
     with_residuals = np.where(grid.is_multiplier, point.gradient, point.unknowns)
-    pull = evaluate(grid, with_residuals).gradient - point.gradient
-    return np.where(grid.is_multiplier, 0.0, pull)
+    residual_slope = evaluate(grid, with_residuals).gradient - point.gradient
+    return np.where(grid.is_multiplier, 0.0, residual_slope)
 
 
-def first_damping(grid, point, pull):
-    """Return a damping that keeps the first step short where residuals hardly change, whatever the units.
+def first_damping(grid, point, residual_slope):
+    """Return a damping that keeps the first step short where residuals hardly change, in any units.
 
-    Without it the step would go far along directions that are hardly determined, away from the iterate for which the
-    cost was lowered.
+    Without damping the step would go far along directions that residuals hardly determine, away from the iterate for
+    which the cost was lowered.
     """
     squares = 2.0 * sum_of_squares(grid, point)
-    return max(1e-12, FIRST_DAMPING * (pull @ pull) / squares) if squares > 0.0 else 1e-4
+    return max(1e-12, FIRST_DAMPING * (residual_slope @ residual_slope) / squares) if squares > 0.0 else 1e-4
 
 
-def restoration_error(search, current, pull):
+def restoration_error(search, current, residual_slope):
     """Return the error of the optimality conditions of the least violation."""
-    stationary, bounds = pull.copy(), search.bounds
+    stationary, bounds = residual_slope.copy(), search.bounds
     np.subtract.at(stationary, bounds.indices, bounds.side * current.duals)
     return max(np.abs(stationary).max(), np.max(current.duals * current.distance, initial=0.0))
 
@@ -130,21 +129,21 @@ def lower_weight(nu, error):
     return nu
 
 
-def damped_step(search, current, pull, damping, largest, curved=False, held=NONE_HELD):
-    """Return (iterate, damping) after a step that lowers the sum of squares; None if the largest damping has none.
+def damped_step(search, current, residual_slope, damping, largest, curved=False, held=NONE_HELD):
+    """Return (iterate, damping) after a step that lowers the sum of squares; None if no damping gives such a step.
 
-    The step is Newton's where it is to be `curved`, else that of Gauss and Newton. To the former any decrease will do,
-    and none but rounding: close to bounds slopes promise more than a step can keep, and duals may still have to settle.
-    What is `held` stays.
+    The step is Newton's if `curved`, else a Gauss-Newton step. For Newton's step any decrease suffices, up to rounding:
+    close to bounds slopes promise more than a step can keep, and duals may still have to settle. Unknowns in the slice
+    `held` stay.
     """
     grid, point, step = search.grid, current.point, np.empty_like(current.point.unknowns)
     unknowns = np.where(grid.is_multiplier, point.gradient, point.unknowns) if curved else point.unknowns
     least = restoration_objective(grid, current)
     while damping < largest:
-        slopes, diagonal = newton_system(search, current, pull, damping, 0.0)
+        slopes, diagonal = newton_system(search, current, residual_slope, damping, 0.0)
         diagonal[held] += HOLDING
-        diagonal[search.equations] = -1.0  # not where a node has no such equation, and the matrix a one in its place
-        right = np.where(grid.is_multiplier, point.gradient, slopes - pull)
+        diagonal[search.equations] = -1.0  # an equation that a node lacks has a one in the matrix, which stays
+        right = np.where(grid.is_multiplier, point.gradient, slopes - residual_slope)
         if is_factored(factor_kkt(grid, unknowns, 0.0, diagonal, search.system, right, step)):
             step[grid.is_multiplier] = step[held] = 0.0
             taken = step_along(search, current, slopes, step)

@@ -26,10 +26,10 @@ from numba import njit
 
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE
-from codegen.runtime.search.parts import fill
+from codegen.runtime.search.point import fill
 
 SAMPLES = 4  # intervals on which derivatives are evaluated
-SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten; neither is round, by intention
+SMALL, LARGE = -1.5, 2.9  # scaled numbers are between these powers of ten, which are not round on purpose
 LEAST_OF_BOUNDS = 0.3  # part of the larger of two bounds that a factor has at least
 NO_SIZE = 1e-14  # part of the largest number of the guess below which a number counts as zero
 CANCELLED = 1e-14  # part of its terms below which a sum counts as rounding error
@@ -37,12 +37,12 @@ LEAST = 1e-150  # a factor is above it, and below its inverse
 
 
 class Quantities(NamedTuple):
-    """The quantities of a problem, numbered, and which unknown belongs to which.
+    """The quantities of a problem, numbered, and the quantity of each unknown.
 
-    `kind` and `multiplies` are those of the unknowns of a node and an interval, then of the linking variables;
-    `local_kind`, `local_multiplies`, `abscissa` (time in lengths of the interval) and `only_at_ends` those of an
-    element. Of each quantity `is_equation`, `stated` scale (zero for none), one `radian`, `is_slack`, `is_single` (such
-    as a free duration, which no node equals). `tied` (k, 2) are quantities that equal each other at an end.
+    `kind` and `multiplies` are those of the unknowns of a node and an interval, then of the linking variables.
+    `local_kind`, `local_multiplies`, `abscissa` (time in lengths of the interval) and `only_at_ends` are those of an
+    element. Each quantity has `is_equation`, `stated` scale (zero for none), one `radian`, `is_slack`, and `is_single`
+    (such as a free duration, which no node equals). `tied` (k, 2) are quantities that equal each other at an end.
     """
 
     kind: np.ndarray
@@ -115,8 +115,8 @@ def quantities_of(problem):
 def scaled_grid(grid, unknowns, is_solution=False):
     """Return the same grid with scaling factors of unknowns and cost, or without if all are one.
 
-    The `unknowns` (n,) are a guess, or a solution, whose residuals are rounding. If a guess violates bounds,
-    derivatives are evaluated there and on the bounds, and the smaller ones count: a model may be invalid outside its
+    The `unknowns` (n,) are a guess, or a solution, whose residuals are rounding errors. If a guess violates bounds,
+    derivatives are evaluated there and on the bounds, and the smaller ones count. A model may be invalid outside its
     bounds, and the bounds may be far from the solution.
     """
     problem, s = grid.problem, grid.problem.structure
@@ -143,16 +143,13 @@ def scaled_grid(grid, unknowns, is_solution=False):
     return grid._replace(sizes=factors, forces=weight * factors, weight=weight, bounds=bounds)
 
 
-def kinds_of(problem, steps):
-    """Return the number (n,) of the quantity of every unknown."""
-    return quantities_of(problem).kind[problem.structure.kinds(steps)]
-
-
 @lru_cache(maxsize=8)
 def sampled(problem, steps, inner):
-    """Return what scaling factors need of a grid with nodes at `inner` times: kinds, places, lacks, counts.
+    """Return data for the scaling factors of a grid with nodes at `inner` times: kinds, places, lacks, counts.
 
-    Derivatives are evaluated on the intervals at `places`: some of each phase, and those behind inner times.
+    `kinds` (n,) are the numbers of the quantities of all unknowns. Derivatives are evaluated on the intervals at
+    `places`: some of each phase, and those after inner times. `lacks` (places, element + shared) masks the unknowns
+    that an interval lacks.
     """
     s = problem.structure
     intervals = steps // (s.phases or 1)
@@ -162,18 +159,13 @@ def sampled(problem, steps, inner):
         is_sample |= np.isin(k, inner)
     places = np.flatnonzero(is_sample)
     counts = np.array([s.bodies, steps, s.phases or 1, s.root, s.stride, s.node])
-    return kinds_of(problem, steps), places, lacking(s, steps, places), counts
-
-
-def lacking(s, steps, places):
-    """Return a mask (places, element + shared) of the unknowns of an element that the given intervals lack."""
-    found = np.zeros((places.size, s.element + s.shared), bool)
+    lacks = np.zeros((places.size, s.element + s.shared), bool)
     if s.phases:
-        phase, within = np.divmod(places, steps // s.phases)
-        found[:, s.node : s.stride] = s.phase_lacks[phase]
-        first = (within == 0) & (phase > 0)
-        found[first, s.node : s.stride] = s.switch_lacks[phase[first] - 1]
-    return found
+        phase, within = np.divmod(places, intervals)
+        lacks[:, s.node : s.stride] = s.phase_lacks[phase]
+        is_first = (within == 0) & (phase > 0)
+        lacks[is_first, s.node : s.stride] = s.switch_lacks[phase[is_first] - 1]
+    return quantities_of(problem).kind[s.kinds(steps)], places, lacks, counts
 
 
 @njit(cache=True, error_model="numpy")
@@ -241,7 +233,7 @@ def fill_scaling_factors(
     equate_tied(q.tied, size)
     digits = digits_of(q, size)
     slope, curved = change_of_cost(q, slopes, kinds, size, curvature)
-    is_steep = slope >= curved  # the first steps then follow the slope, and could end on bounds
+    is_steep = slope >= curved  # the first steps follow the slope, and could end on bounds
     weight = 1.0 / rounded(max(slope, curved), digits if is_steep else 6.0, is_steep)
     is_scaled = weight != 1.0
     for j in range(count):
@@ -276,12 +268,12 @@ def limit_by_bounds(q, lower, upper, kinds, size):
 
 @njit(error_model="numpy")
 def balance(q, size, rest, effect):
-    """Give unknowns without a size the least one with which they balance an equation, as long as any gets one.
+    """Give each unknown without a size the least size with which it balances an equation, until no more get one.
 
     `rest` are the residuals of the guess, `effect` (kinds, kinds) the changes of equations by smooth motions.
     """
     for _ in range(size.size):
-        found, is_new = np.zeros(size.size), False
+        balanced, is_new = np.zeros(size.size), False
         for i in range(size.size):
             largest = rest[i]
             for j in range(size.size):
@@ -289,13 +281,13 @@ def balance(q, size, rest, effect):
             for j in range(size.size):
                 if size[j] == 0.0 and effect[i, j] > 0.0 and largest > 0.0:
                     balancing = min(largest / effect[i, j], q.radian[j])
-                    found[j] = balancing if found[j] == 0.0 else min(found[j], balancing)
+                    balanced[j] = balancing if balanced[j] == 0.0 else min(balanced[j], balancing)
                     is_new = True
         if not is_new:
             return
         for j in range(size.size):
             if size[j] == 0.0:
-                size[j] = found[j]
+                size[j] = balanced[j]
 
 
 @njit(error_model="numpy")
@@ -304,8 +296,9 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
 
     `terms` are the largest sums of moduli in one equation, by one quantity. `effect` is the largest change of an
     equation by the motion exp(t / T) of one quantity, which is neither constant nor linear. `curvature` are the sums of
-    the cost's second derivatives. An equation of a node is a sum of shares of two intervals, which the same interval
-    gives. Each share, such as a momentum, is a term: its change by the motion does not depend on the interval's length.
+    the cost's second derivatives. An equation of a node is a sum of shares of two intervals, both taken from the same
+    interval. Each share, such as a momentum, is a term: its change by the motion does not depend on the interval's
+    length.
     """
     bodies, steps, stride, node = counts[0], counts[1], counts[4], counts[5]
     intervals, count, element = steps // counts[2], q.rows.size, stride + node
@@ -360,7 +353,7 @@ def measure_derivatives(q, counts, nodes, places, lacks, entries, terms, effect,
 
 @njit(error_model="numpy")
 def add_entry(q, row, column, value, terms, effect, curvature):
-    """Add the modulus of a derivative by two unknowns, numbered as those of a node, an interval and linking ones."""
+    """Add the modulus of a derivative by two unknowns, numbered as in a node, an interval and the linking variables."""
     if q.multiplies[column]:
         row, column = column, row
     if q.multiplies[column]:
@@ -388,7 +381,7 @@ def add_couplings(q, counts, kinds, entries, terms, effect):
 
 @njit(error_model="numpy")
 def lessen(table, other):
-    """Fill `table` with the smaller of both entries, or with the one that is not NaN."""
+    """Fill `table` with the smaller of both entries, or with the entry that is not NaN."""
     for i in range(table.shape[0]):
         for j in range(table.shape[1]):
             if other[i, j] < table[i, j] or np.isnan(table[i, j]):
@@ -408,8 +401,8 @@ def equate_tied(tied, size):
 def change_of_cost(q, slopes, kinds, size, curvature):
     """Return the largest changes of the cost, of first and of second order, by the size of one quantity everywhere.
 
-    Both are sums over all intervals, and do not depend on the number of intervals. Controls whose cost has no slope at
-    the guess count in the second one only.
+    Both are sums over all intervals, and do not depend on the number of intervals. Controls without a slope of the cost
+    at the guess count only for the second order.
     """
     slope, curved, total = 0.0, 0.0, np.zeros(size.size)
     for i in range(kinds.size):
@@ -437,7 +430,7 @@ def digits_of(q, size):
 def rounded(value, digits, finer):
     """Return the highest power of a million (`digits` are six) or of a thousand below about 30 times `value`, or one.
 
-    `finer` has 1, 100 and 10000 times a power of a million in place of powers of a thousand.
+    With `finer` and three digits, 1, 100 and 10000 times a power of a million replace powers of a thousand.
     """
     if not LEAST < value < 1.0 / LEAST:
         return 1.0

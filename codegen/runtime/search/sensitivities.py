@@ -1,11 +1,11 @@
 """Sensitivities: derivatives of a solution by parameters, boundary values and a prescribed duration.
 
-The optimality conditions G(y; p) = 0 stay zero as the data p change, so that the unknowns y follow by
+The optimality conditions G(y; p) = 0 stay zero as the data p change. The unknowns y therefore follow by
 K dy/dp = -dG/dp with the KKT matrix K at the solution. The matrix is factored once, and each quantity takes one
-substitution. Active bounds are held: their unknowns move as the bounds do, and the set of active bounds stays the same.
-The derivative of the cost is that of the Lagrangian (the envelope theorem). Sources: Fiacco (1983), Introduction to
-sensitivity and stability analysis in nonlinear programming, chapter 3; Pirnay, Lopez-Negrete and Biegler (2012),
-Optimal sensitivity based on IPOPT.
+substitution. The set of active bounds stays the same, and unknowns at active bounds move with them. The derivative of
+the cost is that of the Lagrangian (the envelope theorem). Sources: Fiacco (1983), Introduction to sensitivity and
+stability analysis in nonlinear programming, chapter 3; Pirnay, Lopez-Negrete and Biegler (2012), Optimal sensitivity
+based on IPOPT.
 """
 
 from typing import NamedTuple
@@ -18,19 +18,18 @@ from codegen.runtime.kkt.system import root_index
 from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.grid import NONE, free_unknowns, plain_grid, views
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, filled_entries
-from codegen.runtime.search.parts import fill, interval_parts
-from codegen.runtime.search.point import evaluate
+from codegen.runtime.search.point import evaluate, fill, interval_parts
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import scaled_unknowns
 
-# Curvatures, in multiples of scaling factors, that hold an unknown, and shifts of equations: the first pair that does
-# is taken. Refinement corrects what they change. Larger curvatures would hide that active bounds contradict equations.
+# Scaled curvatures that hold an unknown, and shifts of equations, tried in turn. Refinement corrects their effects.
+# Larger curvatures would hide that active bounds contradict equations.
 ATTEMPTS = ((1e8, 0.0), (1e8, 1e-12), (1e6, 0.0))
 LOOSE = 1e-12  # curvature of unknowns with inactive bounds, which makes the blocks of slacks regular
-DOUBTFUL = 3e-5  # scaled: where multiplier and distance of a bound are both below, either may be zero
+DOUBTFUL = 3e-5  # if scaled multiplier and distance of a bound are both smaller, either may be zero
 EXACT = 1e-10  # residual of the linear equations, relative to their terms, up to which no refinement is needed
 LOST = 1e-8  # residual above which there is no solution
-SUBSTITUTIONS = 6  # for a quantity at most, with refinement
+SUBSTITUTIONS = 6  # largest number for a quantity, with refinement
 DEPENDENT = "equations, or active bounds, depend on each other at the solution"
 SIGNS = np.where(np.random.default_rng(0).random(10_000) < 0.5, -1.0, 1.0)
 
@@ -64,7 +63,7 @@ class Sensitivities(NamedTuple):
 
 
 def sensitivities(grid, unknowns, given=()):
-    """Return the Sensitivities at a solution `unknowns` (n,); quantities that are `given` by name follow no others.
+    """Return the Sensitivities at a solution `unknowns` (n,); quantities in `given`, by name, depend on no others.
 
     ValueError names a quantity that is unknown.
     """
@@ -99,9 +98,9 @@ def sensitivities(grid, unknowns, given=()):
             reason = "the solution is no strict local minimum" if excess is not None and excess > 0 else DEPENDENT
             failure = failure if inaccuracy <= LOST else reason
             continue
-        found, residual = solved_along(case, system, roots, offsets, (moves.copy(), rates, times), changes)
+        solution, residual = solved_along(case, system, roots, offsets, (moves.copy(), rates, times), changes)
         if residual < inaccuracy:
-            best, inaccuracy, failure = found, residual, DEPENDENT if residual > LOST else ""
+            best, inaccuracy, failure = solution, residual, DEPENDENT if residual > LOST else ""
         if inaccuracy <= EXACT:
             break
     durations = data.durations(grid, unknowns, best, rates, duration)
@@ -110,9 +109,9 @@ def sensitivities(grid, unknowns, given=()):
 
 
 def active_bounds(grid, scaled, unknowns):
-    """Return masks (n,) of bounded unknowns, of held ones, and of those held from below; and indices of doubtful ones.
+    """Return masks (n,) of bounded, of held and of unknowns held from below; and indices of doubtful ones.
 
-    A bound is active where its multiplier exceeds the distance from it, both scaled.
+    A bound is active if its multiplier exceeds the distance from it, both scaled.
     """
     sizes, forces = (scaled.sizes, scaled.forces) if scaled.sizes.size else (1.0, 1.0)
     is_primal, (lower, upper) = free_unknowns(grid) & ~grid.is_multiplier, bounds_of(grid)
@@ -124,7 +123,10 @@ def active_bounds(grid, scaled, unknowns):
 
 
 def kernel_times(grid, rates, duration):
-    """Return derivatives (m, N + 1) of the times at which kernels are evaluated; nodes at inner times move as these."""
+    """Return derivatives (m, N + 1) of the times at which kernels are evaluated.
+
+    Nodes at inner times move with these.
+    """
     s = grid.problem.structure
     if not s.inner_times:
         return duration[:, None] * (grid.nodes / grid.steps)
@@ -147,17 +149,17 @@ def node_time_rates(grid, moves, durations, times):
 
 
 def follow_ties(s, steps, offsets, moves):
-    """Let unknowns of the ends move with the linking variables that they equal, except for `offsets` (m, n)."""
+    """Let unknowns of the ends move with the linking variables that they equal, apart from `offsets` (m, n)."""
     pairs = s.ties(steps)
     if pairs.size:
         moves[:, pairs[:, 0]] = offsets[:, pairs[:, 0]] + moves[:, pairs[:, 1]]
 
 
 class Case(NamedTuple):
-    """Derivatives of the Lagrangian at a solution, and what products with them are multiplied by: `factors` (n,).
+    """Derivatives of the Lagrangian at a solution, and the scaling `factors` (n,) of products with them.
 
-    `gradient` (n,) includes pinned unknowns. `entries` are second derivatives by unknowns, and the loop of the problem
-    fills `filled`. `begins` (N,) has the inner time at which each interval begins, else -1.
+    `gradient` (n,) includes pinned unknowns. `entries` are second derivatives by unknowns. The loop of the problem
+    fills `filled`. `begins` (N,) has the number of the inner time at which each interval begins, else -1.
     """
 
     grid: NamedTuple
@@ -169,7 +171,7 @@ class Case(NamedTuple):
 
 
 def case_at(grid, unknowns, factors, system):
-    """Return the derivatives at `unknowns` (n,), in the problem's own units; `system` has room for second ones."""
+    """Return the derivatives at `unknowns` (n,) in the problem's own units; `system` stores second derivatives."""
     s, data = grid.problem.structure, grid.problem.data
     of_interval, others = grid.problem.mixed[3]
     filled = np.empty(unknowns.size + grid.steps * of_interval + others)
@@ -217,9 +219,9 @@ def change_along(
     moves, rates, times, steps, system_counts, entries, entry_rows, entry_columns, filled, rows, columns, counts,
     acting, begins, products, values,
 ):  # fmt: skip
-    """Add changes of the gradient and of the Lagrangian in m directions, of intervals and ends, to those in arrays.
+    """Add changes of the gradient and of the Lagrangian in m directions to `products` and `values`.
 
-    What an interval contributes is read once for all directions. Most boundary values act on the end intervals alone.
+    The contribution of an interval is read once for all directions. Most boundary values act on end intervals only.
     """
     bodies, element, stride, size = system_counts[0], system_counts[6], system_counts[7], moves.shape[1]
     node, count = element - stride, counts[0]
@@ -262,7 +264,7 @@ def change_along(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def multiply(products, factors):
-    """Multiply `products` (m, n) by `factors` (n,), where zeros make zeros of what is not finite as well."""
+    """Multiply `products` (m, n) by `factors` (n,); a factor of zero gives zero for values that are not finite, too."""
     for d in range(len(products)):
         for i in range(factors.size):
             products[d, i] = factors[i] * products[d, i] if factors[i] != 0.0 else 0.0
@@ -270,9 +272,9 @@ def multiply(products, factors):
 
 @njit(error_model="numpy", forceinline=True)
 def read_moves(vector, first, body, system_counts, moved):
-    """Fill `moved` with the entries of `vector` (n,) of an element, then of linking variables; return True if any is.
+    """Fill `moved` with the entries of `vector` (n,) of an element, then of linking variables.
 
-    Zeros do not count.
+    Return True if any is nonzero.
     """
     element, is_moved = system_counts[6], False
     for i in range(element):
@@ -289,7 +291,7 @@ def read_moves(vector, first, body, system_counts, moved):
 def read_data(rates, begin, end, counts, acting, inner, data):
     """Fill `data` with derivatives of parameters, of the time and length of an interval, and of inner numbers.
 
-    `inner` is the inner time at which the interval begins, or -1. Return True if any is not zero.
+    `inner` is the number of the inner time at which the interval begins, or -1. Return True if any is nonzero.
     """
     parametric, acts = counts[1], begin != 0.0 or end != 0.0
     for i in acting:
@@ -305,7 +307,7 @@ def read_data(rates, begin, end, counts, acting, inner, data):
 
 @njit(error_model="numpy", forceinline=True)
 def read_end(rates, time, counts, data):
-    """Fill `data` with derivatives of parameters and of the time of an end; return True if any is not zero."""
+    """Fill `data` with derivatives of parameters and of the time of an end; return True if any is nonzero."""
     parametric, acts = counts[1], time != 0.0
     for i in range(parametric):
         data[i] = rates[i]
@@ -332,9 +334,9 @@ def add_changes(
 
 
 def solved_along(case, system, roots, offsets, directions, changes):
-    """Return how unknowns follow data (m, n), by substitutions until the changes of the gradient vanish.
+    """Return the changes of unknowns for changes of data, by substitutions until the changes of the gradient vanish.
 
-    `directions` are moves (m, n), rates and times to begin with, and `changes` (m, n) those of the gradient. The second
+    `directions` are initial moves (m, n), rates and times. `changes` (m, n) are those of the gradient. The second
     result is the residual of the changes relative to their terms.
     """
     moves, rates, times = directions
@@ -347,7 +349,7 @@ def solved_along(case, system, roots, offsets, directions, changes):
         )  # fmt: skip
         add_steps(solutions, changes, roots, case.factors, is_multiplier, moves, sizes)
         follow_ties(s, steps, offsets, moves)
-        # One sum of all, scaled and with signs at random, tells if any is inaccurate.
+        # One scaled sum of all directions, with random signs, shows if any is inaccurate.
         weights = SIGNS[: len(moves)] / sizes[0]
         sums = [(weights @ each.reshape(len(each), -1)).reshape(1, *each.shape[1:]) for each in (moves, rates, times)]
         before, inaccuracy = inaccuracy, largest_residual(changes_along(case, *sums)[0][0], is_multiplier, sizes)
@@ -388,9 +390,9 @@ def add_steps(steps, changes, roots, factors, is_multiplier, moves, sizes):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_residual(residual, is_multiplier, sizes):
-    """Return the largest modulus of a `residual` (n,) relative to `sizes` (2, m); NaN where any is not finite.
+    """Return the largest modulus of a `residual` (n,) relative to `sizes` (2, m); NaN if any is not finite.
 
-    Multipliers without limit, as of equations that contradict each other, take no part in equations.
+    Multipliers without limit, as of contradictory equations, do not count for the equations.
     """
     of_equations, remaining, ratio = 0.0, 0.0, 1.0
     for d in range(sizes.shape[1]):
@@ -405,16 +407,16 @@ def largest_residual(residual, is_multiplier, sizes):
     return max(of_equations, remaining / ratio)
 
 
-def momentum_rates(grid, unknowns, found, i):
+def momentum_rates(grid, unknowns, derivatives, i):
     """Return derivatives (bodies, N + 1, ...) by quantity i of the momenta at a solution `unknowns` (n,).
 
-    `found` are its Sensitivities. See `parts.discrete_momenta`.
+    `derivatives` are its Sensitivities. See `point.discrete_momenta`.
     """
     s, case = grid.problem.structure, case_at(grid, unknowns, NONE, allocate_system(grid))
     momenta = np.empty((s.bodies, grid.steps + 1, s.equations.size))
     momenta_along(
-        found.unknowns[i], found.rates[i], found.grid_times[i], grid.steps, s.counts, case.entries, *s.entries,
-        case.filled, *grid.problem.mixed[:3], grid.problem.data.acting, case.begins, s.equations, momenta,
+        derivatives.unknowns[i], derivatives.rates[i], derivatives.grid_times[i], grid.steps, s.counts, case.entries,
+        *s.entries, case.filled, *grid.problem.mixed[:3], grid.problem.data.acting, case.begins, s.equations, momenta,
     )  # fmt: skip
     return momenta
 

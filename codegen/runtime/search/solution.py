@@ -1,13 +1,15 @@
-"""The solution of an optimal control problem, as `solve` of a generated module returns it."""
+"""The solution of an optimal control problem that `solve` of a generated module returns, and the log of the search."""
 
 import math
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 
 from codegen.runtime.search.grid import Grid, checked_count, checked_tolerance, with_pinned_values
-from codegen.runtime.search.iteration_log import Log, print_log
 from codegen.runtime.search.solve import optimise
+
+BETWEEN_LOOKS = 1e-3  # seconds between readings of the clock with a time limit, or one iteration if that takes longer
 
 
 class Solution(NamedTuple):
@@ -17,7 +19,7 @@ class Solution(NamedTuple):
     ----------
     status, message : str
     cost : float
-        If the status is "solved", corrected by what residuals are worth.
+        If the status is "solved", corrected to first order for the residuals.
     residual, stationarity : float
         Max-norms of all discrete equations and of the optimality conditions, both evaluated at the solution.
     iterations : int
@@ -59,9 +61,9 @@ def solve_on(
     guess : (n,) or None
         Unknowns to start from; None for the problem's own guess.
     tolerance : float
-        Of residuals and stationarity, absolute where their terms exceed one, relative to these where they are smaller.
+        Tolerance of residuals and stationarity: absolute where their terms exceed one, relative to smaller terms.
     max_iterations : int
-        Of all searches together.
+        Limit for all searches together.
     time_limit : float
         Seconds after which the search ends.
     warm : bool
@@ -76,12 +78,12 @@ def solve_on(
     Returns
     -------
     Solution
-        Where the numerics fail, `status` is not "solved", and `message` says what happened and what to try.
+        If the numerics fail, `status` is not "solved", and `message` states the reason and a remedy.
 
     Raises
     ------
     ValueError
-        When an argument is unusable.
+        If an argument is unusable.
     """
     problem = grid.problem
     unknowns = problem.initial_guess(grid) if guess is None else with_pinned_values(grid, guess)
@@ -97,3 +99,62 @@ def solve_on(
         status, message, float(point.cost), float(point.residual), float(point.stationarity), iterations,
         *problem.unpack(grid, point.unknowns), point.unknowns, rows, scaled,
     )  # fmt: skip
+
+
+class Log:
+    """Rows of all iterates, as `parts`, and the deadline; `watch`, if given, is called with each number and row."""
+
+    def __init__(self, time_limit=math.inf, watch=None):
+        if not time_limit > 0.0:
+            raise ValueError(f"time_limit is {time_limit!r}, expected a positive number of seconds")
+        self.parts, self.watch, self.deadline = [], watch, perf_counter() + time_limit
+        self._called, self._iteration = 0.0, math.inf  # time of the last call of the search; seconds of an iteration
+
+    def iterations_per_call(self, _done, most, affordable):
+        """Return how many iterations the compiled search may make before it returns: one if someone watches.
+
+        With a time limit, the search returns after about a millisecond. If the time is up, the search makes no
+        iteration and only tests for convergence.
+        """
+        if self.deadline < math.inf:
+            self._called = perf_counter()
+            if self._called > self.deadline:
+                return 0
+            affordable = min(affordable, int(BETWEEN_LOOKS / self._iteration))
+        if self.watch is not None:
+            return 1
+        return max(1, min(most, affordable))
+
+    def extend(self, search, rows):
+        """Keep the rows (k, 6) of iterates, in the problem's own units."""
+        if self.deadline < math.inf:
+            self._iteration = max(1e-9, perf_counter() - self._called) / max(1, len(rows))
+        self._keep(rows[:, : 6 if search.is_bounded else 5].copy())
+
+    def add(self, point, length):
+        """Keep a row about a point of a search without shifts."""
+        self._keep(np.array([(point.cost, point.residual, point.stationarity, 0.0, length)]))
+
+    def _keep(self, rows):
+        first = sum(map(len, self.parts))
+        self.parts.append(rows)
+        if self.watch is not None:
+            for number, row in enumerate(rows.tolist(), first):
+                self.watch(number, tuple(row))
+
+    def table(self):
+        """Return all rows: (iterates, 5 or 6), or (0, 5) for an empty log."""
+        return np.concatenate(self.parts) if self.parts else np.empty((0, 5))
+
+    def is_late(self):
+        """Return True if the time is up."""
+        return perf_counter() > self.deadline
+
+
+def print_log(rows):
+    """Print rows (iterates, 5 or 6): cost, residual, stationarity, shift of the Hessian, step length, barrier."""
+    last = "  barrier" if rows.shape[1] > 5 else ""
+    print(f"iteration            cost   residual  stationarity     shift     step{last}")
+    for i, (cost, residual, stationarity, shift, length, *barrier) in enumerate(rows.tolist()):
+        weight = "".join(f" {mu:8.1e}" for mu in barrier)
+        print(f"{i:9d} {cost:15.8g} {residual:10.2e} {stationarity:13.2e} {shift:9.1e} {length:8.1e}{weight}")

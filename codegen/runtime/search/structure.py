@@ -1,17 +1,16 @@
-"""The structure of an optimal control problem: which unknowns there are, and which derivatives may be nonzero.
+"""The structure of an optimal control problem: its unknowns, and the derivatives that may be nonzero.
 
-Unknowns lie in one vector of length n: for each body node 0, interval 0, node 1, interval 1, ..., node N, which are
-N stride + node; then the linking variables, which no node owns, with the multipliers of conditions between them.
+Unknowns lie in one vector of length n. For each body this has node 0, interval 0, node 1, interval 1, ..., node N, in
+all N stride + node unknowns. Then follow the linking variables with the multipliers of conditions between them.
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
-from codegen.runtime.kkt.shape import Shape
-from codegen.runtime.kkt.tables import packed
+from codegen.runtime.kkt.shape import Shape, packed
 
 NO_INDICES = np.zeros(0, np.int64)
 NO_MASK = np.zeros(0, bool)
@@ -23,6 +22,11 @@ def _no_indices():
 
 def _no_mask():
     return NO_MASK
+
+
+def last_results(method):
+    """Return a method that caches its last four results for each object."""
+    return cached_property(lambda own: lru_cache(maxsize=4)(partial(method, own)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,43 +157,33 @@ class Structure:
 
     @cached_property
     def shape(self):
-        """What the factorisation of the KKT matrix is specialised to."""
+        """The constants of the factorisation of the KKT matrix."""
         block = self.stride - self.condensed - 2 * self.stages
-        # What only ends have is zero in inner nodes, and is left out where it comes last.
+        # Unknowns of the ends alone are zero in inner nodes, and are left out if they come last.
         inner = block - self.only_at_ends.size
         if self.only_at_ends.min(initial=block) < inner:
             inner = block
         flags = self.backward, self.bordered, self.carried, self.constant
+        # Explicit schemes: stages depend on earlier ones only, and every equation contains its own stage.
+        _, rows, columns = self.stage_entries[0]
+        is_triangular = bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
         return Shape(
             self.node, self.stride, self.condensed, int(inner), self.border.size, self.shared, self.root,
-            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, int(self.is_triangular),
-        )  # fmt: skip
-
-    @cached_property
-    def element_index(self):
-        """The row of an element matrix, or the number among what is condensed or staged, of each local unknown."""
-        node, block = self.node, self.stride - self.condensed - 2 * self.stages
-        left, right = (block, 0) if self.backward else (0, block)
-        of_stages = np.arange(self.stages)
-        return np.concatenate(
-            [
-                left + np.arange(node), of_stages, of_stages, np.arange(node, block), np.arange(self.condensed),
-                right + np.arange(node), block + node + self.border.size + np.arange(self.shared),
-            ]
+            *map(int, flags), self.stages, -(-self.stage_reach.size // 4) * 4, int(is_triangular),
         )  # fmt: skip
 
     @cached_property
     def stage_entries(self):
-        """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `tables`.
+        """Entries with stages, by kind, each with its rows and columns: slopes, outer, curved, cross; see `kkt.shape`.
 
-        Rows and columns of slopes, curved ones and stages of others are numbers of stages; what is outside is local.
+        Stages are numbered from zero, other unknowns are local.
         """
         node, stages = self.node, self.stages
         local = np.arange(self.element + self.shared)
         is_stage = (local >= node) & (local < node + stages)
         is_equation = (local >= node + stages) & (local < node + 2 * stages)
         high, low = np.maximum(self.rows, self.columns), np.minimum(self.rows, self.columns)
-        found = []
+        parts = []
         for is_row, is_column, first, second in (
             (is_equation, is_stage, node + stages, node),
             (is_equation, ~is_stage & ~is_equation, node + stages, 0),
@@ -202,8 +196,8 @@ class Structure:
             rows = np.where(straight, high, low)[entries] - first
             columns = np.where(straight, low, high)[entries] - second
             order = np.lexsort((columns, rows))
-            found.append((entries[order], rows[order], columns[order]))
-        return found
+            parts.append((entries[order], rows[order], columns[order]))
+        return parts
 
     @cached_property
     def staged(self):
@@ -211,42 +205,24 @@ class Structure:
         return np.concatenate([entries for entries, _, _ in self.stage_entries])
 
     @cached_property
-    def is_triangular(self):
-        """True for explicit schemes: stages depend on earlier ones only, and every equation contains its own stage."""
-        _, rows, columns = self.stage_entries[0]
-        return bool((columns <= rows).all()) and np.count_nonzero(columns == rows) == self.stages > 0
-
-    @cached_property
     def stage_reach(self):
         """Local unknowns, other than stages, that the equations of stages contain."""
         return np.unique(self.stage_entries[1][2])
 
     @cached_property
-    def stage_tables(self):
-        """The index tables of stages."""
-        slopes, outer, curved, cross = self.stage_entries
-        crossed = np.unique(cross[1])
-        return {
-            "STAGED": self.staged,
-            "SLOPE_ROWS": slopes[1],
-            "SLOPE_COLUMNS": slopes[2],
-            "OUTER_ROWS": outer[1],
-            "OUTER_COLUMNS": np.searchsorted(self.stage_reach, outer[2]),
-            "CURVED_ROWS": curved[1],
-            "CURVED_COLUMNS": curved[2],
-            "CROSS_ROWS": np.searchsorted(crossed, cross[1]),
-            "CROSS_COLUMNS": cross[2],
-            "CROSSED": self.element_index[crossed],
-            "REACH": self.element_index[self.stage_reach],
-        }
-
-    @cached_property
     def tables(self):
         """The index tables of the linear system, packed."""
-        node, index = self.node, self.element_index
-        block = self.stride - self.condensed - 2 * self.stages
+        node, block = self.node, self.stride - self.condensed - 2 * self.stages
         tail = block + node + self.border.size
         left, right = (block, 0) if self.backward else (0, block)
+        # The row of each local unknown in an element matrix, or its number among condensed unknowns or stages.
+        stages = np.arange(self.stages)
+        index = np.concatenate(
+            [
+                left + np.arange(node), stages, stages, np.arange(node, block), np.arange(self.condensed),
+                right + np.arange(node), tail + np.arange(self.shared),
+            ]
+        )  # fmt: skip
         local = np.arange(self.element + self.shared)
         is_condensed = (local >= self.stride - self.condensed) & (local < self.stride)
         kinds = is_condensed[self.rows].astype(int) + is_condensed[self.columns]
@@ -256,8 +232,8 @@ class Structure:
         columns = index[np.where(swapped, self.rows, self.columns)]
         tables, entries = {}, np.arange(kinds.size)
         for kind, name in enumerate(("KEPT", "COUPLED", "INSIDE")):
-            here = kinds == kind
-            tables |= {name: entries[here], f"{name}_ROWS": rows[here], f"{name}_COLUMNS": columns[here]}
+            mask = kinds == kind
+            tables |= {name: entries[mask], f"{name}_ROWS": rows[mask], f"{name}_COLUMNS": columns[mask]}
         tables["TOUCHED"] = np.unique(tables["COUPLED_COLUMNS"])
         for name, first, ends in (
             ("START", left, (self.start_rows, self.start_columns)),
@@ -268,6 +244,8 @@ class Structure:
         multipliers = np.count_nonzero(self.is_multiplier)
         ending = np.count_nonzero(self.is_multiplier[:node]) + multipliers
         common = np.count_nonzero(self.local_is_multiplier[self.element :])
+        slopes, outer, curved, cross = self.stage_entries
+        crossed = np.unique(cross[1])
         return packed(
             tables
             | {
@@ -282,7 +260,17 @@ class Structure:
                 "END_SHARED": self.end_shared,
                 "COUNTS": [self.own, multipliers, ending, common, self.rows.size],
                 "SHAPE": self.shape,
-                **self.stage_tables,
+                "STAGED": self.staged,
+                "SLOPE_ROWS": slopes[1],
+                "SLOPE_COLUMNS": slopes[2],
+                "OUTER_ROWS": outer[1],
+                "OUTER_COLUMNS": np.searchsorted(self.stage_reach, outer[2]),
+                "CURVED_ROWS": curved[1],
+                "CURVED_COLUMNS": curved[2],
+                "CROSS_ROWS": np.searchsorted(crossed, cross[1]),
+                "CROSS_COLUMNS": cross[2],
+                "CROSSED": index[crossed],
+                "REACH": index[self.stage_reach],
             }
         )
 
@@ -299,7 +287,7 @@ class Structure:
         return tuple(self.in_element(*side) for side in sides)
 
     def in_element(self, of_interval, of_start, of_end):
-        """Return indices of unknowns, those of both ends behind those of an interval, in the unknowns of an element.
+        """Return indices in the unknowns of an element: those of an interval, then those of both ends.
 
         In an end the unknowns of the node come first, then linking variables.
         """
@@ -310,20 +298,20 @@ class Structure:
         return np.concatenate([of_interval, *ends]).astype(np.int64)
 
     @cached_property
-    def is_of_cost(self):
-        """Mask of the second derivatives by primal unknowns: of an interval, of both ends, of coupling conditions."""
+    def without_cost(self):
+        """Factors of second derivatives of an interval, of both ends and of coupling conditions.
+
+        A factor is 0 for a derivative by primal unknowns alone, otherwise 1.
+        """
         few, (rows, columns), is_multiplier = self.phases or 1, self.entries, self.local_is_multiplier
         root = self.layouts(few).is_multiplier[self.size(few) - self.root :]
-        of_root = ~(root[:, None] | root)
-        return np.concatenate([~(is_multiplier[rows] | is_multiplier[columns]), of_root.ravel()])
-
-    @cached_property
-    def without_cost(self):
-        """Factors of all kinds of second derivatives: 0 for derivatives by primal unknowns alone, otherwise 1."""
-        return np.where(self.is_of_cost, 0.0, 1.0)
+        is_of_multiplier = np.concatenate(
+            [is_multiplier[rows] | is_multiplier[columns], (root[:, None] | root).ravel()]
+        )
+        return np.where(is_of_multiplier, 1.0, 0.0)
 
     def size(self, steps):
-        """Return the number n of unknowns on so many intervals."""
+        """Return the number n of unknowns on a number of intervals."""
         return self.bodies * (steps * self.stride + self.node) + self.root
 
     def entry_count(self, steps):
@@ -332,34 +320,78 @@ class Structure:
         return self.bodies * (steps * self.rows.size + of_ends) + self.root**2
 
     def root_indices(self):
-        """Return the indices (bodies, shared), among the linking variables, of those of each body."""
+        """Return the indices (bodies, shared) of the linking variables of each body, among all linking variables."""
         bodies, variables = np.arange(self.bodies)[:, None], np.arange(self.shared)
         return np.where(variables < self.own, bodies * self.own, (self.bodies - 1) * self.own) + variables
 
-    @cached_property
-    def layouts(self):
-        """The layouts of the last numbers of intervals."""
-        return lru_cache(maxsize=4)(lambda steps: _layout(self, steps))
+    @last_results
+    def layouts(self, steps):
+        """Return the Layout of `steps` intervals."""
+        s, chain, size = self, steps * self.stride + self.node, self.size(steps)
+        is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
+        chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
+        chains[:, : -s.node].reshape(s.bodies, steps, s.stride)[:] = s.is_multiplier
+        chains[:, -s.node :] = s.is_multiplier[: s.node]
+        if s.couplings:
+            is_multiplier[size - s.couplings :] = True
+        if s.shared_is_multiplier.any():
+            first = s.bodies * (chain + s.own)
+            is_multiplier[s.bodies * chain : first].reshape(s.bodies, s.own)[:] = s.shared_is_multiplier[: s.own]
+            is_multiplier[first : size - s.couplings] = s.shared_is_multiplier[s.own :]
+        chains = is_free[: s.bodies * chain].reshape(s.bodies, chain)
+        for i in s.only_at_ends:
+            chains[:, i + s.stride : -s.node : s.stride] = False
+        chains[:, s.start_pinned] = False
+        chains[:, chain - s.node + s.end_pinned] = False
+        if s.phases:
+            intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
+            lacking = np.repeat(s.phase_lacks, steps // s.phases, axis=0)
+            lacking[steps // s.phases :: steps // s.phases] = s.switch_lacks
+            intervals[:, :, s.node :] &= ~lacking
+        return Layout.of(is_multiplier, is_free)
 
-    @cached_property
-    def inner_layouts(self):
-        """The layouts of the last numbers of intervals with inner times at given nodes."""
-        return lru_cache(maxsize=4)(lambda steps, numbers: _inner_layout(self, steps, numbers))
+    @last_results
+    def inner_layouts(self, steps, numbers):
+        """Return the Layout of `steps` intervals with the nodes of these `numbers` at inner times."""
+        plain, chain = self.layouts(steps), steps * self.stride + self.node
+        is_free = plain.is_free.copy()
+        for first in range(0, self.bodies * chain, chain):
+            nodes = first + self.stride * np.arange(steps + 1)
+            for j, present in zip(self.inner_unknowns, self.inner_present.T, strict=True):
+                is_free[nodes + j] = False
+                is_free[nodes[np.array(numbers)[present]] + j] = True
+            for j in self.inner_lacks:
+                is_free[nodes[np.array(numbers)] + j] = False
+        return Layout.of(plain.is_multiplier, is_free)
 
-    @cached_property
-    def ties(self):
-        """Pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
-        return lru_cache(maxsize=4)(lambda steps: _ties(self, steps))
+    @last_results
+    def ties(self, steps):
+        """Return pairs (k, 2) of an unknown of an end and the linking variable that it equals."""
+        chain, pairs = steps * self.stride + self.node, []
+        if self.is_tied:
+            for body, indices in enumerate(self.size(steps) - self.root + self.root_indices()):
+                pairs += zip(body * chain + self.start_tied, indices[self.start_shared], strict=True)
+                pairs += zip((body + 1) * chain - self.node + self.end_tied, indices[self.end_shared], strict=True)
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
-    @cached_property
-    def fillings(self):
-        """Pairs (k, 2) of the entry by which a start takes back a one of intervals on the diagonal, and its row."""
-        return lru_cache(maxsize=4)(lambda steps: _fillings(self, steps))
+    @last_results
+    def fillings(self, steps):
+        """Return pairs (k, 2) of the entry by which a start cancels a one on the diagonal of intervals, and its row."""
+        chain, first = steps * self.stride + self.node, self.bodies * steps * self.rows.size
+        is_one = (self.start_rows == self.start_columns) & np.isin(self.start_rows, self.only_at_ends)
+        pairs = [
+            (first + body * self.start_rows.size + j, body * chain + self.start_rows[j])
+            for body in range(self.bodies)
+            for j in np.flatnonzero(is_one)
+        ]
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
-    @cached_property
-    def kinds(self):
-        """The kind of each unknown: its index in a node with the interval after it, then linking variables."""
-        return lru_cache(maxsize=4)(lambda steps: _kinds(self, steps))
+    @last_results
+    def kinds(self, steps):
+        """Return the kind of each unknown: its index in a node with the interval after it, then linking variables."""
+        chain = np.tile(np.arange(steps * self.stride + self.node) % self.stride, self.bodies)
+        own, common = np.tile(np.arange(self.own), self.bodies), np.arange(self.own, self.shared + self.couplings)
+        return np.concatenate([chain, self.stride + own, self.stride + common])
 
 
 class Layout(NamedTuple):
@@ -370,83 +402,10 @@ class Layout(NamedTuple):
     primal: np.ndarray
     multipliers: np.ndarray
 
-
-def _layout(s, steps):
-    """Return the layout of `steps` intervals; its arrays are read-only."""
-    chain, size = steps * s.stride + s.node, s.size(steps)
-    is_multiplier, is_free = np.zeros(size, dtype=bool), np.ones(size, dtype=bool)
-    chains = is_multiplier[: s.bodies * chain].reshape(s.bodies, chain)
-    chains[:, : -s.node].reshape(s.bodies, steps, s.stride)[:] = s.is_multiplier
-    chains[:, -s.node :] = s.is_multiplier[: s.node]
-    if s.couplings:
-        is_multiplier[size - s.couplings :] = True
-    if s.shared_is_multiplier.any():
-        first = s.bodies * (chain + s.own)
-        is_multiplier[s.bodies * chain : first].reshape(s.bodies, s.own)[:] = s.shared_is_multiplier[: s.own]
-        is_multiplier[first : size - s.couplings] = s.shared_is_multiplier[s.own :]
-    chains = is_free[: s.bodies * chain].reshape(s.bodies, chain)
-    for i in s.only_at_ends:
-        chains[:, i + s.stride : -s.node : s.stride] = False
-    chains[:, s.start_pinned] = False
-    chains[:, chain - s.node + s.end_pinned] = False
-    if s.phases:
-        intervals = chains[:, : steps * s.stride].reshape(s.bodies, steps, s.stride)
-        intervals[:, :, s.node :] &= ~lacking_unknowns(s, steps)
-    return _frozen(is_multiplier, is_free)
-
-
-def lacking_unknowns(s, intervals):
-    """Return which unknowns each of the `intervals` of all phases lacks: (intervals, stride - node)."""
-    steps = intervals // s.phases
-    lacking = np.repeat(s.phase_lacks, steps, axis=0)
-    lacking[steps::steps] = s.switch_lacks
-    return lacking
-
-
-def _inner_layout(s, steps, numbers):
-    """Return the layout of `steps` intervals whose nodes of these `numbers` are at inner times."""
-    plain, chain = s.layouts(steps), steps * s.stride + s.node
-    is_free = plain.is_free.copy()
-    for first in range(0, s.bodies * chain, chain):
-        nodes = first + s.stride * np.arange(steps + 1)
-        for j, present in zip(s.inner_unknowns, s.inner_present.T, strict=True):
-            is_free[nodes + j] = False
-            is_free[nodes[np.array(numbers)[present]] + j] = True
-        for j in s.inner_lacks:
-            is_free[nodes[np.array(numbers)] + j] = False
-    return _frozen(plain.is_multiplier, is_free)
-
-
-def _frozen(is_multiplier, is_free):
-    primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
-    for array in (is_multiplier, is_free, primal, multipliers):
-        array.flags.writeable = False
-    return Layout(is_multiplier, is_free, primal, multipliers)
-
-
-def _ties(s, steps):
-    chain, size = steps * s.stride + s.node, s.size(steps)
-    pairs = []
-    if s.is_tied:
-        for body, indices in enumerate(size - s.root + s.root_indices()):
-            pairs += zip(body * chain + s.start_tied, indices[s.start_shared], strict=True)
-            pairs += zip((body + 1) * chain - s.node + s.end_tied, indices[s.end_shared], strict=True)
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def _fillings(s, steps):
-    chain, first = steps * s.stride + s.node, s.bodies * steps * s.rows.size
-    is_one = (s.start_rows == s.start_columns) & np.isin(s.start_rows, s.only_at_ends)
-    entries = np.flatnonzero(is_one)
-    pairs = [
-        (first + body * s.start_rows.size + j, body * chain + s.start_rows[j])
-        for body in range(s.bodies)
-        for j in entries
-    ]
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def _kinds(s, steps):
-    chain = np.tile(np.arange(steps * s.stride + s.node) % s.stride, s.bodies)
-    own, common = np.tile(np.arange(s.own), s.bodies), np.arange(s.own, s.shared + s.couplings)
-    return np.concatenate([chain, s.stride + own, s.stride + common])
+    @classmethod
+    def of(cls, is_multiplier, is_free):
+        """Return the layout with these masks; all arrays become read-only."""
+        primal, multipliers = np.flatnonzero(is_free & ~is_multiplier), np.flatnonzero(is_free & is_multiplier)
+        for array in (is_multiplier, is_free, primal, multipliers):
+            array.flags.writeable = False
+        return cls(is_multiplier, is_free, primal, multipliers)

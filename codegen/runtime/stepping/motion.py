@@ -1,25 +1,23 @@
-"""The motion from an initial state: arguments checked, steps made, and what is reported about the stored states.
+"""The motion from an initial state: checks of arguments, steps, and quantities of the stored states.
 
-The functions below `integrate` describe single steps, as root finders and other programs want them.
+The functions from `path_residual` on evaluate single steps, for root finders and other programs.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from codegen.runtime.search.grid import checked_count, checked_times, checked_tolerance
+from codegen.runtime.stepping.problem import StepProblem
 from codegen.runtime.stepping.steps import LEFT_TABLE, energies, largest_residual, make_step, memory_for
-from codegen.runtime.tabulated.table_numbers import table_numbers
+from codegen.runtime.tabulated import table_numbers
 
-TOLERANCE, MOST = 1e-13, 50  # of Newton's method, unless others are given
+TOLERANCE, MOST = 1e-13, 50  # defaults for Newton's method
 FAILURES = {
     -1: ("non-finite", "a state is infinite or not a number; use more steps, or check start and parameters"),
     -2: ("singular", "the equations of the step have no unique solution; use more steps, or check the parameters"),
     -3: ("newton failed", "Newton's method did not converge; use more steps, or raise max_iterations"),
-    -4: (
-        "outside a table",
-        "{}; keep the motion inside, take a wider table, or give it outside='clamp' or 'extend'",
-    ),
+    -4: ("outside a table", "{}; keep the motion inside, take a wider table, or give it outside='clamp' or 'extend'"),
 }
 
 
@@ -32,7 +30,7 @@ class Grid(NamedTuple):
     start: np.ndarray
     tolerance: float
     max_iterations: int
-    problem: Any
+    problem: StepProblem
 
 
 class Solution(NamedTuple):
@@ -41,9 +39,9 @@ class Solution(NamedTuple):
     Attributes
     ----------
     status, message : str
-        "solved", or why a step failed, and a sentence that names the step and a remedy.
+        "solved", or the reason of a failed step, and a sentence that names the step and a remedy.
     steps : int
-        Steps that were made.
+        Number of steps made.
     t : array (M,)
         Times.
     q, p : array (M, coordinates)
@@ -51,10 +49,10 @@ class Solution(NamedTuple):
     energy : array (M,)
         The Hamiltonian.
     residual : float
-        Max-norm of the scheme's equations, evaluated anew for the step that led to each stored state (with `every` 1
-        these are all steps; a last state that was stored because the next step failed is left out). NaN without a step.
+        Max-norm of the scheme's equations, evaluated again for the step to each stored state. With `every` 1 these are
+        all steps. A last state that was stored because the next step failed is left out. NaN without a step.
     iterations : int
-        Linear systems that were solved.
+        Number of linear systems solved.
     """
 
     status: str
@@ -90,7 +88,7 @@ def require_finite(parameters, start):
 
 
 def start_values(prescribed, start):
-    """Return the values prescribed at the start, by name, with those of `start` instead; ValueError for other names."""
+    """Return the values prescribed at the start, by name, replaced by those in `start`; ValueError for other names."""
     for quantity, value in (start or {}).items():
         if quantity not in prescribed:
             raise ValueError(f"{quantity!r} is not prescribed at the start; prescribed: {', '.join(prescribed)}")
@@ -99,23 +97,23 @@ def start_values(prescribed, start):
 
 
 def follow_motion(grid, every=1, tolerance=TOLERANCE, max_iterations=MOST):
-    """Make all steps and return a Solution; a step that fails ends the motion, and nothing is raised then.
+    """Make all steps and return a Solution; a step that fails ends the motion without an error.
 
     Parameters
     ----------
     grid : Grid
         Steps, their length, parameters, the initial state and the problem.
     every : int
-        Every so many states are stored, beside the first and the last.
+        Every `every`-th state is stored, and the first and the last.
     tolerance : float
-        Size of a Newton correction, relative to each unknown, after which a step is taken.
+        Size of a Newton correction, relative to each unknown, after which a step is accepted.
     max_iterations : int
-        Most corrections of a step.
+        Largest number of corrections of a step.
 
     Raises
     ------
     ValueError
-        When an argument is unusable.
+        If an argument is unusable.
     """
     grid = grid._replace(
         tolerance=checked_tolerance(tolerance, 1e-6), max_iterations=checked_count("max_iterations", max_iterations)
@@ -156,13 +154,13 @@ def path_residual(grid, path):
 
 
 def step(grid, state, t=0.0):
-    """Return the state (size,) a step of length grid.h after `state`; NaN when its equations cannot be solved."""
+    """Return the state (size,) a step of length grid.h after `state`; NaN if its equations are not solved."""
     outcome, interval, _ = _made(grid, np.array(state, dtype=float), t)
     return interval[grid.problem.stages :] if outcome >= 0 else np.full(grid.problem.state, np.nan)
 
 
 def range_left(grid, state, t):
-    """Return which input leaves the range of its table in the step from `state` (size,), in words, or nothing."""
+    """Return a text on the input that leaves the range of its table in the step from `state` (size,), or ""."""
     outcome, _, inputs = _made(grid, np.array(state, dtype=float), t)
     if outcome != LEFT_TABLE:
         return ""
@@ -174,9 +172,9 @@ def range_left(grid, state, t):
 
 
 def first_outside(grid, path):
-    """Return the number of the first step along consecutive states (M, size) that leaves a table, and the input.
+    """Return the number of the first step along consecutive states (M, size) that leaves a table, and a text.
 
-    Zero and nothing where none does. Inner stages are those of the steps that the scheme itself makes.
+    Zero and "" if no step does. Inner stages are those of the steps that the scheme itself makes.
     """
     for k in range(len(path) - 1 if grid.problem.inputs else 0):
         message = range_left(grid, path[k], k * grid.h)
@@ -186,32 +184,25 @@ def first_outside(grid, path):
 
 
 def _made(grid, state, t):
-    """Make a step; return the iterations, or why there is none, the interval, and the inputs of tables."""
+    """Make a step; return the iterations or a negative outcome, the interval, and the inputs of tables."""
     problem, interval = grid.problem, np.empty(grid.problem.stages + grid.problem.state)
     inputs, accuracy = np.empty((len(problem.ranges), 2)), (grid.tolerance, grid.max_iterations)
     outcome = make_step(
-        problem.scheme,
-        memory_for(problem.scheme),
-        state,
-        float(t),
-        grid.h,
-        grid.parameters,
-        *accuracy,
-        interval,
+        problem.scheme, memory_for(problem.scheme), state, float(t), grid.h, grid.parameters, *accuracy, interval,
         inputs,
-    )
+    )  # fmt: skip
     return outcome, interval, inputs
 
 
 def predict(grid, state, t=0.0):
-    """Return unknowns (unknowns,) to start from, for a step from `state` (size,)."""
+    """Return an initial guess (unknowns,) of the unknowns of a step from `state` (size,)."""
     unknowns = np.empty(grid.problem.unknowns)
     grid.problem.predict(np.array(state, dtype=float), t, lengths(grid), grid.parameters, unknowns)
     return unknowns
 
 
 def residual(grid, unknowns, state, t=0.0):
-    """Return the residual (unknowns,) of the equations that are left after explicit elimination."""
+    """Return the residual (unknowns,) of the equations that remain after explicit elimination."""
     values, unknowns = np.empty(grid.problem.unknowns), np.array(unknowns, dtype=float)
     grid.problem.residual(unknowns, np.array(state, dtype=float), t, lengths(grid), grid.parameters, values)
     return values

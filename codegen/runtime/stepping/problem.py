@@ -1,13 +1,13 @@
-"""What is special about an initial value problem, as its generated module states it."""
+"""The definition of an initial value problem: the kernels of a step, names and numbers, from its generated module."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value, problem_of
+from codegen.runtime.record import SimulationRecord
 from codegen.runtime.stepping.steps import Scheme, follow, memory_for
 
 
@@ -15,7 +15,7 @@ from codegen.runtime.stepping.steps import Scheme, follow, memory_for
 class StepProblem:
     """An initial value problem: the kernels of one step, and names and numbers.
 
-    A step is made up of one part, or of several steps of another scheme, and each part of as many lengths as
+    A step has one part, or several parts that are steps of another scheme. Each part has as many lengths as
     `fractions` has columns. All kernels take the state at the start of a part, the time there, and the lengths.
 
     Attributes
@@ -23,26 +23,26 @@ class StepProblem:
     metadata : Record
         Names and meanings.
     state, stages, unknowns : int
-        Numbers of values of a state (q, p), of values inside a step, and of unknowns that a step is solved for.
+        Numbers of values of a state (q, p), of values inside a step, and of unknowns of the equations of a step.
     equations : Kernel
         Fills the residual (stages + state,) of the scheme's equations: (state, interval, t, lengths, parameters).
     energy : Value
         The Hamiltonian: (state, t, parameters).
     explicit : Kernel or None
-        Fills the interval (stages + state,), inner stages and the state at the end, where nothing is solved.
+        Fills the interval (stages + state,), inner stages and the state at the end, of an explicit scheme.
     all_steps : Kernel or None
         Makes all steps of an explicit scheme in one loop, into which a step is inlined; see `steps.follow_explicitly`.
     predict, residual, jacobian, complete : Kernel or None
-        Where equations are solved: fill unknowns to start from, residual, residual and Jacobian, and the interval.
+        For implicit steps: fill the initial guess of unknowns, residual, residual and Jacobian, and the interval.
     is_linear, is_constant : bool
         True if the equations of a step are linear, and if their matrix is the same for all steps.
     fractions : array
         Lengths (parts, lengths) of all parts of a step, relative to the step.
     inputs : Kernel or None
-        Fills the least and greatest inputs (inputs, 2) of tables with ranges, which are `ranges` and `range_names`.
+        Fills the least and greatest inputs (inputs, 2) of tables with the ranges `ranges`, named `range_names`.
     """
 
-    metadata: Any
+    metadata: SimulationRecord
     state: int
     stages: int
     equations: Kernel
@@ -56,11 +56,11 @@ class StepProblem:
     complete: Kernel | None = None
     is_linear: bool = False
     is_constant: bool = False
-    fractions: Any = field(default_factory=lambda: np.ones((1, 1)))
+    fractions: np.ndarray = field(default_factory=lambda: np.ones((1, 1)))
     inputs: Kernel | None = None
-    ranges: Any = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    ranges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     range_names: tuple[str, ...] = ()
-    tables: Mapping[str, Any] = field(default_factory=dict)
+    tables: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __reduce__(self):
         """Pickle the problem as the name of its module, which another process imports."""
@@ -68,7 +68,7 @@ class StepProblem:
 
     @cached_property
     def scheme(self):
-        """What compiled code knows of the problem: addresses, numbers, and lengths."""
+        """Addresses, numbers and lengths of the problem for compiled code."""
         kernels = (
             self.explicit, self.predict, self.residual if self.is_constant else None, self.jacobian, self.complete,
             self.equations, self.inputs,
@@ -100,6 +100,6 @@ class StepProblem:
         return tuple(kernel for kernel in every if kernel is not None)
 
     def compile(self):
-        """Compile what is special about the problem."""
+        """Compile all kernels of the problem."""
         for kernel in self.kernels():
             kernel.address  # noqa: B018

@@ -1,6 +1,6 @@
-"""Step after step of an initial value problem, whose kernels are called by address.
+"""Steps of an initial value problem, whose kernels are called by address.
 
-Implicit steps are solved by Newton's method, whose first correction is exact where the equations are linear.
+Implicit steps are solved by Newton's method, whose first correction is exact for linear equations.
 """
 
 from typing import Any, NamedTuple
@@ -9,21 +9,21 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.addresses import ahead, call, call_value, data_of, integers_at, reals_at
+from codegen.runtime.arithmetic import factor_matrix, solve_factored
 from codegen.runtime.kernels import ONLY_COMPILED
-from codegen.runtime.lu import factor_matrix, solve_factored
 
-NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # why a step fails
-LEAST = 1e-300  # numbers below it are so close to the least ones that they have no relative size
-ROUNDING = 1e-8  # corrections below this part of all unknowns are rounding errors once they no longer shrink
-TABLE_MARGIN = 1e-8  # parts of the range of a table by which an input may be outside, which is rounding
+NON_FINITE, SINGULAR, NOT_CONVERGED, LEFT_TABLE = -1, -2, -3, -4  # outcomes of a step that fails
+LEAST = 1e-300  # smaller numbers are close to underflow and have no relative size
+ROUNDING = 1e-8  # corrections that no longer shrink, and are smaller relative to all unknowns, are rounding errors
+TABLE_MARGIN = 1e-8  # excess of an input, relative to the range of a table, that is a rounding error
 
 INLINED: Any = njit(error_model="numpy", forceinline=True, **ONLY_COMPILED)
 
 
 class Scheme(NamedTuple):
-    """What compiled code knows of a `StepProblem`: integers, so that passing them counts no references.
+    """The data of a `StepProblem` for compiled code: integers, so that passing them counts no references.
 
-    Addresses of kernels, 0 where there is none; numbers; and the addresses of `fractions` (parts, lengths) and `ranges`
+    Addresses of kernels, 0 for none; numbers; and the addresses of `fractions` (parts, lengths) and `ranges`
     (inputs, 2), arrays of the problem.
     """
 
@@ -47,16 +47,17 @@ class Scheme(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Addresses of the arrays of a step, which the caller keeps.
+    """Addresses of the arrays of a step, which the caller keeps alive.
 
-    `lengths` (parts, lengths) are those of all parts, `now` (state,) is the state before a step, `here` that at the
-    start of a part, `interval` (stages + state,) holds the inner stages and the state at its end, `seen` (inputs, 2)
-    inputs of tables. Of Newton's method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last corrections.
+    `lengths` (parts, lengths) are those of all parts. `now` (state,) is the state before a step, `begin` the state at
+    the start of a part. `interval` (stages + state,) holds the inner stages and the state at the end of a part, `seen`
+    (inputs, 2) inputs of tables. For Newton's method: unknowns, residual, Jacobian, pivots, sizes of unknowns, last
+    corrections.
     """
 
     lengths: int
     now: int
-    here: int
+    begin: int
     interval: int
     seen: int
     unknowns: int
@@ -80,18 +81,18 @@ def work_in(scheme, memory, h, parameters_at):
     count, size = scheme.unknowns, scheme.state
     lengths = memory.ctypes.data
     now = lengths + 8 * scheme.parts * scheme.lengths
-    here = now + 8 * size
-    interval = here + 8 * size
+    begin = now + 8 * size
+    interval = begin + 8 * size
     seen = interval + 8 * (scheme.stages + size)
     unknowns = seen + 16 * scheme.inputs
     row = 8 * count
     residual, sizes, last, pivots = unknowns + row, unknowns + 2 * row, unknowns + 3 * row, unknowns + 4 * row
-    work = Work(lengths, now, here, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
+    work = Work(lengths, now, begin, interval, seen, unknowns, residual, unknowns + 5 * row, pivots, sizes, last)
     fractions = carray(reals_at(scheme.fractions), (scheme.parts * scheme.lengths,))
     for i in range(memory.size):
         memory[i] = h * fractions[i] if i < fractions.size else 0.0
     if scheme.is_constant:
-        call(scheme.jacobian, (unknowns, here, 0.0, lengths, parameters_at, residual, work.jacobian))
+        call(scheme.jacobian, (unknowns, begin, 0.0, lengths, parameters_at, residual, work.jacobian))
         if count > 1:
             jacobian, factored = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(pivots), (count,))
             if factor_matrix(jacobian, factored) >= 0:
@@ -101,18 +102,18 @@ def work_in(scheme, memory, h, parameters_at):
 
 @njit(error_model="numpy", forceinline=True)
 def advance(scheme, work, t, tolerance, most, parameters_at):
-    """Make a step from the state in work.here, which then holds that after it; return the iterations, or why it failed.
+    """Make a step of the state in work.begin; return the iterations, or the negative outcome of a failure.
 
-    `t` is the time at the start, `tolerance` the relative size of a correction after which a part of a step has been
-    solved, in at most so many iterations.
+    `t` is the time at the start. `tolerance` is the relative size of a correction after which a part of a step is
+    solved, in at most `most` iterations.
     """
-    state, iterations = carray(reals_at(work.here), (scheme.state,)), 0
+    state, iterations = carray(reals_at(work.begin), (scheme.state,)), 0
     after = carray(reals_at(work.interval + 8 * scheme.stages), (scheme.state,))
     lengths = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths))
     for part in range(scheme.parts):
         lengths_at = work.lengths + 8 * part * scheme.lengths
         if scheme.unknowns == 0:
-            call(scheme.explicit, (work.here, t, lengths_at, parameters_at, work.interval))
+            call(scheme.explicit, (work.begin, t, lengths_at, parameters_at, work.interval))
         else:
             outcome = solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at)
             if outcome < 0:
@@ -129,27 +130,27 @@ def advance(scheme, work, t, tolerance, most, parameters_at):
 
 @njit(error_model="numpy")
 def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
-    """Solve the equations of a part of a step from work.here; return the iterations, or why there is no solution.
+    """Solve the equations of a part of a step from work.begin; return the iterations, or the outcome of a failure.
 
-    Corrections are taken in full: where they do not converge the step is too long for the scheme, and shorter
-    corrections were seen to end in spurious minima of the residual as often as in a solution.
+    Corrections are taken in full. If they do not converge the step is too long for the scheme. Shortened corrections
+    ended in spurious minima of the residual as often as in a solution.
     """
     count, magnitude = scheme.unknowns, 0.0
     unknowns, residual = carray(reals_at(work.unknowns), (count,)), carray(reals_at(work.residual), (count,))
     jacobian, pivots = carray(reals_at(work.jacobian), (count, count)), carray(integers_at(work.pivots), (count,))
     sizes, last = carray(reals_at(work.sizes), (count,)), carray(reals_at(work.last), (count,))
-    state = carray(reals_at(work.here), (scheme.state,))
-    call(scheme.predict, (work.here, t, lengths_at, parameters_at, work.unknowns))
+    state = carray(reals_at(work.begin), (scheme.state,))
+    call(scheme.predict, (work.begin, t, lengths_at, parameters_at, work.unknowns))
     for i in range(state.size):
         magnitude += abs(state[i])
     for i in range(count):
         sizes[i], last[i] = max(0.5 * sizes[i], LEAST), np.inf
-    given = work.unknowns, work.here, t, lengths_at, parameters_at
+    arguments = work.unknowns, work.begin, t, lengths_at, parameters_at
     for iteration in range(1, most + 1):
         if scheme.is_constant:
-            call(scheme.residual, (*given, work.residual))
+            call(scheme.residual, (*arguments, work.residual))
         else:
-            call(scheme.jacobian, (*given, work.residual, work.jacobian))
+            call(scheme.jacobian, (*arguments, work.residual, work.jacobian))
         if scheme.is_iterated:
             total = 0.0
             for i in range(count):
@@ -169,7 +170,7 @@ def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
             unknowns[i] -= residual[i]
             scale += abs(unknowns[i])
         if not scheme.is_iterated or has_converged(unknowns, residual, tolerance, ROUNDING * scale, sizes, last):
-            call(scheme.complete, (*given, work.interval))
+            call(scheme.complete, (*arguments, work.interval))
             return iteration
     return NOT_CONVERGED
 
@@ -178,9 +179,9 @@ def solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at):
 def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
     """Return True if each correction (unknowns,) is small, or a rounding error that no longer shrinks.
 
-    Newton's method squares the error, so that after a correction of relative size 1e-13 nothing but rounding is left.
-    Each is measured against its unknown's own size, which may be that of a few steps ago: a sum over unknowns would
-    depend on their units. `sizes` and `last` take what the next call has to know.
+    Newton's method squares the error: after a correction of relative size 1e-13 only rounding errors remain. Each
+    correction is relative to its own unknown, also to its size a few steps ago. A sum over unknowns would depend on
+    their units. `sizes` and `last` keep data for the next call.
     """
     settled = True
     for i in range(unknowns.size):
@@ -194,15 +195,15 @@ def has_converged(unknowns, corrections, tolerance, rounding, sizes, last):
 
 @njit(error_model="numpy")
 def first_left(scheme, work, t, lengths_at, parameters_at):
-    """Return the number of the first input of a table that a part of a step takes out of its range, or -1.
+    """Return the number of the first input of a table that leaves its range in a part of a step, or -1.
 
-    `work.seen` takes the least and the greatest value of each.
+    `work.seen` takes the least and the greatest value of each input.
     """
     seen = carray(reals_at(work.seen), (scheme.inputs, 2))
     ranges, parameters = carray(integers_at(scheme.ranges), (scheme.inputs, 2)), reals_at(parameters_at)
     for j in range(scheme.inputs):
         seen[j, 0], seen[j, 1] = np.inf, -np.inf
-    call(scheme.used_inputs, (work.here, work.interval, t, lengths_at, parameters_at, work.seen))
+    call(scheme.used_inputs, (work.begin, work.interval, t, lengths_at, parameters_at, work.seen))
     for j in range(scheme.inputs):
         least, greatest = parameters[ranges[j, 0]], parameters[ranges[j, 1]]
         margin = TABLE_MARGIN * (greatest - least)
@@ -213,7 +214,7 @@ def first_left(scheme, work, t, lengths_at, parameters_at):
 
 @INLINED
 def checked(outcome, size, after):
-    """Return the outcome of a step, or that the state (size,) after it, at a pointer, is not finite."""
+    """Return the outcome of a step, or NON_FINITE if the state (size,) after it, at a pointer, is not finite."""
     total = 0.0
     for i in range(size):
         total += abs(after[i])
@@ -222,7 +223,7 @@ def checked(outcome, size, after):
 
 @INLINED
 def stored(made, steps, every, wait, rows, size, now, after, path, before):
-    """Store the state (size,) `after` a step where it is due; return how many steps to wait, and the rows in use.
+    """Store the state (size,) `after` a step if it is due; return the number of steps to wait, and the rows in use.
 
     `made` steps are made; every `every`-th state and the last are stored in `path` (M, size). Row i of `before` takes
     the state one step before that of row i + 1 of `path`; with `every` 1 nothing is written there. All are pointers.
@@ -254,12 +255,12 @@ def stored_last(wait, every, rows, size, now, path):
 def follow(scheme, memory, start, steps, h, parameters, tolerance, most, every, path, before):
     """Make all steps from a state (state,), and store states in `path` and `before` (M, state); see `stored`.
 
-    Stops at the first step that fails, and then stores the last good state. Returns the number of steps made, the rows
-    of `path` in use, the iterations and 0, or a negative number that says why the next step failed.
+    A step that fails ends the motion; the last good state is then stored. Return the number of steps made, the rows of
+    `path` in use, the iterations and 0, or a negative number for the reason of the failure.
     """
     parameters_at, size = parameters.ctypes.data, scheme.state
     work = work_in(scheme, memory, h, parameters_at)
-    now, after, rows, iterations, wait = reals_at(work.now), reals_at(work.here), 1, 0, every
+    now, after, rows, iterations, wait = reals_at(work.now), reals_at(work.begin), 1, 0, every
     states, states_before = reals_at(data_of(path)), reals_at(data_of(before))
     for i in range(size):
         path[0, i] = after[i] = now[i] = start[i]
@@ -282,8 +283,8 @@ def follow_explicitly(
 ):  # fmt: skip
     """Make all steps of an explicit scheme by a function that is inlined; otherwise as `follow`.
 
-    A step has so many `parts`, of a `count` of lengths each. All arrays are given by pointers: `state` and `now` hold
-    the first state, `numbers` the number of steps, their length and `every`; `outcome` takes what `follow` returns.
+    A step has `parts` parts, each of `count` lengths. All arrays are pointers: `state` and `now` hold the
+    first state, `numbers` the number of steps, their length and `every`; `outcome` takes the results of `follow`.
     """
     steps, h, every = int(numbers[0]), numbers[1], int(numbers[2])
     rows, wait, made, reason = 1, every, 0, 0
@@ -308,16 +309,16 @@ def follow_explicitly(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval, seen):
-    """Make one step from a state (state,); return the iterations, or why it failed.
+    """Make one step from a state (state,); return the iterations, or the negative outcome of a failure.
 
-    `interval` (stages + state,) takes the inner stages and the end of the last part, `seen` (inputs, 2) those of
+    `interval` (stages + state,) takes the inner stages and the end of the last part, `seen` (inputs, 2) the inputs of
     tables.
     """
     parameters_at = parameters.ctypes.data
     work = work_in(scheme, memory, h, parameters_at)
-    here, made = carray(reals_at(work.here), (scheme.state,)), carray(reals_at(work.interval), (interval.size,))
+    begin, made = carray(reals_at(work.begin), (scheme.state,)), carray(reals_at(work.interval), (interval.size,))
     for i in range(scheme.state):
-        here[i] = start[i]
+        begin[i] = start[i]
     outcome = advance(scheme, work, t, tolerance, most, parameters_at)
     for i in range(interval.size):
         interval[i] = made[i]
@@ -330,23 +331,23 @@ def make_step(scheme, memory, start, t, h, parameters, tolerance, most, interval
 def part_of_step(scheme, start, t, lengths, parameters, tolerance, most, interval):
     """Make a part of a step, of given lengths, from a state (state,) at time t; otherwise as `make_step`.
 
-    Inputs of tables may be anywhere.
+    Inputs of tables may leave their ranges.
     """
     lengths = np.ascontiguousarray(lengths, dtype=float)
     alone = scheme._replace(parts=1, fractions=lengths.ctypes.data, inputs=0)
-    given = memory_for(alone), start, float(t), 1.0, parameters, tolerance, most
-    return make_step(alone, *given, interval, np.empty((0, 2)))
+    arguments = memory_for(alone), start, float(t), 1.0, parameters, tolerance, most
+    return make_step(alone, *arguments, interval, np.empty((0, 2)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, tolerance, most, every):
     """Return the max-norm of the scheme's equations over steps from `before` to rows 1, 2, ... of `path` (M, state).
 
-    Inner stages, and states between the parts of a step, are not stored: they are computed anew from the state before.
+    Inner stages, and states between the parts of a step, are not stored, but computed again from the state before.
     """
     size, stages, parameters_at, largest = scheme.state, scheme.stages, parameters.ctypes.data, 0.0
     work, residual = work_in(scheme, memory, h, parameters_at), np.empty(scheme.stages + scheme.state)
-    state, interval = carray(reals_at(work.here), (size,)), carray(reals_at(work.interval), (stages + size,))
+    state, interval = carray(reals_at(work.begin), (size,)), carray(reals_at(work.interval), (stages + size,))
     lengths, residual_at = carray(reals_at(work.lengths), (scheme.parts, scheme.lengths)), residual.ctypes.data
     for row in range(1, rows):
         t = (min(row * every, steps) - 1) * h
@@ -356,13 +357,13 @@ def largest_residual(scheme, memory, before, path, rows, steps, h, parameters, t
             lengths_at, is_last = work.lengths + 8 * part * scheme.lengths, part == scheme.parts - 1
             if stages > 0 or not is_last:
                 if scheme.unknowns == 0:
-                    call(scheme.explicit, (work.here, t, lengths_at, parameters_at, work.interval))
+                    call(scheme.explicit, (work.begin, t, lengths_at, parameters_at, work.interval))
                 else:
                     solve_part(scheme, work, t, lengths_at, tolerance, most, parameters_at)
             if is_last:
                 for i in range(size):
                     interval[stages + i] = path[row, i]
-            call(scheme.equations, (work.here, work.interval, t, lengths_at, parameters_at, residual_at))
+            call(scheme.equations, (work.begin, work.interval, t, lengths_at, parameters_at, residual_at))
             for i in range(stages + size):
                 if not abs(residual[i]) < np.inf:
                     return np.inf

@@ -24,7 +24,7 @@ import numpy as np
 from numba import carray, cfunc, config, float64, int64, njit, types
 
 from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folders
-from codegen.runtime.packing import packed_operations
+from codegen.runtime.kernels import packed_operations
 from codegen.solving.loading import load
 from codegen.solving.machine_code.parts import Part, parts_of
 from codegen.solving.machine_code.processes import COUNT, DONE

@@ -100,7 +100,7 @@ def linear_system(shape: Any) -> Iterator[Part]:
 def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the functions of searches that Python calls, and the types that all problems call them with."""
     from codegen.runtime.search import bounds as box
-    from codegen.runtime.search import descent, exact_bounds, iterates, linear_system, parts, point, scaling, solve
+    from codegen.runtime.search import cascade, descent, iterates, linear_system, point, scaling, solve
     from codegen.runtime.search import sensitivities as changes
 
     grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
@@ -132,12 +132,12 @@ def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)
     yield linear_system.multiply_entries, (REALS, INTEGERS, INTEGERS, int64, INTEGERS, REALS, REALS, boolean)
     yield linear_system.call_hessians, (int64, REALS, *grid, INTEGERS, REALS)
-    yield parts.fill_momenta, (int64, REALS, *grid, INTEGERS, int64, CUBE, CUBE)
+    yield point.fill_momenta, (int64, REALS, *grid, INTEGERS, int64, CUBE, CUBE)
     yield solve.correction, (REALS, REALS, MASK, REALS, REALS)
     if problem.variable_bounds is not None:
         yield iterates.finite_bounds, (REALS, REALS)
         yield box.first_beyond, (*[int64] * 4, *[REALS] * 4, float64)
-        yield exact_bounds.clip, (
+        yield cascade.clip, (
             addresses, on_grid, bounds, types.UniTuple(float64, 5), REALS, REALS, TABLE, REALS, REALS,
         )  # fmt: skip
     if problem.data is not None:
@@ -160,7 +160,7 @@ QUANTITIES = (
 
 def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the functions that make steps of a motion, and the types that all problems call them with."""
-    from codegen.runtime import lu
+    from codegen.runtime import arithmetic
     from codegen.runtime.stepping import steps
 
     scheme = typeof(steps.Scheme(*[0] * len(steps.Scheme._fields)))
@@ -172,13 +172,14 @@ def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
         scheme, REALS, TABLE, TABLE, int64, int64, float64, REALS, float64, int64, int64,
     )  # fmt: skip
     yield steps.energies, (int64, TABLE, REALS, REALS, REALS)
-    yield lu.factor_matrix, (TABLE, INTEGERS)
-    yield lu.solve_factored, (TABLE, INTEGERS, REALS)
+    yield arithmetic.factor_matrix, (TABLE, INTEGERS)
+    yield arithmetic.solve_factored, (TABLE, INTEGERS, REALS)
 
 
 def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
     """Yield the functions that move particles, or connect them, and the types that all problems call them with."""
-    from codegen.runtime.particles import broyden, motion, pair_algebra, shooting, steps, tracers, trajectory
+    from codegen.runtime import arithmetic
+    from codegen.runtime.particles import motion, shooting, steps, tracers
 
     pairs, shape = typeof(steps.Pairs(*[0] * len(steps.Pairs._fields))), types.UniTuple(int64, 3)
     own = (TABLE, REALS)  # parameters of each particle, and of all
@@ -188,18 +189,18 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
         yield motion.energies_of, (pairs, TABLE, *own, shape, REALS)
         return
     linear = (pairs, CUBE, FOURFOLD, int64, float64, *own, TABLE)
-    yield broyden.broyden_steps, (pairs, float64, *own, TABLE, REALS, TABLE, float64, FOURFOLD, FOURFOLD)
-    yield trajectory.follow, (pairs, float64, *own, FOURFOLD, FOURFOLD, float64)
-    yield trajectory.defects, (pairs, float64, *own, FOURFOLD, FOURFOLD, FOURFOLD)
-    yield trajectory.cost_and_energies, (pairs, float64, *own, FOURFOLD, FOURFOLD, REALS, REALS)
-    yield trajectory.discrete_cost, (pairs, float64, *own, FOURFOLD, REALS)
+    yield shooting.broyden_steps, (pairs, float64, *own, TABLE, REALS, TABLE, float64, FOURFOLD, FOURFOLD)
+    yield steps.follow, (pairs, float64, *own, FOURFOLD, FOURFOLD, float64)
+    yield steps.defects, (pairs, float64, *own, FOURFOLD, FOURFOLD, FOURFOLD)
+    yield steps.cost_and_energies, (pairs, float64, *own, FOURFOLD, FOURFOLD, REALS, REALS)
+    yield steps.discrete_cost, (pairs, float64, *own, FOURFOLD, REALS)
     yield shooting.tangents, linear
     yield steps.advance_directions, (*linear, TABLE)
     yield shooting.extend_basis, (int64, TABLE, TABLE, TABLE, REALS)
     yield steps.fill_curvature, (int64, FOURFOLD, *own, CUBE)
-    yield pair_algebra.cholesky, (TABLE,)
-    yield pair_algebra.solve_cholesky, (TABLE, TABLE)
-    yield pair_algebra.largest, (REALS,)
+    yield arithmetic.cholesky, (TABLE,)
+    yield arithmetic.solve_cholesky, (TABLE, TABLE)
+    yield arithmetic.max_norm, (REALS,)
     if problem.tracer_gradient is not None:
         known = typeof(tracers.Tracers(*[0] * len(tracers.Tracers._fields)))
         yield tracers.carry_points, (

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.runtime.record import Kind, Meaning, Place, phrase
-from codegen.runtime.search.convergence import sizes_of_terms
+from codegen.runtime.search.termination import sizes_of_terms
 from codegen.solving.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
 
 

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.runtime.record import ControlRecord
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point as callbacks
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
-from codegen.runtime.search.messages import worst_row
+from codegen.runtime.search.messages import tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
-from codegen.runtime.search.table_ranges import tables_beyond
 from codegen.solving.interfaces import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.solving.results.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solving.results.result import (

@@ -239,13 +239,13 @@ def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_],
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
-    from codegen.runtime.search import callbacks  # which imports numba
+    from codegen.runtime.search import point  # which imports numba
 
     primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     size, equations = primal.size, dual.size
-    rows, columns, values = callbacks.hessian(grid, unknowns)
+    rows, columns, values = point.hessian(grid, unknowns)
     hessian = sparse.csc_matrix((values, (rows, columns)), shape=(size, size))
-    rows, columns, values = callbacks.jacobian(grid, unknowns)
+    rows, columns, values = point.jacobian(grid, unknowns)
     jacobian = sparse.csc_matrix((values, (rows, columns)), shape=(equations, size))
     whole = sparse.bmat([[hessian, jacobian.T], [jacobian, None]], format="csc")
     is_free = np.isin(primal, free)

@@ -6,7 +6,7 @@ from typing import Any
 import cyipopt
 import numpy as np
 
-from codegen.runtime.search import callbacks
+from codegen.runtime.search import point
 from codegen.solving.compiler import build
 from codegen.solving.drivers.ipopt import _Callbacks
 from codegen.solving.drivers.shared import quiet_single_thread
@@ -55,15 +55,15 @@ class PublishedProblem:
         return self._report(status, program.unknowns(x, details["mult_g"]), calls.iterations)
 
     def _report(self, status: str, unknowns: Array, iterations: int) -> dict[str, Any]:
-        cost = float(callbacks.cost(self.grid, unknowns))
+        cost = float(point.cost(self.grid, unknowns))
         residual = self.violation(unknowns)
         return {"status": str(status), "cost": cost, "residual": residual, "iterations": int(iterations)}
 
     def violation(self, unknowns: Array) -> float:
         """The largest violation of an equation or bound, each in units of its largest term where that exceeds one."""
-        rows, columns, values = callbacks.jacobian(self.grid, unknowns)
+        rows, columns, values = point.jacobian(self.grid, unknowns)
         primal = unknowns[self.module.primal_unknowns(self.grid)]
-        residuals = np.abs(callbacks.constraints(self.grid, unknowns))
+        residuals = np.abs(point.constraints(self.grid, unknowns))
         size = np.ones(residuals.size)
         np.maximum.at(size, rows, np.abs(values * primal[columns]))
         worst = float((residuals / size).max(initial=0.0))

@@ -1,0 +1,258 @@
+"""Arithmetic of steps and kernels: factorisations of small dense matrices, accurate sums, accurate logarithms.
+
+Inner loops of matrices run along rows, so that they are vectorised. Sources: Golub and Van Loan (2013), Matrix
+computations, algorithms 3.4.1 (LU with partial pivoting) and 4.2.2 (Cholesky).
+
+`accurate_dot` sums products to the last digit. Distances from a boundary are small differences of large numbers.
+Source: Ogita, Rump and Oishi (2005), Accurate sum and dot product, SIAM Journal on Scientific Computing 26, algorithm
+5.3 (Dot2) with Veltkamp's and Dekker's product.
+
+x - log(1 + x) and log(1 + x) - x/(1 + x) are computed without cancellation. With r = x/(2 + x) the logarithm is
+log(1 + x) = 2 (r + r^3/3 + r^5/5 + ...), so that both differences are sums of terms of one sign for small positive x.
+
+The packed versions have no branches and no calls, so that several numbers are computed at once. With k such that
+1 + x = 2^k (1 + f) and 1 + f is between 1/sqrt(2) and sqrt(2), and with r = f/(2 + f),
+
+    log(1 + f) = 2 atanh(r) = 2 r + 2 r S = f - f r + 2 r S,   S = r^2/3 + r^4/5 + ...,
+
+where S/r^2 is a polynomial that interpolates the series in r^2 at Chebyshev points, with a relative error of 5e-16
+(1.3e-17 of the logarithm). For k = 0, f is x itself, and terms that would cancel are left out exactly. Packed versions
+are for numbers below 1e300, and return NaN up to -1. Source: Muller (2016), Elementary functions, chapters 4 and 11.
+"""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def mirror_lower_triangle(matrix):
+    """Copy the entries below the diagonal of a matrix, shape (n, n), to above it."""
+    for row in range(matrix.shape[0]):
+        for column in range(row):
+            matrix[column, row] = matrix[row, column]
+
+
+@njit(cache=True, error_model="numpy")
+def symmetric_product(matrix, vectors, products):
+    """Fill `products` with a symmetric matrix, shape (n, n), times vectors, both of shape (n, m)."""
+    size, columns = vectors.shape
+    for row in range(size):
+        for c in range(columns):
+            products[row, c] = 0.0
+    if columns == 1:
+        total, vector = products.reshape(-1), vectors.reshape(-1)
+        for row in range(size):
+            factor = vector[row]
+            if factor != 0.0:
+                for column in range(size):
+                    total[column] += factor * matrix[row, column]
+        return
+    for row in range(size):
+        for column in range(size):
+            factor = matrix[row, column]
+            if factor != 0.0:
+                for c in range(columns):
+                    products[row, c] += factor * vectors[column, c]
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky(matrix):
+    """Replace a symmetric matrix, shape (n, n), by the upper factor L' of L L'; return False if there is none."""
+    size = matrix.shape[0]
+    for k in range(size):
+        if not matrix[k, k] > 0.0:
+            return False
+        root = np.sqrt(matrix[k, k])
+        for column in range(k, size):
+            matrix[k, column] /= root
+        for row in range(k + 1, size):
+            factor = matrix[k, row]
+            for column in range(row, size):
+                matrix[row, column] -= factor * matrix[k, column]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def solve_cholesky(factor, vectors):
+    """Solve in place for several right-hand sides, shape (n, m), with the factor from `cholesky`."""
+    size, columns = vectors.shape
+    for k in range(size):
+        for c in range(columns):
+            vectors[k, c] /= factor[k, k]
+            value = vectors[k, c]
+            for row in range(k + 1, size):
+                vectors[row, c] -= factor[k, row] * value
+    for k in range(size - 1, -1, -1):
+        for c in range(columns):
+            total = vectors[k, c]
+            for column in range(k + 1, size):
+                total -= factor[k, column] * vectors[column, c]
+            vectors[k, c] = total / factor[k, k]
+
+
+@njit(cache=True, error_model="numpy")
+def max_norm(values):
+    """Return the max-norm of a vector, shape (n,); infinite if an entry is not a number."""
+    size = 0.0
+    for k in range(values.size):
+        if not abs(values[k]) < np.inf:
+            return np.inf
+        size = max(size, abs(values[k]))
+    return size
+
+
+@njit(cache=True, error_model="numpy")
+def copy_state(source, target):
+    """Copy a state of shape (2, n, d); return True if it is finite."""
+    finite = True
+    for s in range(2):
+        for i in range(source.shape[1]):
+            for a in range(source.shape[2]):
+                target[s, i, a] = source[s, i, a]
+                finite = finite and abs(source[s, i, a]) < np.inf
+    return finite
+
+
+@njit(cache=True, error_model="numpy")
+def factor_matrix(matrix, pivots):
+    """Factor `matrix` (m, m) in place, fill `pivots` (m,); return -1, or the first column with a zero or NaN pivot."""
+    size = matrix.shape[0]
+    for i in range(size):
+        pivot = i
+        for j in range(i + 1, size):
+            if abs(matrix[j, i]) > abs(matrix[pivot, i]):
+                pivot = j
+        if not abs(matrix[pivot, i]) > 0.0:
+            return i
+        pivots[i] = pivot
+        if pivot != i:
+            for c in range(size):
+                matrix[i, c], matrix[pivot, c] = matrix[pivot, c], matrix[i, c]
+        inverse = 1.0 / matrix[i, i]
+        for j in range(i + 1, size):
+            multiplier = matrix[j, i] * inverse
+            matrix[j, i] = multiplier
+            if multiplier != 0.0:
+                for c in range(i + 1, size):
+                    matrix[j, c] -= multiplier * matrix[i, c]
+    return -1
+
+
+@njit(cache=True, error_model="numpy")
+def solve_factored(matrix, pivots, right_hand_side):
+    """Overwrite a right-hand side, shape (n,), by the solution, with the factors from `factor_matrix`."""
+    size = matrix.shape[0]
+    for i in range(size):
+        pivot = pivots[i]
+        value = right_hand_side[pivot]
+        right_hand_side[pivot] = right_hand_side[i]
+        right_hand_side[i] = value
+    for i in range(1, size):
+        for j in range(i):
+            right_hand_side[i] -= matrix[i, j] * right_hand_side[j]
+    for i in range(size - 1, -1, -1):
+        for j in range(i + 1, size):
+            right_hand_side[i] -= matrix[i, j] * right_hand_side[j]
+        right_hand_side[i] /= matrix[i, i]
+
+
+@njit(cache=True, error_model="numpy")
+def accurate_dot(first, second):
+    """Return the sum of first[k]*second[k], as if computed with twice the digits."""
+    total, lost = 0.0, 0.0
+    for k in range(len(first)):
+        a, b = first[k], second[k]
+        product = a * b
+        a_high, b_high = upper_half(a), upper_half(b)
+        a_low, b_low = a - a_high, b - b_high
+        lost += a_low * b_low - (((product - a_high * b_high) - a_low * b_high) - a_high * b_low)
+        before = total
+        total = before + product
+        part = total - before
+        lost += (before - (total - part)) + (product - part)
+    return total + lost
+
+
+@njit(cache=True, error_model="numpy")
+def upper_half(x):
+    """Return the leading 26 bits of a number."""
+    shifted = 134217729.0 * x
+    return shifted - (shifted - x)
+
+
+@njit(cache=True, error_model="numpy")
+def x_minus_log1p(x, log):
+    """Return x - log(1 + x), where `log` is log(1 + x)."""
+    if abs(x) > 0.5:
+        return x - log
+    r = x / (2.0 + x)
+    return x * r - 2.0 * r * odd_series(r * r)
+
+
+@njit(cache=True, error_model="numpy")
+def log1p_minus_ratio(x, log):
+    """Return log(1 + x) - x/(1 + x), where `log` is log(1 + x)."""
+    if abs(x) > 0.5:
+        return log - x / (1.0 + x)
+    r = x / (2.0 + x)
+    return 2.0 * r * r / (1.0 + r) + 2.0 * r * odd_series(r * r)
+
+
+@njit(cache=True, error_model="numpy")
+def odd_series(s):
+    """Return s/3 + s^2/5 + s^3/7 + ..., for 0 <= s <= 1/9, to the last digit."""
+    total = 0.0
+    for k in range(17, 0, -1):
+        total = s * (total + 1.0 / (2 * k + 1))
+    return total
+
+
+ODD_SERIES = (
+    0.3333333333333335, 0.1999999999994962, 0.14285714313047945, 0.1111110555757208, 0.09091445278347801,
+    0.0766583701508393, 0.07308518774395825,
+)  # fmt: skip
+LOG_2_HIGH, LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10  # k times the first, with few digits, is exact
+ROOT_HALF, ONE = 0x3FE6A09E667F3BCD, 0x3FF0000000000000  # the bits of sqrt(1/2) and of 1.0
+HUGE, HUGE_BITS = 4503599627370496.0, 0x4330000000000000  # 2^52 and its bits, to which smaller integers add
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def logarithm_parts(x):
+    """Return the numbers k, f, r and S of 1 + x."""
+    total = np.float64(1.0 + x if x > -1.0 else np.nan)
+    bits = np.uint64(total.view(np.int64) + np.int64(ONE - ROOT_HALF)) >> np.uint64(52)  # k + 1023
+    k = np.uint64(bits | np.uint64(HUGE_BITS)).view(np.float64) - (HUGE + 1023.0)
+    scale = np.int64((np.int64(2046) - np.int64(bits)) << np.int64(52)).view(np.float64)  # 2^-k
+    f = (total * scale - 1.0) + (x - (total - 1.0)) * scale
+    r = f / (2.0 + f)
+    square = r * r
+    series = ODD_SERIES[6]
+    series = series * square + ODD_SERIES[5]
+    series = series * square + ODD_SERIES[4]
+    series = series * square + ODD_SERIES[3]
+    series = series * square + ODD_SERIES[2]
+    series = series * square + ODD_SERIES[1]
+    series = series * square + ODD_SERIES[0]
+    return k, f, r, series * square
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def packed_log1p(x):
+    """Return log(1 + x)."""
+    k, f, r, series = logarithm_parts(x)
+    return k * LOG_2_HIGH + (f - (f * r - 2.0 * r * series - k * LOG_2_LOW))
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def packed_x_minus_log1p(x, log):
+    """Return x - log(1 + x); `log`, which is log(1 + x), is not needed."""
+    k, f, r, series = logarithm_parts(x)
+    return ((x - f) - k * LOG_2_HIGH) + (f * r - 2.0 * r * series - k * LOG_2_LOW)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def packed_log1p_minus_ratio(x, log):
+    """Return log(1 + x) - x/(1 + x); `log`, which is log(1 + x), is not needed."""
+    k, f, r, series = logarithm_parts(x)
+    rest = ((f - x) + r * f * (1.0 + x)) / ((1.0 + f) * (1.0 + x))
+    return k * LOG_2_HIGH + (rest + 2.0 * r * series + k * LOG_2_LOW)

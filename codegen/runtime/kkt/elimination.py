@@ -1,0 +1,477 @@
+"""Elimination of the unknowns of a body interval by interval, and substitution with the factors.
+
+The matrix of a body is a sum over intervals of one small symmetric element matrix, as in finite elements. Its rows are
+those of block k (a node and its interval without condensed unknowns), of the next node, of block 0 if that stays to the
+end, and of the linking variables. One more column is the right-hand side, if it is carried along. Blocks are eliminated
+one after the other, with pivoting inside each: this is the sweep of a Riccati recursion. The pivots' signs give the
+inertia of the matrix, by Sylvester's law.
+
+With `backward`, blocks are counted from the end, and each holds a node and the interval before it. The equations of an
+interval are then eliminated with the state at its end, which they determine. With the state at its start, rounding
+errors would grow as dissipative dynamics do backward in time. Block 0 is singular by itself if its node is prescribed,
+because later unknowns match its equations. Then it is `bordered`, and eliminated with the last node. Linking variables
+border all fronts of all bodies; elimination leaves their Schur complement, a dense matrix.
+
+Too many negative pivots show before the end. At a minimum, the eliminated rows and the multipliers of all equations
+that reach into them form a matrix with one negative eigenvalue for every multiplier. Without the multipliers still to
+come, it has at most as many (Cauchy's interlacing theorem).
+
+Unknowns inside an interval are condensed first. With C their block in the Hessian of an interval and B their rows for
+all other unknowns, elimination leaves K - B' inverse(C) B. C is inverted on each interval, or once if it is the same on
+all of them.
+
+A right-hand side that took part in the elimination needs no forward substitution. Its column in the factors acts in the
+backward substitution as one more unknown with the value -1.
+
+Sources: Irons (1970), A frontal solution program for finite element analysis; Haynsworth (1968), Determination of the
+inertia of a partitioned Hermitian matrix; Rao, Wright and Rawlings (1998), Application of interior-point methods to
+model predictive control, for the Riccati view.
+"""
+
+import numpy as np
+from numba import njit
+
+from codegen.runtime.kkt.shape import (
+    COMMON,
+    COUNTS,
+    COUPLED,
+    COUPLED_COLUMNS,
+    COUPLED_ROWS,
+    END_COLUMNS,
+    END_PINNED,
+    END_ROWS,
+    END_SHARED,
+    END_TIED,
+    ENDING,
+    FIRST,
+    FIRST_PINNED,
+    INSIDE,
+    INSIDE_COLUMNS,
+    INSIDE_ROWS,
+    KEPT,
+    KEPT_COLUMNS,
+    KEPT_ROWS,
+    LAST_PINNED,
+    MULTIPLIERS,
+    START_COLUMNS,
+    START_PINNED,
+    START_ROWS,
+    START_SHARED,
+    START_TIED,
+    TOUCHED,
+    block_size,
+    count_of,
+    first_condensed,
+    interval_of,
+    last_size,
+    padded,
+    place_of,
+    row_count,
+    tail_of,
+    unknown_of,
+)
+from codegen.runtime.kkt.stages import HAS_STAGES, eliminate_stages, recover_stages, reduce_right
+from codegen.runtime.kkt.symmetric import (
+    backward_once,
+    clear,
+    eliminate_once,
+    eliminate_rows,
+    forward_once,
+    solve_backward,
+    solve_forward,
+    solve_pivots,
+    subtract_products,
+    subtract_row,
+)
+
+
+@njit(error_model="numpy", forceinline=True)
+def scatter(shape, tables, hessian, k, element, couplings):
+    """Put the second derivatives of interval k into the element matrix, those with condensed unknowns into `couplings`.
+
+    `hessian` (entries,), `element` (rows, width), `couplings` (N, condensed, width).
+    """
+    kept, rows, columns = place_of(tables, KEPT), place_of(tables, KEPT_ROWS), place_of(tables, KEPT_COLUMNS)
+    for j in range(count_of(tables, KEPT)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        element[row, column] = element[column, row] = hessian[np.uint64(tables[kept + j])]
+    if shape.condensed:
+        coupling = couplings[k]
+        kept, rows = place_of(tables, COUPLED), place_of(tables, COUPLED_ROWS)
+        columns = place_of(tables, COUPLED_COLUMNS)
+        for j in range(count_of(tables, COUPLED)):
+            row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+            coupling[row, column] = hessian[np.uint64(tables[kept + j])]
+
+
+@njit(error_model="numpy", forceinline=True)
+def invert_block(shape, tables, hessian, diagonal, k, block):
+    """Invert the block C of interval k; return False if it is not positive definite.
+
+    `diagonal` (N stride + node,) is added; `block` (condensed, condensed).
+    """
+    kept, rows, columns = place_of(tables, INSIDE), place_of(tables, INSIDE_ROWS), place_of(tables, INSIDE_COLUMNS)
+    first = first_condensed(shape, k)
+    for a in range(shape.condensed):
+        for b in range(shape.condensed):
+            block[a, b] = 0.0
+        block[a, a] = diagonal[first + a]
+    for j in range(count_of(tables, INSIDE)):
+        row, column = np.uint64(tables[rows + j]), np.uint64(tables[columns + j])
+        value = hessian[np.uint64(tables[kept + j])]
+        block[row, column] += value
+        if row != column:
+            block[column, row] += value
+    return invert_positive_definite(block, shape.condensed)
+
+
+@njit(error_model="numpy", forceinline=True)
+def invert_positive_definite(block, size):
+    """Invert a symmetric `block` (size, size) in place by Gauss-Jordan; return False if it is not positive definite."""
+    for k in range(size):
+        pivot = block[k, k]
+        if not 0.0 < pivot < np.inf:
+            return False
+        block[k, k] = 1.0
+        for j in range(size):
+            block[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = block[i, k]
+                block[i, k] = 0.0
+                for j in range(size):
+                    block[i, j] -= factor * block[k, j]
+    return True
+
+
+@njit(error_model="numpy", forceinline=True)
+def subtract_schur_complement(shape, tables, coupling, inverse, width, element):
+    """Subtract B' inverse(C) B from `element` (rows, width); B is `coupling` (condensed, width)."""
+    touched = place_of(tables, TOUCHED)
+    for j in range(count_of(tables, TOUCHED)):
+        i = np.uint64(tables[touched + j])
+        for a in range(shape.condensed):
+            weighted = 0.0
+            for b in range(shape.condensed):
+                weighted += inverse[a, b] * coupling[b, i]
+            subtract_row(weighted, coupling, a, width, element, i)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def condense(shape, tables, gradient, inverses, couplings, kept, room, steps, right):
+    """Fill a body's `right` (N block + node + shared,) with -(g - B' inverse(C) g_u), and eliminate stages from it.
+
+    `gradient` (N stride + node,), `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept`
+    and `room` are those of `stages`.
+    """
+    block, tail = block_size(shape), tail_of(shape)
+    for i in range(shape.shared):
+        right[steps * block + shape.node + i] = 0.0
+    for i in range(shape.node):
+        right[steps * block + i] = -gradient[unknown_of(shape, steps, i, steps)]
+    for number in range(steps - 1, -1, -1):
+        k = interval_of(shape, number, steps)
+        for i in range(block):
+            right[number * block + i] = -gradient[unknown_of(shape, number, i, steps)]
+        if shape.condensed:
+            inverse = inverses[min(k, inverses.shape[0] - 1)]
+            for a in range(shape.condensed):
+                weighted = 0.0
+                for b in range(shape.condensed):
+                    weighted += inverse[a, b] * gradient[first_condensed(shape, k) + b]
+                for i in range(block + shape.node):
+                    right[number * block + i] += couplings[k, a, i] * weighted
+                for i in range(shape.shared):
+                    right[steps * block + shape.node + i] += couplings[k, a, tail + i] * weighted
+    if HAS_STAGES and shape.stages:
+        for number in range(steps):
+            k = interval_of(shape, number, steps)
+            reduce_right(shape, tables, gradient, k, number, steps, kept, room, right)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def recover_condensed(shape, tables, gradient, inverses, couplings, kept, room, steps, solved, step):
+    """Fill a body's `step` (N stride + node,) with the `solved` unknowns, -inverse(C) (g_u + B d), and stages.
+
+    Other arguments are those of `condense`.
+    """
+    block, tail = block_size(shape), tail_of(shape)
+    for i in range(shape.node):
+        step[unknown_of(shape, steps, i, steps)] = solved[steps * block + i]
+    for number in range(steps):
+        k = interval_of(shape, number, steps)
+        for i in range(block):
+            step[unknown_of(shape, number, i, steps)] = solved[number * block + i]
+        if shape.condensed:
+            first = first_condensed(shape, k)
+            inverse = inverses[min(k, inverses.shape[0] - 1)]
+            for a in range(shape.condensed):
+                step[first + a] = 0.0
+            for b in range(shape.condensed):
+                forcing = gradient[first + b]
+                for i in range(block + shape.node):
+                    forcing += couplings[k, b, i] * solved[number * block + i]
+                for i in range(shape.shared):
+                    forcing += couplings[k, b, tail + i] * solved[steps * block + shape.node + i]
+                for a in range(shape.condensed):
+                    step[first + a] -= inverse[a, b] * forcing
+        if HAS_STAGES and shape.stages:
+            recover_stages(shape, tables, gradient, k, number, steps, kept, room, solved, step)
+
+
+# Sums may be taken in any order, so that the processor computes them in parallel.
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def eliminate_body(
+    shape, tables, entries, at_start, at_end, gradient, diagonal, steps, upper, inverse, order, inverses, couplings,
+    kept, room, element, rest, last,
+):  # fmt: skip
+    """Run the front over all intervals of a body, then eliminate the last node and its border.
+
+    `entries` (N, entries of an interval), `at_start` and `at_end` those of the ends, `gradient` and `diagonal`
+    (N stride + node,); the factors `upper` (R, width), `inverse` (R, 2), `order` (R,) have R = N block + last rows;
+    `inverses` (1 or N, condensed, condensed), `couplings` (N, condensed, width); `kept` and `room` are those of
+    `stages`; `element` (rows, width), `rest` (rows - block, ..) and `last` (last + shared, ..) are work space. Return
+    True if the matrix is regular, the number of negative pivots, and its excess: with an excess the elimination stops.
+    """
+    block_rows, rows, counts = block_size(shape), row_count(shape), place_of(tables, COUNTS)
+    remaining, negative = rows - block_rows, 0
+    clear(rest)
+    multipliers, ending = tables[counts + MULTIPLIERS], tables[counts + ENDING] + tables[counts + COMMON]
+    for block in range(steps):
+        k, first, behind = interval_of(shape, block, steps), block * block_rows, (block + 1) * block_rows
+        clear(element)
+        scatter(shape, tables, entries[k], k, element, couplings)
+        if shape.condensed:
+            number = min(k, inverses.shape[0] - 1)
+            if inverses.shape[0] > 1 or block == 0:  # noqa: SIM102
+                if not invert_block(shape, tables, entries[k], diagonal, k, inverses[number]):
+                    return False, 0, 0
+            if shape.carried:
+                for a in range(shape.condensed):
+                    couplings[k, a, rows] = -gradient[first_condensed(shape, k) + a]
+            subtract_schur_complement(shape, tables, couplings[k], inverses[number], padded(rows), element)
+        if HAS_STAGES and shape.stages:
+            pivots = eliminate_stages(shape, tables, entries[k], gradient, diagonal, k, kept, room, element)
+            if pivots < 0:
+                return False, 0, 0
+            negative += pivots
+        for i in range(block_rows):
+            element[i, i] += diagonal[unknown_of(shape, block, i, steps)]
+        if shape.carried:
+            for i in range(block_rows):
+                element[i, rows] -= gradient[unknown_of(shape, block, i, steps)]
+            if block == steps - 1:
+                for i in range(shape.node):
+                    element[block_rows + i, rows] -= gradient[unknown_of(shape, steps, i, steps)]
+        if k == 0 or k == steps - 1:
+            apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element)
+        if shape.bordered and block == 0:
+            begin_front(shape, tables, element, rest)
+            continue
+        move_front(shape, element, rest)
+        pivots = eliminate_rows(
+            element, shape.inner, padded(rows), upper[first:behind], inverse[first:behind], order[first:behind]
+        )
+        if pivots < 0:
+            return False, 0, 0
+        negative += pivots
+        # As many multipliers remain in blocks 0 to k + 1 as in the last node and one block.
+        if negative > block * multipliers + ending:
+            return True, negative, negative - (block * multipliers + ending)
+        subtract_products(upper[first:behind], element, shape.inner, block_rows, remaining, padded(remaining), rest)
+    end_front(shape, rest, remaining, last)
+    first, size = steps * block_rows, last_size(shape)
+    pivots = eliminate_once(last, size, last.shape[1], upper[first:], inverse[first:], order[first:])
+    if pivots < 0:
+        return False, 0, 0
+    # No multiplier of another body reaches into this one.
+    negative += pivots
+    return True, negative, negative - ((steps - 1) * multipliers + ending)
+
+
+@njit(error_model="numpy")
+def apply_boundary_conditions(shape, tables, at_start, at_end, k, steps, diagonal, element):
+    """Add the second derivatives of the ends to the first or last `element` (rows, width), and pin prescribed unknowns.
+
+    Rows and columns of unknowns that a boundary condition prescribes become those of the unit matrix.
+    """
+    block, tail = block_size(shape), tail_of(shape)
+    left, right = (block, 0) if shape.backward else (0, block)
+    if k == 0:
+        add_entries(tables, START_ROWS, START_COLUMNS, at_start, element)
+    if k == steps - 1:
+        add_entries(tables, END_ROWS, END_COLUMNS, at_end, element)
+    if k == interval_of(shape, steps - 1, steps):
+        for i in range(shape.node):
+            element[block + i, block + i] += diagonal[unknown_of(shape, steps, i, steps)]
+    if k == 0:
+        add_tied_rows(tables, START_TIED, START_SHARED, left, tail, element)
+        pin(shape, tables, START_PINNED, left, element)
+    if k == steps - 1:
+        add_tied_rows(tables, END_TIED, END_SHARED, right, tail, element)
+        pin(shape, tables, END_PINNED, right, element)
+
+
+@njit(error_model="numpy")
+def add_entries(tables, of_rows, of_columns, entries, element):
+    """Add entries of an end's Hessian to an element matrix, mirrored."""
+    rows, columns = place_of(tables, of_rows), place_of(tables, of_columns)
+    for j in range(count_of(tables, of_rows)):
+        row, column = tables[rows + j], tables[columns + j]
+        element[row, column] += entries[j]
+        if row != column:
+            element[column, row] += entries[j]
+
+
+@njit(error_model="numpy")
+def add_tied_rows(tables, of_tied, of_shared, first, tail, element):
+    """Add rows and columns of unknowns that equal linking variables to those of the latter, which begin at `tail`."""
+    tied, shared = place_of(tables, of_tied), place_of(tables, of_shared)
+    for i in range(count_of(tables, of_tied)):
+        index, to = first + tables[tied + i], tail + tables[shared + i]
+        for j in range(element.shape[1]):
+            element[to, j] += element[index, j]
+        for j in range(element.shape[0]):
+            element[j, to] += element[j, index]
+
+
+@njit(error_model="numpy")
+def pin(shape, tables, of_pinned, first, element):
+    """Make rows and columns of an element matrix those of the unit matrix, and their right-hand sides zero."""
+    pinned = place_of(tables, of_pinned)
+    for n in range(count_of(tables, of_pinned)):
+        index = first + tables[pinned + n]
+        for i in range(element.shape[0]):
+            element[index, i] = 0.0
+            element[i, index] = 0.0
+        element[index, index] = 1.0
+        if shape.carried:
+            element[index, row_count(shape)] = 0.0
+
+
+@njit(error_model="numpy")
+def begin_front(shape, tables, element, rest):
+    """Put the first `element` (rows, width) into `rest`, including block 0."""
+    block, rows, first = block_size(shape), row_count(shape), place_of(tables, FIRST)
+    size = block + shape.node
+    for i in range(shape.border):
+        index = tables[first + i]
+        for j in range(rows + shape.carried):
+            element[size + i, j] = element[index, j]
+        for j in range(rows):
+            element[j, size + i] = element[j, index]
+    for i in range(rows - block):
+        for j in range(rows - block + shape.carried):
+            rest[i, j] = element[block + i, block + j]
+
+
+@njit(error_model="numpy", forceinline=True)
+def move_front(shape, element, rest):
+    """Add the front of block k - 1, whose node is now in block k, to the element matrix of the interval.
+
+    Rows and columns of the next node and of the linking variables then go to the front of block k: `rest`, of which
+    only the upper triangle is used. `element` is (rows, width).
+    """
+    block, tail, last, remaining = block_size(shape), tail_of(shape), last_size(shape), row_count(shape)
+    remaining -= block
+    for i in range(shape.node):
+        element[i, i] += rest[i, i]
+        for j in range(i + 1, shape.node):
+            element[i, j] += rest[i, j]
+            element[j, i] += rest[i, j]
+        for j in range(shape.node, remaining + shape.carried):
+            element[i, block + j] += rest[i, j]
+    for i in range(shape.node):
+        for j in range(0, padded(remaining), 4):
+            one, two = element[block + i, block + j], element[block + i, block + j + 1]
+            three, four = element[block + i, block + j + 2], element[block + i, block + j + 3]
+            rest[i, j] = one
+            rest[i, j + 1] = two
+            rest[i, j + 2] = three
+            rest[i, j + 3] = four
+    for i in range(shape.shared):
+        for j in range(shape.shared + shape.carried):
+            rest[last + i, last + j] += element[tail + i, tail + j]
+
+
+@njit(error_model="numpy")
+def end_front(shape, rest, remaining, last):
+    """Fill `last` (last + shared, ..): last node and block 0 if it stays, both triangles; then linking variables."""
+    clear(last)
+    for i in range(remaining):
+        last[i, i] = rest[i, i]
+        for j in range(i + 1, remaining + shape.carried):
+            last[i, j] = rest[i, j]
+            if j < last_size(shape):
+                last[j, i] = rest[i, j]
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def forward(shape, tables, upper, inverse, order, steps, right, front, last):
+    """Solve with a body's upper factor, transposed, and the pivots; the share of the last node goes to `last`.
+
+    `upper` (R, width), `inverse` (R, 2), `order` (R,), `right` (N block + node + shared,), `front` (width,), `last`.
+    """
+    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    for i in range(front.size):
+        front[i] = 0.0
+    for i in range(last.size):
+        last[i] = 0.0
+    place = place_of(tables, FIRST_PINNED)
+    for i in range(count_of(tables, FIRST_PINNED)):
+        right[tables[place + i]] = 0.0
+    place = place_of(tables, LAST_PINNED)
+    for i in range(count_of(tables, LAST_PINNED)):
+        right[steps * block + tables[place + i]] = 0.0
+    for k in range(shape.bordered, steps):
+        first, behind = k * block, (k + 1) * block
+        for i in range(block):
+            front[i] = right[first + i]
+        for i in range(shape.node):
+            front[block + i] = right[behind + i]
+        solve_forward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        solve_pivots(inverse[first:behind], order[first:behind], shape.inner, front)
+        for i in range(block):
+            right[first + i] = front[i]
+        for i in range(shape.node):
+            right[behind + i] = front[block + i]
+    first, end = steps * block, last_size(shape)
+    for i in range(shape.node):
+        last[i] = right[first + i]
+    place = place_of(tables, FIRST)
+    for i in range(shape.border):
+        last[shape.node + i] = right[tables[place + i]] + front[size + i]
+    for i in range(shape.shared):
+        last[end + i] = front[tail_of(shape) + i]
+    forward_once(upper[first:], inverse[first:], order[first:], end, last.size, last)
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, forceinline=True)
+def backward(shape, tables, upper, order, steps, carried, last, front, right):
+    """Solve with a body's upper factor, backward from the last node, and block 0 if that stays to the end, in `last`.
+
+    Arrays as in `forward`; `right` holds the result of `forward`, or zeros if the right-hand side was carried.
+    """
+    block, size, columns = block_size(shape), block_size(shape) + shape.node, padded(row_count(shape))
+    first = steps * block
+    for i in range(front.size):
+        front[i] = 0.0
+    if shape.carried:
+        front[row_count(shape)] = -1.0 if carried else 0.0
+    backward_once(upper[first:], order[first:], last_size(shape), last.size, last)
+    for i in range(shape.node):
+        right[first + i] = last[i]
+    place = place_of(tables, FIRST)
+    for i in range(shape.border):
+        right[tables[place + i]] = front[size + i] = last[shape.node + i]
+    for i in range(shape.shared):
+        front[tail_of(shape) + i] = last[last_size(shape) + i]
+    for k in range(steps - 1, shape.bordered - 1, -1):
+        first, behind = k * block, (k + 1) * block
+        for i in range(block):
+            front[i] = right[first + i]
+        for i in range(shape.node):
+            front[block + i] = right[behind + i]
+        solve_backward(upper[first:behind], order[first:behind], shape.inner, columns, front)
+        for i in range(block):
+            right[first + i] = front[i]

@@ -1,1 +1,0 @@
-"""Functions beyond those that Python has."""

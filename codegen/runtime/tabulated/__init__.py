@@ -1,1 +1,0 @@
-"""Tables in kernels: splines through numbers that stand behind the parameters."""
