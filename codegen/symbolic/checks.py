@@ -18,8 +18,8 @@ from sympy import Add, Expr, Symbol
 from sympy.core.function import AppliedUndef
 
 from codegen.errors import ExpressionError
-from codegen.symbolic import special_functions
-from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic import functions
+from codegen.symbolic.functions import TableBase
 from codegen.symbolic.terms import EachBodyBase
 from codegen.symbolic.zeros import identically_zero
 
@@ -27,7 +27,7 @@ PRINTABLE = (
     *(sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan, sympy.atan2),
     *(sympy.sinh, sympy.cosh, sympy.tanh, sympy.asinh, sympy.acosh, sympy.atanh),
     *(sympy.exp, sympy.log, sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise),
-    *(sympy.erf, sympy.erfc, special_functions.gamma, special_functions.lgamma, special_functions.OrderedBase),
+    *(sympy.erf, sympy.erfc, functions.gamma, functions.lgamma, functions.OrderedBase),
     *(TableBase, EachBodyBase),
 )
 """Functions that the printer knows how to write as numba code."""
@@ -57,7 +57,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(value).__name__}", "give one sympy expression or number") from None
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
-    expression = special_functions.rewritten(with_exponents_together(expression), what)
+    expression = functions.rewritten(with_exponents_together(expression), what)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
         if not atom.is_finite or not (atom.is_zero or sys.float_info.min <= abs(atom) <= sys.float_info.max):
             number = sympy.N(atom, 15) if atom.is_finite else atom
@@ -67,7 +67,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is complex", "use real expressions")
     for part in sympy.preorder_traversal(expression):
         if isinstance(part, AppliedUndef) or not isinstance(part, (*_ARITHMETIC, *PRINTABLE)):
-            raise special_functions.refusal(part, what)
+            raise functions.refusal(part, what)
     return expression
 
 

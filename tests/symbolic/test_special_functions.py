@@ -16,7 +16,7 @@ from codegen.runtime.special.polygamma import polygamma
 from codegen.runtime.special.sinc_derivative import sinc_derivative
 from codegen.solving.compiler import build
 from codegen.symbolic.checks import checked
-from codegen.symbolic.special_functions import sinc_derivative as exact_sinc_derivative
+from codegen.symbolic.functions import sinc_derivative as exact_sinc_derivative
 
 _y, _k = sympy.symbols("y k")
 

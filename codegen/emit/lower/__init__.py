@@ -7,7 +7,7 @@ from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, StepDerivatives
 from codegen.emit.lower.control.module import lower_control
 from codegen.emit.lower.module import Module
-from codegen.emit.lower.particles.module import lower_connect, lower_particles
+from codegen.emit.lower.particles import lower_connect, lower_particles
 from codegen.emit.lower.simulate import lower_step
 from codegen.emit.pairwise_derivatives import PairDerivatives
 

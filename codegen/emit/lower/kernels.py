@@ -14,7 +14,7 @@ from sympy import Expr, Symbol
 
 from codegen.emit.lower.printer import scalar_code, stabilised, with_decimal_roots
 from codegen.errors import ExpressionError
-from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic.functions import TableBase
 from codegen.symbolic.tables import ORDERS, TableData
 
 Assignment = tuple[Symbol, Expr]

@@ -27,8 +27,8 @@ from codegen.emit.lower.tables import (
 from codegen.runtime.record import Form, Method, SimulationRecord, StepSolver, phrase
 from codegen.symbolic.checks import longer_than
 from codegen.symbolic.derivatives import values_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.graph import StraightLine
-from codegen.symbolic.table_functions import tables_of
 from codegen.symbolic.tables import TableData
 
 _LONG = 1000

@@ -14,7 +14,7 @@ from sympy import Expr, Symbol
 
 from codegen.emit.lower.kernels import CACHED, INNER, Kernel, Line, Output, kernel
 from codegen.runtime.record import TableRecord
-from codegen.symbolic.table_functions import TableBase, tables_of
+from codegen.symbolic.functions import TableBase, tables_of
 from codegen.symbolic.tables import KINDS, OUTSIDE, TableData
 
 FORCED = ('@njit(error_model="numpy", forceinline=True)',)

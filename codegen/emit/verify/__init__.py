@@ -12,7 +12,7 @@ from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.execution import Text, verify_tables
 from codegen.emit.verify.kernels import verify_control, verify_particles, verify_step
 from codegen.emit.verify.shares import verify_couplings
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:

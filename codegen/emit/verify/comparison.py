@@ -28,7 +28,7 @@ from sympy import Symbol
 from codegen.discretise.interval import LENGTHS, STEP
 from codegen.emit.verify.execution import Arithmetic
 from codegen.errors import VerificationError
-from codegen.symbolic.special_functions import STEMS, by_name
+from codegen.symbolic.functions import STEMS, by_name
 
 DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")

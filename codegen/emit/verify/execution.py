@@ -22,8 +22,7 @@ from sympy import Basic, Expr, Symbol
 
 from codegen.errors import VerificationError
 from codegen.runtime.arguments import with_counts
-from codegen.symbolic.special_functions import STEMS
-from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic.functions import STEMS, TableBase
 from codegen.symbolic.tables import ORDERS, TableData, derivative
 
 

@@ -25,7 +25,7 @@ from codegen.emit.verify.kernels import part_of_chain
 from codegen.evidence.checks.base import Context
 from codegen.evidence.checks.evaluation import Point
 from codegen.runtime.record import Meaning
-from codegen.symbolic.table_functions import numbers_of
+from codegen.symbolic.functions import numbers_of
 
 Indices = NDArray[np.int64]
 

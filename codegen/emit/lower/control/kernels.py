@@ -20,8 +20,7 @@ from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.control.layout import integers, parameters
 from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel
 from codegen.runtime.record import ObservationRecord
-from codegen.symbolic.measurements import MeasurementData
-from codegen.symbolic.tables import TableData
+from codegen.symbolic.tables import MeasurementData, TableData
 from codegen.symbolic.terms import Instance, Kind, sorted_terms
 
 

@@ -10,8 +10,7 @@ from sympy import Expr, Symbol
 from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, EndElement
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, ElementDerivatives
-from codegen.emit.lower.control import guesses, layout, phases, sensitivities
-from codegen.emit.lower.control import layout as inner_times
+from codegen.emit.lower.control import layout, phases, sensitivities
 from codegen.emit.lower.control.kernels import (
     Couplings,
     data_arguments,
@@ -35,7 +34,7 @@ from codegen.emit.lower.tables import (
     table_constants,
     table_kernels,
 )
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import TableData
 
 
@@ -51,7 +50,7 @@ def lower_control(
     own = (*_own_kernels(program, derivatives, curved), *couplings.kernels, *_inputs_kernels(program, ranged))
     kernels = (*own, *added.kernels)
     of_phases = (phases.guesses, phases.duration, phases.bounds)
-    parts = of_phases if program.phases else (guesses.guesses, layout.duration, layout.bounds)
+    parts = of_phases if program.phases else (layout.guesses, layout.duration, layout.bounds)
     code = {name: value for part in parts for name, value in part(program).items()}
     code["choices"] = (*code["choices"], *(choices(program) if by_data else ()))
     return ControlModule(
@@ -72,11 +71,11 @@ def lower_control(
             ("CURVED", int(curved)),
         ),
         arguments=arguments_of(model),
-        **data_arguments(program, tables, inner_times.grid_code(program, code["grid_duration"])),
+        **data_arguments(program, tables, layout.grid_code(program, code["grid_duration"])),
         steps=model.steps,
         coupling_kinds=(tuple(k.name for k in couplings.kernels),) if couplings.kernels else (),
         **_boundaries(program),
-        **inner_times.times_and_values(program, _boundary_code(program)),
+        **layout.times_and_values(program, _boundary_code(program)),
         **layout.pins(program),
         **layout.views(program),
         sensitivities=added.text,
@@ -101,7 +100,7 @@ def _own_constants(
     tables = tables_of(program.model)
     return (
         *layout.constants(program, derivatives),
-        *inner_times.inner_time_constants(program),
+        *layout.inner_time_constants(program),
         *couplings.constants,
         *(phases.constants(program) if program.phases else ()),
         *table_constants(tables),
@@ -135,7 +134,7 @@ def _codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, 
     codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(layout.parameters(program))}
     codes[program.model.time] = "t"
     codes[STEP] = "h"
-    return codes | inner_times.codes(program)
+    return codes | layout.codes(program)
 
 
 def _all_interval_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:

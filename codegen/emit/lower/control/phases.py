@@ -7,12 +7,19 @@ from typing import Any
 from sympy import Expr, Max, Min, oo
 
 from codegen.discretise.program import ControlProgram, IntervalElement, Phase, Unknown
-from codegen.emit.lower.control.guesses import shared_guesses
-from codegen.emit.lower.control.layout import Bound, bound_views, duration_inputs, end_bounds, inputs, slack_bounds
+from codegen.emit.lower.control.layout import (
+    Bound,
+    bound_views,
+    duration_inputs,
+    end_bounds,
+    inputs,
+    shared_guesses,
+    slack_bounds,
+)
 from codegen.emit.lower.kernels import Line
 from codegen.emit.lower.module import Choice
 from codegen.emit.lower.printer import array_code, scalar_code
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 
 
 def named_elements(program: ControlProgram) -> list[tuple[str, str]]:

@@ -17,7 +17,7 @@ from sympy import Expr, Symbol
 
 from codegen.discretise.model.pairwise import FRACTION, PairwiseModel
 from codegen.emit.lower.kernels import INNER, Line, Output, kernel
-from codegen.emit.lower.particles.pairs import STATE, BlockLoop, Writer, entry, packed, signature, views
+from codegen.emit.lower.pairs import STATE, BlockLoop, Writer, entry, packed, signature, views
 from codegen.emit.lower.printer import scalar_code
 from codegen.emit.pairwise_derivatives import PairDerivatives, TracerDerivatives, tracer_derivatives
 

@@ -21,10 +21,20 @@ from codegen.discretise.connect import PairwiseProgram
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.emit.lower.kernels import Line
 from codegen.emit.lower.module import Argument, Module, arguments_of, record_fields
-from codegen.emit.lower.particles.pair_second import GROUP, gathered_loops, hessian, hessian_products, momentum_matrix
-from codegen.emit.lower.particles.pairs import STATE, BlockLoop, PairLoop, Writer, views
-from codegen.emit.lower.particles.single import BLOCK, ParticleLoop, accurate_sum, particle_loops, tracer_loops
+from codegen.emit.lower.pairs import (
+    GROUP,
+    STATE,
+    BlockLoop,
+    PairLoop,
+    Writer,
+    gathered_loops,
+    hessian,
+    hessian_products,
+    momentum_matrix,
+    views,
+)
 from codegen.emit.lower.printer import scalar_code
+from codegen.emit.lower.single_particles import BLOCK, ParticleLoop, accurate_sum, particle_loops, tracer_loops
 from codegen.emit.pairwise_derivatives import PairDerivatives
 from codegen.runtime.record import ConnectRecord, Form, Method, ParticleRecord
 
