@@ -80,7 +80,6 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         ),
         start_example=f'{{"{quantity}": 0.5}}',
         state_names=", ".join(unknown.name for unknown in program.state),
-        coordinates=len(model.coordinates),
     )
 
 

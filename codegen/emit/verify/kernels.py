@@ -22,8 +22,8 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import data_of
+from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.control.phases import named_elements
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,

@@ -18,8 +18,8 @@ from sympy import Symbol
 
 from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, IntervalElement, Unknown
+from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.control.phases import named_elements
 from codegen.emit.verify.comparison import Values, with_time
 from codegen.emit.verify.kernels import part_of_chain
 from codegen.evidence.checks.base import Context
