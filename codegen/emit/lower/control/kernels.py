@@ -116,7 +116,6 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
     if program.sample is not None and derivatives.sample is not None:
         kernels += _sample_kernels(program, derivatives.sample, derivatives.element)
     is_curved = bool(derivatives.start.hessian or derivatives.end.hessian)
-    arguments = ("unknowns", "t", "parameters")
     for name, end, ended in (("start", program.start, derivatives.start), ("end", program.end, derivatives.end)):
         codes, unknowns = symbol_codes(program, ended.unknowns), ended.unknowns
         pinned = {i for i, _ in end.pins}
@@ -130,7 +129,7 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
                 f"{name}_gradient",
                 f"Add the gradient (NODE + SHARED,) of the {name}'s own share, at `unknowns` (NODE,); "
                 "returns its cost.",
-                (*arguments, "gradient"), codes, gradient, ended.cost,
+                ("unknowns", "t", "parameters", "gradient"), codes, gradient, ended.cost,
                 decorators=INNER, straight_line=ended.gradient_assignments,
             )
         )  # fmt: skip
@@ -142,7 +141,7 @@ def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> t
             summary = f"Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the {name}'s own share."
             kernels.append(
                 kernel(
-                    f"{name}_hessian", summary, (*arguments, "hessian"), codes, hessian,
+                    f"{name}_hessian", summary, ("unknowns", "t", "parameters", "hessian"), codes, hessian,
                     decorators=INNER, straight_line=ended.hessian_assignments,
                 )
             )  # fmt: skip

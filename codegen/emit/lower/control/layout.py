@@ -429,8 +429,8 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
         inside += controls
     groups = []
     for view, guessed in (("nodes", at_nodes), ("intervals", inside)):
-        codes = [(f"{view}[:, :, {i}]", _guess_code(program, value), name) for i, name, value in guessed]
-        groups.append([Line(target, code, name) for target, code, name in codes if code != "0"])
+        lines = [Line(f"{view}[:, :, {i}]", _guess_code(program, value), name) for i, name, value in guessed]
+        groups.append([line for line in lines if line.code != "0"])
     node_lines, interval_lines = groups
     # Guesses follow the samples, at nodes and, on straight lines, inside intervals.
     prescribed = [{index for index, *_ in (*end.pins, *end.shared)} for end in (program.start, program.end)]
@@ -452,7 +452,7 @@ def _guesses(program: ControlProgram) -> tuple[list[Line], list[Expr]]:
         read += [value for _, value in values]
     targets = {line.target for line in straight}
     interval_lines = [line for line in interval_lines if line.target not in targets] + straight
-    lines = list[Line]()
+    lines = []
     for nodes, group in (("grid.nodes", node_lines), ("(0.5 * (grid.nodes[:-1] + grid.nodes[1:]))", interval_lines)):
         if _is_read(FRACTION.name, group):
             lines.append(Line(FRACTION.name, f"{nodes} / grid.steps"))

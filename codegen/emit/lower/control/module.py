@@ -28,8 +28,9 @@ def lower_control(
     """Return all kernels and tables of a control problem as strings; derivatives `by_data` add sensitivities."""
     model, inner, tables = program.model, program.inner, tables_of(program.model)
     first = len(layout.parameters(program))
-    shares = [(share.element, share.cost) for share in (*program.interval_elements, program.start, program.end)]
-    expressions = [*(e for share in shares for e in share), *(c.expression for c in program.couplings)]
+    expressions = [e for share in program.interval_elements for e in (share.element, share.cost)]
+    expressions += [e for end in (program.start, program.end) for e in (end.element, end.cost)]
+    expressions += [coupling.expression for coupling in program.couplings]
     ranged = ranged_inputs(tables, first, expressions)
     terms, instances = control_kernels.coupling_terms(program)
     couplings = control_kernels.coupling_kernels(program, terms)

@@ -146,10 +146,8 @@ def text_of(program: ControlProgram) -> SensitivityText:
     data, bound_lines = _data(program), _bound_rates(program)
     pins, pin_rates = [], list[Expr]()
     for node, end in (("{}", program.start), ("{} - NODE", program.end)):
-        prescribed = sorted(
-            [*end.pins, *((index, offset) for index, _, offset in end.shared)], key=lambda pair: pair[0]
-        )
-        for index, value in prescribed:
+        tied = ((index, offset) for index, _, offset in end.shared)
+        for index, value in sorted([*end.pins, *tied], key=lambda pair: pair[0]):
             rate = _rate(value, data)
             if rate != 0:
                 pins.append(Line(f"chains[:, :, {node.format(index)}]", array_code(rate), program.node[index].name))

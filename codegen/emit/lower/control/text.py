@@ -133,7 +133,7 @@ def _quantity(unknown: Unknown) -> str:
 def _bounds(unknowns: Sequence[Unknown]) -> list[str]:
     lines = []
     for u in unknowns:
-        limits = []
+        limits = list[str | None]()
         for value in (u.lower, u.upper):
             if isinstance(value, sympy.Rational) and value.q > _LONGEST_DENOMINATOR:  # written as a decimal
                 limits.append(f"{float(value):.15g}")
