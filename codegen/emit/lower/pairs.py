@@ -1,67 +1,38 @@
-"""What all loops over pairs of one problem share: how symbols are read, and how both terms stand in a loop.
+"""A pairwise Hamiltonian and its derivatives as loops over particles and pairs.
 
-Code for blocks of points: arrays that hold one quantity after the other, of all points of the block.
-
-The inner loop over the points then reads neighbours in memory, at distances that are known when it is compiled, and
-calls nothing that has branches: a compiler turns it into operations on several points at once.
-
-Second derivatives of a pairwise Hamiltonian -> loops over pairs: as a matrix, by momenta alone, times directions.
-
-The gradient of H where particles act on themselves as they act on others -> a loop that gathers it for blocks.
-
-Where self_term is half the limit of the pair term at coincidence, H_q and H_p of a particle i are sums of one
-expression over all particles j, particle i among them. To gather them takes twice as many evaluations as to visit each
-pair once, but each evaluation writes to particle i alone, so that several particles are worked on at once.
+States are arrays z of shape (2, n, d): positions z[0], momenta z[1]. Rows of second derivatives run over z in this
+order, z.reshape(2 n d). Every loop visits each pair once and writes to both of its particles. The loops are H, its
+gradient, its Hessian, products of the Hessian with directions, and the second derivatives by momenta.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.model.pairwise import PairwiseModel
-from codegen.emit.lower.kernels import Kernel, Line, Output, kernel, needed
+from codegen.discretise.model.pairwise import FRACTION, PairwiseModel
+from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel, needed
+from codegen.emit.lower.printer import scalar_code
 from codegen.emit.pairwise_derivatives import Assignment, PairDerivatives, TermDerivatives
-from codegen.errors import ExpressionError
 
 CLOSEST = Symbol("CLOSEST", positive=True)
-"""The least squared distance that kernels tell from zero, where a limit exists."""
+"""The least squared distance that kernels distinguish from zero, if the pair term has a limit there."""
 STATE = ("z", "own", "parameters")
-"""The arguments that every loop has: state, particles' own parameters, common parameters."""
-
-
-def signature(arguments: Sequence[str]) -> tuple[str, ...]:
-    """The arguments of a kernel: after the first array of particles their number, after directions how many."""
-    first = next((name for name in ("z", "start") if name in arguments), "")
-    after = {first: "count", "directions": "columns"}
-    return tuple(name for a in arguments for name in ((a, after[a]) if a in after else (a,)))
-
-
-def views(arguments: Sequence[str], model: PairwiseModel, blocks: int = 1) -> tuple[Line, ...]:
-    """Lines that make arrays of the pointers that a kernel is given; `blocks` are the rows of H_pp for a particle."""
-    size, own = len(model.coordinates), len(model.own)
-    state, positions, rows = f"(2, count, {size})", f"(count, {size})", f"{2 * size}*count"
-    shapes = {"z": state, "gradient": state, "hessian": f"({rows}, {rows})"}
-    shapes |= dict.fromkeys(("rates", "start", "target", "position"), positions)
-    shapes |= dict.fromkeys(("directions", "products"), f"({rows}, columns)")
-    shapes |= {"own": f"(count, {own})"} if own else {}
-    shapes["matrix"] = "(count, count)" if blocks == 1 else f"({blocks}*count, {blocks}*count)"
-    return tuple(Line(name, f"carray({name}, {shapes[name]})") for name in arguments if name in shapes)
+"""The arguments of every loop: state, particles' own parameters, common parameters."""
 
 
 @dataclass(frozen=True)
 class PairLoop:
-    """A function that visits all particles, and all pairs, as groups of lines in the order in which they are run.
+    """A function that visits all particles and all pairs, as groups of lines in the order of execution.
 
-    `arguments` are pointers and numbers, of which `views` make arrays.
-    `head` comes first; for each particle i `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair`
-    and `pair_outputs`; then `after` for particle i, and at last `tail` and `results`. Lines of `alone_directions` and
-    `pair_directions` are repeated for each of several `directions`. `over_pairs` and `over_directions` are the code of
-    these loops, none where there is nothing to repeat.
+    `arguments` are pointers and numbers; `views` make arrays of the pointers. `head` comes first. For each particle i
+    follow `inputs`, `alone` and `alone_outputs`; for each j < i `pair_inputs`, `pair` and `pair_outputs`; then `after`
+    for particle i. `tail` and `results` come last. `alone_directions` and `pair_directions` are repeated for each of
+    several directions. `over_pairs` and `over_directions` are the code of these inner loops, empty if not needed.
     """
 
     name: str
@@ -87,8 +58,45 @@ class PairLoop:
     over_directions: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class ParticleLoop:
+    """A function that visits all particles: `head`, then `lines` in the loop `over` them, and `results`."""
+
+    name: str
+    summary: str
+    arguments: tuple[str, ...]
+    decorator: str
+    views: tuple[Line, ...]
+    head: tuple[Line, ...]
+    over: tuple[str, ...]
+    lines: tuple[Line, ...]
+    results: tuple[str, ...]
+
+
+def signature(arguments: Sequence[str]) -> tuple[str, ...]:
+    """Return the arguments of a kernel, with the number of particles and the number of directions.
+
+    The number of particles follows the first array of particles, the number of columns the directions.
+    """
+    first = next((name for name in ("z", "start") if name in arguments), "")
+    after = {first: "count", "directions": "columns"}
+    return tuple(name for a in arguments for name in ((a, after[a]) if a in after else (a,)))
+
+
+def views(arguments: Sequence[str], model: PairwiseModel, blocks: int = 1) -> tuple[Line, ...]:
+    """Return lines that make arrays of a kernel's pointers; `blocks` is the number of rows of H_pp for a particle."""
+    size, own = len(model.coordinates), len(model.own)
+    state, positions, rows = f"(2, count, {size})", f"(count, {size})", f"{2 * size}*count"
+    shapes = {"z": state, "gradient": state, "hessian": f"({rows}, {rows})"}
+    shapes |= dict.fromkeys(("rates", "start", "target", "position"), positions)
+    shapes |= dict.fromkeys(("directions", "products"), f"({rows}, columns)")
+    shapes |= {"own": f"(count, {own})"} if own else {}
+    shapes["matrix"] = "(count, count)" if blocks == 1 else f"({blocks}*count, {blocks}*count)"
+    return tuple(Line(name, f"carray({name}, {shapes[name]})") for name in arguments if name in shapes)
+
+
 class Writer:
-    """What all loops of one problem share: how symbols are read, and which scalars belong to single particles."""
+    """The code of the symbols in all loops of a problem, and the scalars that belong to single particles."""
 
     def __init__(self, model: PairwiseModel, derivatives: PairDerivatives) -> None:
         self.model, self.derivatives = model, derivatives
@@ -103,33 +111,29 @@ class Writer:
                         value = polynomial.xreplace(back)
                         if value not in self.singles:
                             self.singles.append(value)
-                        self.single_codes[self._scalar(term, symbol)] = f"singles[{mark}, {self.singles.index(value)}]"
-
-    def _scalar(self, term: TermDerivatives, symbol: Symbol) -> Symbol:
-        """Scalars of the self term and of the pair term may carry the same names."""
-        return symbol if term is self.derivatives.pair else Symbol(f"{symbol.name}_alone", real=True)
+                        code = f"singles[{mark}, {self.singles.index(value)}]"
+                        self.single_codes[self.renamed(term, symbol)] = code
 
     def renamed(self, term: TermDerivatives, expression: Expr) -> Expr:
-        """An expression of one term with its scalars and their derivatives under names of their own."""
+        """Return an expression of one term in which scalars and derivatives of the self term have other names."""
         if term is self.derivatives.pair:
             return expression
         named = [symbol for symbol, _ in (*term.scalars, *term.slopes, *term.curvatures)]
         return expression.xreplace({symbol: Symbol(f"{symbol.name}_alone", real=True) for symbol in named})
 
     def codes(self, mark: str) -> dict[Symbol, str]:
-        """The code that reads the quantities of one particle."""
-        one = self.model.first if mark == "i" else self.model.second
-        codes = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(one.q)}
-        codes |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(one.p)}
-        return codes | {s: f"own[{mark}, {a}]" for a, s in enumerate(one.own)}
+        """Return the code that reads the quantities of particle i or j."""
+        particle = self.model.first if mark == "i" else self.model.second
+        codes = {s: f"z[0, {mark}, {a}]" for a, s in enumerate(particle.q)}
+        codes |= {s: f"z[1, {mark}, {a}]" for a, s in enumerate(particle.p)}
+        return codes | {s: f"own[{mark}, {a}]" for a, s in enumerate(particle.own)}
 
     def lowered(
         self, term: TermDerivatives, outputs: Sequence[tuple[str, str, Expr]], names: Sequence[Assignment] = ()
     ) -> Kernel:
-        """Scalars, named derivatives and outputs (target, operator, value) of one term with common parts shared."""
-        read = needed((*term.differences, *term.scalars, *names), [value for _, _, value in outputs])
+        """Return scalars, derivatives `names` and outputs (target, operator, value) of a term, common parts shared."""
         assignments = []
-        for symbol, value in read:
+        for symbol, value in needed((*term.differences, *term.scalars, *names), [value for _, _, value in outputs]):
             renamed = self.renamed(term, symbol)
             if renamed in self.single_codes:
                 continue
@@ -138,25 +142,22 @@ class Writer:
             assignments.append((renamed, self.renamed(term, value)))
         codes = {**self.codes("i"), **self.codes("j"), **self.single_codes}
         codes |= {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
-        return kernel(
-            "", "", (), codes,
-            [Output(target, self.renamed(term, value), "", operator) for target, operator, value in outputs],
-            assignments=assignments,
-        )  # fmt: skip
+        written = [Output(target, self.renamed(term, value), "", operator) for target, operator, value in outputs]
+        return kernel("", "", (), codes, written, assignments=assignments)
 
     def summed(
         self,
         assignments: Sequence[Assignment],
         reads: dict[Symbol, str],
         outputs: Sequence[tuple[str, Expr]],
-        known: Collection[Symbol],
+        inputs: Collection[Symbol],
     ) -> Kernel:
-        """Outputs (target, value) that are added up over all particles; `known` are the symbols that stay as read."""
+        """Return outputs (target, value) that are summed over all particles; `inputs` are symbols that stay as read."""
         distances = self.derivatives.pair.distances
         written = [
             (symbol, sympy.Max(value, CLOSEST) if symbol in distances else value)
             for symbol, value in needed(assignments, [value for _, value in outputs])
-            if symbol not in known
+            if symbol not in inputs
         ]
         reads = reads | {s: f"parameters[{k}]" for k, s in enumerate(self.model.parameters)}
         added = [Output(target, value, "", "+=") for target, value in outputs if value != 0]
@@ -175,11 +176,12 @@ class Writer:
         results: Sequence[str] = (),
         directions: tuple[Sequence[Line], Sequence[Line]] = ((), ()),
     ) -> PairLoop:
-        """Put both terms into a loop; what belongs to particle i is read once."""
+        """Return a loop over both terms; parameters and quantities of particle i are read outside the loop over j."""
         uses_singles = any("singles[" in line.code for k in (alone, pair) for line in (*k.inputs, *k.body, *k.outputs))
         start = [Line("singles", "single_values(z)")] if uses_singles else []
-        read_i, read_j = dict.fromkeys(alone.inputs), dict.fromkeys(line for line in pair.inputs if _of_pair(line))
-        read_i |= dict.fromkeys(line for line in pair.inputs if not _of_pair(line))
+        of_pair = [", j, " in line.code or "[j, " in line.code for line in pair.inputs]
+        read_i = [*alone.inputs, *(line for line, is_inner in zip(pair.inputs, of_pair, strict=True) if not is_inner)]
+        read_j = [line for line, is_inner in zip(pair.inputs, of_pair, strict=True) if is_inner]
         return PairLoop(
             name=name,
             summary=summary,
@@ -187,11 +189,11 @@ class Writer:
             decorator="@Value" if results else "@Kernel",
             views=views(arguments, self.model, 1 if self.derivatives.isotropic else self.dimension),
             head=(*start, *head),
-            inputs=tuple(read_i),
+            inputs=tuple(dict.fromkeys(read_i)),
             alone=alone.body,
             alone_outputs=alone.outputs,
             alone_directions=tuple(directions[0]),
-            pair_inputs=tuple(read_j),
+            pair_inputs=tuple(dict.fromkeys(read_j)),
             pair=pair.body,
             pair_outputs=pair.outputs,
             pair_directions=tuple(directions[1]),
@@ -205,113 +207,124 @@ class Writer:
         )
 
 
-def _of_pair(line: Line) -> bool:
-    """Whether an input is read for every j; parameters and what belongs to i are read outside that loop."""
-    return ", j, " in line.code or "[j, " in line.code
+def pair_loops(
+    model: PairwiseModel, derivatives: PairDerivatives, by_turns: bool = False
+) -> tuple[tuple[str, ...], tuple[PairLoop, ...]]:
+    """Return the code of the scalars of single particles, and the loops for H and its derivatives.
 
-
-@dataclass(frozen=True)
-class BlockLoop:
-    """A function that adds up what all particles j contribute to each point m of a block.
-
-    `views` make arrays of pointers. `head` comes first; for each block `before` for each point m of it; `inputs` for
-    each particle j, then for each m `point_inputs`, `body` and `outputs`; at last `after` for each m, in a loop whose
-    code is `over_points` where it is not needed always. Blocks divide the points from `begin` to `end`, which are
-    code.
+    If steps update positions and momenta `by_turns`, the loops are H, H_q and H_p.
     """
-
-    name: str
-    summary: str
-    arguments: tuple[str, ...]
-    decorator: str
-    views: tuple[Line, ...]
-    head: tuple[Line, ...]
-    before: tuple[Line, ...]
-    inputs: tuple[Line, ...]
-    point_inputs: tuple[Line, ...]
-    body: tuple[Line, ...]
-    outputs: tuple[Line, ...]
-    after: tuple[Line, ...]
-    operations_before: int
-    operations_after: int
-    over_points: tuple[str, ...] = ()
-    begin: str = "0"
-    end: str = "z.shape[1]"
-
-
-def entry(array: str, row: int, block: str) -> str:
-    """The code of a quantity of point m, where `block` is the constant that holds the length of a row."""
-    offset = "" if row == 0 else f"{block} + " if row == 1 else f"{row}*{block} + "
-    return f"{array}[{offset}m]"
-
-
-def packed(line: Line) -> Line:
-    """A line with logarithms that have no branches in place of those of the C library."""
-    code = re.sub(r"\b(?:math\.)?(log1p|x_minus_log1p|log1p_minus_ratio)\(", r"packed_\1(", line.code)
-    return Line(line.target, code, line.comment, line.operator)
+    writer = Writer(model, derivatives)
+    size, alone, pair = writer.dimension, derivatives.alone, derivatives.pair
+    hamiltonian = writer.loop(
+        "hamiltonian", "H at a state `z`, shape (2, n, d), of particles with parameters `own`, shape (n, k).", STATE,
+        writer.lowered(alone, [("energy", "+=", alone.value)]),
+        writer.lowered(pair, [("energy", "+=", pair.value)]),
+        head=[Line("energy", "0.0")],
+        results=["energy"],
+    )  # fmt: skip
+    singles = tuple(accurate_sum(e, model) for e in writer.singles)
+    if by_turns:
+        return singles, (
+            hamiltonian,
+            _gradient(writer, "slope", "Fill `rates`, shape (n, d), with H_q.", range(size)),
+            _gradient(writer, "velocity", "Fill `rates`, shape (n, d), with H_p.", range(size, 2 * size)),
+        )
+    summary = "Fill `gradient`, shape (2, n, d), with H_q and H_p."
+    return singles, (
+        hamiltonian,
+        _gradient(writer, "hamiltonian_gradient", summary, range(2 * size)),
+        _hessian(writer),
+        _hessian_products(writer),
+        _momentum_matrix(writer),
+    )
 
 
-def hessian(writer: Writer) -> PairLoop:
-    """All second derivatives as a matrix."""
+def _gradient(writer: Writer, name: str, summary: str, indices: range) -> PairLoop:
+    """Return the loop for the derivatives of H by some of a particle's moving symbols: H_q, H_p or both."""
+    size, alone, pair = writer.dimension, writer.derivatives.alone, writer.derivatives.pair
+    array = "gradient" if len(indices) == 2 * size else "rates"
+
+    def entry_of(k: int, mark: str) -> str:
+        return f"{array}[{k // size}, {mark}, {k % size}]" if array == "gradient" else f"{array}[{mark}, {k % size}]"
+
+    sums = {k: f"by_{writer.model.first.moving[k]}" for k in indices}
+    # A sum that begins with zero begins with a floating-point number.
+    first = [alone.gradient[k] for k in indices]
+    own = [(sums[k], "=", sympy.Float(0) if v == 0 else v) for k, v in zip(indices, first, strict=True)]
+    both = [(sums[k], "+=", pair.gradient[k]) for k in indices]
+    both += [(entry_of(k, "j"), "+=", pair.gradient[2 * size + k]) for k in indices]
+    return writer.loop(
+        name, summary, (*STATE, array),
+        writer.lowered(alone, own, alone.slopes),
+        writer.lowered(pair, [output for output in both if output[2] != 0], pair.slopes),
+        head=[Line(f"{array}[:]", "0.0")],
+        after=[Line(entry_of(k, "i"), sums[k], operator="+=") for k in indices],
+    )  # fmt: skip
+
+
+def _hessian(writer: Writer) -> PairLoop:
+    """Return the loop for all second derivatives as a matrix."""
     size = writer.dimension
-    alone, pair = writer.derivatives.alone, writer.derivatives.pair
-    half, row_i, row_j = _offsets(size)
-    filled = {}
-    for term in (alone, pair):
-        lines = []
-        for name, row, column, _ in _entries(term):
-            one, other = divmod(row, size)[0], divmod(column, size)[0]
+    half, *rows = _offsets(size)
+    kernels = []
+    for term, offset in zip((writer.derivatives.alone, writer.derivatives.pair), rows, strict=True):
+        # Equal second derivatives have one name: h0, h1, ...
+        names: dict[Expr, str] = {}
+        outputs = []
+        for row, column, value in term.hessian:
+            one, other = row // size, column // size
             # j < i: momenta come after positions, particle i after particle j.
-            later = (one % 2, -(one // 2)) >= (other % 2, -(other // 2))
-            index = (row, column) if later else (column, row)
-            lines.append(Line(f"hessian[{_row(index[0], size)}, {_row(index[1], size)}]", name, operator="+="))
-        filled[term is pair] = lines
-    first = writer.lowered(alone, _named(_entries(alone)), alone.slopes + alone.curvatures)
-    second = writer.lowered(pair, _named(_entries(pair)), pair.slopes + pair.curvatures)
+            is_lower = (one % 2, -(one // 2)) >= (other % 2, -(other // 2))
+            low, high = (row, column) if is_lower else (column, row)
+            name = names.setdefault(value, f"h{len(names)}")
+            outputs.append(Line(f"hessian[{_row(low, size)}, {_row(high, size)}]", name, operator="+="))
+        named = [(name, "=", value) for value, name in names.items()]
+        made = writer.lowered(term, named, term.slopes + term.curvatures)
+        kernels.append(replace(made, body=(offset, *made.body, *made.outputs), outputs=tuple(outputs)))
     return writer.loop(
         "hamiltonian_hessian", "Fill `hessian`, shape (2nd, 2nd), with the second derivatives of H.",
-        (*STATE, "hessian"),
-        _extended(first, (row_i,), filled[False]),
-        _extended(second, (row_j,), filled[True]),
+        (*STATE, "hessian"), kernels[0], kernels[1],
         head=[half, Line("hessian[:]", "0.0")],
         tail=[Line("", "mirror_lower_triangle(hessian)", operator="")],
     )  # fmt: skip
 
 
-def hessian_products(writer: Writer) -> PairLoop:
-    """The derivative of the gradient along directions, which takes fewer operations than the second derivatives."""
-    size = writer.dimension
-    alone, pair = writer.derivatives.alone, writer.derivatives.pair
-    half, row_i, row_j = _offsets(size)
+def _hessian_products(writer: Writer) -> PairLoop:
+    """Return the loop for derivatives of the gradient along directions: fewer operations than second derivatives."""
+    half, *rows = _offsets(writer.dimension)
     kernels, lines, operations = [], [], (0, 0)
-    for term, row in ((alone, row_i), (pair, row_j)):
+    for term, offset in zip((writer.derivatives.alone, writer.derivatives.pair), rows, strict=True):
         named = [(str(writer.renamed(term, s)), "=", value) for s, value in (*term.slopes, *term.curvatures)]
         made = writer.lowered(term, named)
-        kernels.append(replace(made, body=(row, *made.body, *made.outputs), outputs=()))
+        kernels.append(replace(made, body=(offset, *made.body, *made.outputs), outputs=()))
         along = _along_direction(writer, term)
-        lines.append(_inner_lines(along))
+        # Common parts x0, x1, ... of the loop over pairs must keep their values: inside they are y0, y1, ...
+        common = re.compile(r"\bx(\d+)\b")
+        lines.append(
+            [
+                replace(line, target=common.sub(r"y\1", line.target), code=common.sub(r"y\1", line.code))
+                for line in (*along.inputs, *along.body, *along.outputs)
+            ]
+        )
         operations = made.operations_before + along.operations_before, made.operations_after + along.operations_after
     visit = writer.loop(
         "hessian_products",
         "Fill `products`, shape (2nd, m), with the second derivatives of H times m directions, shape (2nd, m).",
-        (*STATE, "directions", "products"),
-        kernels[0],
-        kernels[1],
+        (*STATE, "directions", "products"), kernels[0], kernels[1],
         head=[half, Line("products[:]", "0.0")],
         directions=(lines[0], lines[1]),
-    )
+    )  # fmt: skip
     return replace(visit, operations_before=operations[0], operations_after=operations[1])
 
 
-def momentum_matrix(writer: Writer) -> PairLoop:
-    """H_pp, one row for each particle if it acts on every component alike, else one for each component."""
-    size = writer.dimension
-    alone, pair = writer.derivatives.alone, writer.derivatives.pair
-    isotropic = writer.derivatives.isotropic
+def _momentum_matrix(writer: Writer) -> PairLoop:
+    """Return the loop for H_pp: one row for each particle if H_pp is isotropic, else one for each component."""
+    size, isotropic = writer.dimension, writer.derivatives.isotropic
     kernels = []
-    for term in (alone, pair):
+    for term in (writer.derivatives.alone, writer.derivatives.pair):
         outputs = []
-        for _, row, column, value in _entries(term):
+        for row, column, value in term.hessian:
             (one, a), (other, b) = divmod(row, size), divmod(column, size)
             if one % 2 == 0 or other % 2 == 0 or (isotropic and a > 0):
                 continue
@@ -319,8 +332,8 @@ def momentum_matrix(writer: Writer) -> PairLoop:
             if not isotropic:
                 codes = [f"{size}*{index} + {axis}" for index, axis in zip(codes, (a, b), strict=True)]
             # The row of particle i comes after that of j.
-            later = codes if one // 2 <= other // 2 else codes[::-1]
-            outputs.append((f"matrix[{later[0]}, {later[1]}]", "+=", value))
+            low, high = codes if one // 2 <= other // 2 else codes[::-1]
+            outputs.append((f"matrix[{low}, {high}]", "+=", value))
         kernels.append(writer.lowered(term, outputs, term.slopes + term.curvatures))
     return writer.loop(
         "momentum_matrix",
@@ -332,26 +345,16 @@ def momentum_matrix(writer: Writer) -> PairLoop:
     )  # fmt: skip
 
 
-def _entries(term: TermDerivatives) -> list[tuple[str, int, int, Expr]]:
-    """Distinct values among second derivatives under names h0, h1, ..., with all indices that they have."""
-    names: dict[Expr, str] = {}
-    return [(names.setdefault(value, f"h{len(names)}"), row, column, value) for row, column, value in term.hessian]
-
-
 def _row(index: int, size: int) -> str:
-    """The row of a moving symbol of one of two particles."""
+    """Return code of the row of a moving symbol of one of two particles."""
     group, axis = divmod(index, size)
     particle, is_momentum = divmod(group, 2)
     parts = [*(["half"] if is_momentum else []), "row_" + "ij"[particle], *([str(axis)] if axis else [])]
     return " + ".join(parts)
 
 
-def _named(entries: Iterable[tuple[str, int, int, Expr]]) -> list[tuple[str, str, Expr]]:
-    return [(name, "=", value) for name, value in {name: value for name, _, _, value in entries}.items()]
-
-
 def _offsets(size: int) -> tuple[Line, Line, Line]:
-    """Where rows of momenta begin, and where those of particles i and j do."""
+    """Return the first row of momenta, and the first rows of particles i and j."""
     return (
         Line("half", f"{size}*z.shape[1]" if size > 1 else "z.shape[1]", "where rows of momenta begin"),
         Line("row_i", f"{size}*i" if size > 1 else "i"),
@@ -359,12 +362,8 @@ def _offsets(size: int) -> tuple[Line, Line, Line]:
     )
 
 
-def _extended(made: Kernel, inputs: Sequence[Line], outputs: Sequence[Line]) -> Kernel:
-    return replace(made, body=(*inputs, *made.body, *made.outputs), outputs=tuple(outputs))
-
-
 def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
-    """What is computed for one direction c: changes of the scalars, of the derivatives by them, and of the gradient."""
+    """Return changes of the scalars, of the derivatives by them, and of the gradient along one direction c."""
     size, moving = writer.dimension, term.moving
     changes = {z: Symbol(f"d_{z.name}", real=True) for z in moving}
     changes |= {d: Symbol(f"d_{d.name}", real=True) for d, _ in term.differences}
@@ -393,12 +392,8 @@ def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
             outputs.append((f"products[{_row(row, size)}, c]", changed))
     read = needed(assignments, [value for _, value in outputs])
     codes: dict[Symbol, str] = {changes[z]: f"directions[{_row(k, size)}, c]" for k, z in enumerate(moving)}
-    known = (
-        *moving,
-        *(d for d, _ in term.differences),
-        *(s for s, _ in (*term.scalars, *term.slopes, *term.curvatures)),
-    )
-    codes |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in known}
+    assigned = (symbol for symbol, _ in (*term.differences, *term.scalars, *term.slopes, *term.curvatures))
+    codes |= {writer.renamed(term, symbol): writer.renamed(term, symbol).name for symbol in (*moving, *assigned)}
     return kernel(
         "", "", (), codes,
         [Output(target, writer.renamed(term, value), "", "+=") for target, value in outputs],
@@ -406,93 +401,62 @@ def _along_direction(writer: Writer, term: TermDerivatives) -> Kernel:
     )  # fmt: skip
 
 
-def _inner_lines(made: Kernel) -> list[Line]:
-    """The lines of a kernel inside a loop over pairs, whose own common parts must keep their values."""
-    lines = [*made.inputs, *made.body, *made.outputs]
-    return [replace(line, target=_inner(line.target), code=_inner(line.code)) for line in lines]
-
-
-def _inner(code: str) -> str:
-    """Code with its common parts x0, x1, ... called y0, y1, ..."""
-    return re.sub(r"\bx(\d+)\b", r"y\1", code)
-
-
-GROUP = 64
-"""Particles of a block."""
-_REMEDY = "leave parallel out: this gradient visits each pair once, which threads cannot share"
-
-
-def gathered_loops(model: PairwiseModel, derivatives: PairDerivatives) -> tuple[BlockLoop, ...]:
-    """The gradient of H, where it can be gathered, and its code calls nothing that keeps particles apart."""
-    if not _acts_on_itself(model):
-        if model.parallel:
-            raise ExpressionError("parallel=True, but particles do not act on themselves as on others", _REMEDY)
-        return ()
-    gradient = _gathered_gradient(Writer(model, derivatives))
-    called = {name for line in (*gradient.body, *gradient.outputs) for name in re.findall(r"math\.(\w+)\(", line.code)}
-    if called <= {"sqrt"}:
-        return (_of_some(gradient) if model.parallel else gradient,)
-    if model.parallel:
-        raise ExpressionError(
-            f"parallel=True, but the gradient calls {' and '.join(sorted(called - {'sqrt'}))}", _REMEDY
+def particle_loops(model: PairwiseModel, singles: Sequence[str]) -> tuple[ParticleLoop, ...]:
+    """Return the loop for scalars of single particles, if any; for a connect problem the domain and the guessed way."""
+    loops = []
+    if singles:
+        size = f"{len(singles)}"
+        loops.append(
+            ParticleLoop(
+                "single_values",
+                f"Scalars of particles at `z`, shape (2, n, d), that all their pairs share, shape (n, {size}).", ("z",),
+                INNER[0], (),
+                (Line("singles", f"np.empty((z.shape[1], {size}))"),), ("for i in range(z.shape[1]):",),
+                tuple(Line(f"singles[i, {k}]", code) for k, code in enumerate(singles)), ("singles",),
+            )
+        )  # fmt: skip
+    if not model.connects:
+        return tuple(loops)
+    domain = tuple(accurate_sum(e, model) for e in model.domain)
+    loops.append(
+        ParticleLoop(
+            "domain_margin",
+            "The least value of what must be positive wherever a particle of `z`, shape (2, n, d), is.",
+            signature(("z",)), "@Value", views(("z",), model) if domain else (),
+            (Line("margin", "np.inf"),), ("for i in range(z.shape[1]):",) if domain else (),
+            tuple(Line("margin", f"min(margin, {code})") for code in domain), ("margin",),
         )
-    return ()
+    )  # fmt: skip
+    codes: dict[Symbol, str] = {x: f"start[i, {a}]" for a, x in enumerate(model.first.q)}
+    codes |= {x: f"target[i, {a}]" for a, x in enumerate(model.second.q)}
+    codes[FRACTION] = "fraction"
+    made = kernel("", "", (), codes, [Output(f"position[i, {a}]", e, "") for a, e in enumerate(model.path)])
+    arguments = ("start", "target", "fraction", "position")
+    loops.append(
+        ParticleLoop(
+            "guide", "Fill `position`, shape (n, d) as all are, with where particles may be after a part of their way.",
+            signature(arguments), "@Kernel", views(arguments, model), (), ("for i in range(start.shape[0]):",),
+            (*made.inputs, *made.body, *made.outputs), (),
+        )
+    )  # fmt: skip
+    return tuple(loops)
 
 
-def _of_some(gradient: BlockLoop) -> BlockLoop:
-    """The same for particles from `begin` to `end` only, which one of several threads works on."""
-    return replace(
-        gradient,
-        name="gradient_of_some",
-        summary="Fill `gradient`, shape (2, n, d), with H_q and H_p of particles from `begin` to `end`.",
-        arguments=(*STATE, "begin", "end", "gradient"),
-        decorator='@njit(error_model="numpy", fastmath={"contract"})',
-        views=(),
-        begin="begin",
-        end="end",
-    )
+def accurate_sum(expression: Expr, model: PairwiseModel, codes: Sequence[str] = ()) -> str:
+    """Return code of a polynomial of one particle's coordinates; a sum of products of two is exact to the last digit.
 
-
-def _acts_on_itself(model: PairwiseModel) -> bool:
-    if model.limit is None or not model.smooth:
-        return False
-    own = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
-    return bool(sympy.expand(model.limit.xreplace(own) / 2 - model.self_term) == 0)
-
-
-def _gathered_gradient(writer: Writer) -> BlockLoop:
-    pair, size = writer.derivatives.pair, writer.dimension
-    scalars = {s: code for s, code in writer.single_codes.items() if s in dict(pair.scalars)}
-    codes = [*writer.codes("i").values(), *(f"singles[i, {k}]" for k in range(len(writer.singles)))]
-    rows = {code: entry("state", row, "GROUP") for row, code in enumerate(codes)}
-    outputs = [(entry("sums", row, "GROUP"), value) for row, value in enumerate(pair.gradient[: 2 * size])]
-    reads = {s: rows.get(code, code) for s, code in {**writer.codes("i"), **writer.codes("j"), **scalars}.items()}
-    made = writer.summed((*pair.differences, *pair.scalars, *pair.slopes), reads, outputs, scalars)
-    used = {line.code for line in made.inputs}
-    singles = [Line("singles", "single_values(z)")] if writer.singles else []
-    return BlockLoop(
-        name="hamiltonian_gradient",
-        summary="Fill `gradient`, shape (2, n, d), with H_q and H_p.",
-        arguments=signature((*STATE, "gradient")),
-        decorator="@Contracted",
-        views=views((*STATE, "gradient"), writer.model),
-        head=(
-            *singles,
-            Line("state", f"np.empty({len(codes)}*GROUP)"),
-            Line("sums", f"np.empty({2 * size}*GROUP)"),
-            *(line for line in made.inputs if line.code.startswith("parameters[")),
-        ),
-        before=(
-            *(Line(row, re.sub(r"\bi\b", "first + m", code)) for code, row in rows.items() if row in used),
-            *(Line(target, "0.0") for target, _ in outputs),
-        ),
-        inputs=tuple(line for line in made.inputs if re.search(r"\bj\b", line.code)),
-        point_inputs=tuple(line for line in made.inputs if line.code.startswith("state[")),
-        body=tuple(map(packed, made.body)),
-        outputs=tuple(map(packed, made.outputs)),
-        after=tuple(
-            Line(f"gradient[{k // size}, first + m, {k % size}]", target) for k, (target, _) in enumerate(outputs)
-        ),
-        operations_before=made.operations_before,
-        operations_after=made.operations_after,
-    )
+    `codes` read the coordinates, by default those of particle i.
+    """
+    codes = codes or [f"z[0, i, {a}]" for a in range(len(model.first.q))]
+    reads = {s: Symbol(code, real=True) for s, code in zip(model.first.q, codes, strict=True)}
+    first, second = list[str](), list[str]()
+    for term in sympy.Add.make_args(sympy.expand(expression)):
+        coefficient, rest = term.as_coeff_Mul()
+        factors = [b for base, e in rest.as_powers_dict().items() for b in [base] * int(e)] if rest != 1 else []
+        exact = coefficient.is_Rational and abs(coefficient.q) == 1 and abs(coefficient.p) in (1, 2)
+        if len(factors) > 2 or not exact or not all(f in reads for f in factors):
+            return scalar_code(expression.xreplace(reads))
+        one, other = [*(str(reads[f]) for f in factors), *["1.0"] * (2 - len(factors))]
+        first.append(one if coefficient == 1 else f"-{one}" if coefficient == -1 else f"{int(coefficient)}.0*{one}")
+        second.append(other)
+    return f"accurate_dot(({', '.join(first)}), ({', '.join(second)}))"
