@@ -92,6 +92,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
     )
     singles, loops = pair_loops(model, derivatives, by_turns)
     around = particle_loops(model, singles)
+    names = [*(visit.name for visit in loops), *(visit.name for visit in around)]
     reasons = _left_out(
         program, derivatives, singles, implicit=_is_implicit(program) and not by_turns, by_turns=by_turns
     )
