@@ -96,9 +96,9 @@ def kernel(
         body = _interleaved(zip(names, shared[: len(names)], strict=True), common)
         reduced = shared[len(names) :]
     operations = [int(e.count_ops()) for e in (*(value for _, value in body), *reduced)]
-    before = (
-        _written_out(names, expressions, operations) if straight_line else sum(int(e.count_ops()) for e in expressions)
-    )
+    before = sum(int(e.count_ops()) for e in expressions)
+    if straight_line:
+        before = _written_out(names, expressions, operations)
     pairs, reduced = _with_lookups(body, reduced, taken | {str(s) for s, _ in body})
     return Kernel(
         name=name,

@@ -103,9 +103,7 @@ def lower_particles(program: PairwiseProgram, derivatives: PairDerivatives) -> P
         metadata=_record(program, derivatives, loops, reasons),
         constants=tuple(c for c in _constants(program, derivatives) if c.target not in ("BLOCKS", "COST_WEIGHTS")),
         public=("OWN", "START", "energy", "make_grid", "metadata", "path_residual", "problem", "solve", "step"),
-        record=_record_fields(
-            program, derivatives, [*(visit.name for visit in loops), *(visit.name for visit in around)]
-        ),
+        record=_record_fields(program, derivatives, names),
         own=tuple(Argument(name, "") for name in model.own),
         start=model.start,
         own_values=model.own_values,
