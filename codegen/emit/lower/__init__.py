@@ -17,7 +17,7 @@ def lower(
     derivatives: ControlDerivatives | StepDerivatives | PairDerivatives,
     by_data: ControlSensitivities | None = None,
 ) -> Module:
-    """Write a program and its derivatives as strings; with derivatives `by_data` the module makes sensitivities."""
+    """Return a program and its derivatives as a module of strings; derivatives `by_data` add sensitivities."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
         return (lower_connect if program.model.connects else lower_particles)(program, derivatives)
