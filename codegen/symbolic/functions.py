@@ -1,12 +1,11 @@
-"""Functions beyond the elementary ones: rewritten in those that numba has, or evaluated by code of this package.
+"""Functions beyond the elementary ones, with exact derivatives of every order: special functions and tables.
 
-`rewritten` takes what an author wrote. Two families have a derivative of every order, which modules evaluate
-themselves: the derivatives of sin(x)/x, which have no quotient that fails at zero, and the polygamma functions.
+`rewritten` turns an author's expression into functions that numba has, or that this package evaluates. Two families
+have a derivative of every order, which modules evaluate themselves: the derivatives of sin(x)/x, without a quotient
+that fails at zero, and the polygamma functions.
 
-Tables as functions of sympy, with exact derivatives of every order.
-
-To sympy such a function is opaque, so that nothing is known of it but that equal arguments have equal values; its
-numbers are looked up where an expression is evaluated. What kernels call is written in `codegen/emit/lower/kernels.py`.
+A table is an opaque function to sympy: equal arguments have equal values, and nothing else is assumed. Its numbers are
+looked up when an expression is evaluated. The look-ups in kernels are written in `codegen/emit/lower/kernels.py`.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from codegen.identifiers import in_latex
 from codegen.symbolic.tables import DEGREE, TableData, derivative
 
 STEMS = ("polygamma", "sinc_derivative")
-"""The families; `codegen/runtime` has a file for each."""
+"""Families of functions; `codegen/runtime` has a file for each."""
 
 
 class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
@@ -38,7 +37,7 @@ class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """The next member of the family."""
+        """Return the next member of the family."""
         return member(self.stem, self.order + 1)(self.args[0])
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -65,7 +64,7 @@ class gamma(sympy.Function):  # type: ignore[misc]
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Gamma times digamma."""
+        """Return gamma times digamma."""
         return self * member("polygamma", 0)(self.args[0])
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -82,7 +81,7 @@ class lgamma(sympy.Function):  # type: ignore[misc]
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Digamma."""
+        """Return digamma."""
         return member("polygamma", 0)(self.args[0])
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -97,12 +96,12 @@ class lgamma(sympy.Function):  # type: ignore[misc]
 
 @cache
 def member(stem: str, order: int) -> Any:
-    """The function of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
+    """Return the member of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
     return type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
 
 
 def by_name(name: str) -> Any:
-    """The function that mpmath evaluates under a name of `math`, or of a member of a family."""
+    """Return the function of mpmath for a name of `math`, or for a member of a family."""
     stem, _, order = name.rpartition("_")
     if stem in STEMS:
         return lambda x: value(stem, int(order), x)
@@ -114,16 +113,16 @@ def _sinc_of_arrays(order: int, x: Any) -> Any:
 
 
 NUMPY: list[Any] = [{"sinc_derivative": _sinc_of_arrays}, "scipy", "numpy"]
-"""Modules for lambdify that know all functions that can be printed."""
+"""Modules for lambdify with all printable functions."""
 
 
 def value(stem: str, order: int, x: Any) -> Any:
-    """A member of a family at a number of mpmath, to its digits."""
+    """Return a member of a family at a number of mpmath, to the digits of that number."""
     return mpmath.psi(order, x) if stem == "polygamma" else sinc_derivative(order, x)
 
 
 def sinc_derivative(order: int, x: Any) -> Any:
-    """The derivative of sin(x)/x: its series near zero, elsewhere from x s_n = sin(x + n pi/2) - n s_(n-1)."""
+    """Return the derivative of sin(x)/x: its series near zero, elsewhere x s_n = sin(x + n pi/2) - n s_(n-1)."""
     with mpmath.extradps(30 + 2 * order):
         x = mpmath.mpf(x)
         if abs(x) < 30:
@@ -135,13 +134,13 @@ def sinc_derivative(order: int, x: Any) -> Any:
 
 
 def _coefficient(k: int, order: int) -> Any:
-    """That of x^(2k + order % 2) in the derivative of sum_j (-1)^j x^(2j)/(2j + 1)!."""
+    """Return the coefficient of x^(2k + order % 2) in the derivative of sum_j (-1)^j x^(2j)/(2j + 1)!."""
     j = k + (order + 1) // 2
     return mpmath.mpf(-1) ** j / ((2 * j + 1) * mpmath.factorial(2 * j - order))
 
 
 def rewritten(expression: Expr, what: str) -> Expr:
-    """The expression in functions that can be printed; ExpressionError where a sum or integral has no closed form."""
+    """Return an expression in printable functions; ExpressionError if a sum or integral has no closed form."""
     for part in sorted(expression.atoms(sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative), key=str):
         if isinstance(part, sympy.Derivative) and not set(part.variables) <= part.expr.free_symbols:
             finding = f"{what} has {_short(part)}, which is zero: symbols depend on no other symbol"
@@ -157,7 +156,7 @@ def rewritten(expression: Expr, what: str) -> Expr:
 
 
 def refusal(part: Any, what: str) -> ExpressionError:
-    """What is said of a function that no generated module can evaluate."""
+    """Return the error of a function that no generated module can evaluate."""
     name = part.func.__name__
     remedy = _REMEDIES.get(name, "use elementary functions, erf, erfc, sinc, gamma, loggamma or polygamma")
     return ExpressionError(f"{what} uses {_short(part)}, which cannot be printed", remedy)
@@ -173,13 +172,13 @@ def _is_signed_root(part: Expr) -> bool:
 
 
 def _root_beside(sign: Expr, product: Expr) -> Expr | None:
-    """A factor |x|^r beside sign(x)."""
+    """Return a factor |x|^r beside sign(x), if any."""
     roots = (f for f in product.args if f.is_Pow and f.base == sympy.Abs(sign.args[0]) and f.exp.is_positive)
     return next(roots, None)
 
 
 def _signed_root(product: Expr) -> Expr:
-    """Sign(x) |x|^r is x |x|^(r - 1), which is continuous like it, and whose derivatives are without steps."""
+    """Return sign(x) |x|^r as x |x|^(r - 1), whose derivatives have no steps."""
     sign = next(s for s in product.args if isinstance(s, sympy.sign) and _root_beside(s, product) is not None)
     root = _root_beside(sign, product)
     assert root is not None
@@ -245,7 +244,7 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     order: tuple[int, ...] = ()
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """The derivative by an input; beyond the degree of the polynomials it is zero."""
+        """Return the derivative by an input; beyond the degree of the polynomials it is zero."""
         index = argindex - 1
         if self.order[index] == DEGREE:
             return sympy.S.Zero
@@ -272,7 +271,7 @@ class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 def table_value(table: TableData, order: tuple[int, ...], at: Iterable[Any]) -> Any:
-    """A derivative at numbers of mpmath or of Python, or at arrays, real or complex."""
+    """Return a derivative at numbers of mpmath or of Python, or at arrays, real or complex."""
     return derivative(table, order, list(at), _real)
 
 
@@ -281,14 +280,14 @@ def _real(number: Any) -> Any:
 
 
 def table_name(table: TableData, order: tuple[int, ...]) -> str:
-    """A derivative as messages and descriptions have it: thrust, thrust_mach, thrust_mach_altitude."""
+    """Return the name of a derivative in messages and descriptions: thrust, thrust_mach, thrust_mach_altitude."""
     by = [name for name, o in zip(table.shape.inputs, order, strict=True) for _ in range(o)]
     return "_".join((table.shape.name, *by))
 
 
 @cache
 def table_function(table: TableData, order: tuple[int, ...]) -> Any:
-    """The function of a table of which it is the derivative of an order; the same one for equal tables."""
+    """Return the derivative of a table of an order, as a function; equal tables have the same function."""
 
     def evaluated(*at: Any) -> Any:
         return table_value(table, order, at)
@@ -300,20 +299,20 @@ def table_function(table: TableData, order: tuple[int, ...]) -> Any:
 
 
 def tables_of(*holders: Any) -> tuple[TableData, ...]:
-    """The tables of which expressions are made, in the order of their names, however deep in dataclasses they stand."""
-    found: dict[TableData, None] = {}
+    """Return the tables in expressions, in the order of their names; the expressions may be nested in dataclasses."""
+    tables: dict[TableData, None] = {}
     waiting = list(holders)
     while waiting:
         part = waiting.pop()
         if isinstance(part, sympy.Basic):
-            found |= dict.fromkeys(function.table for function in part.atoms(TableBase))
+            tables |= dict.fromkeys(function.table for function in part.atoms(TableBase))
         elif is_dataclass(part):
             waiting += [getattr(part, field.name) for field in fields(part)]
         elif isinstance(part, (tuple, list)):
             waiting += part
-    return tuple(sorted(found, key=lambda table: table.shape.name))
+    return tuple(sorted(tables, key=lambda table: table.shape.name))
 
 
 def numbers_of(*holders: Any) -> tuple[float, ...]:
-    """The numbers of all tables of expressions, one table after the other, as modules have them behind parameters."""
+    """Return the numbers of all tables in expressions, one table after the other, as modules keep them."""
     return tuple(number for table in tables_of(*holders) for number in table.numbers)
