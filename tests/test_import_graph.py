@@ -37,7 +37,6 @@ FLOORS = (
 
 NUMERIC = (
     "symbolic/tables",
-    "symbolic/measurements",
     "drawing",
     "solving/tasks",
     "solving/interfaces",
@@ -51,7 +50,7 @@ NUMERIC = (
 """Parts that run without sympy."""
 
 SYMBOLIC = (
-    *(f"symbolic.{name}" for name in ("checks", "derivatives", "graph", "special_functions", "table_functions")),
+    *(f"symbolic.{name}" for name in ("checks", "derivatives", "graph", "functions")),
     *(f"symbolic.{name}" for name in ("terms", "zeros")),
     "discretise",
     "emit",

@@ -22,7 +22,7 @@ from codegen.discretise.model.definitions import Model, prescribed
 from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import ControlProgram
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.special_functions import NUMPY
+from codegen.symbolic.functions import NUMPY
 from codegen.symbolic.terms import Kind, sorted_terms
 
 _DEPENDENT = 1e-7

@@ -1,8 +1,8 @@
-"""A limit on the processor time of long symbolic work, which ends even in the middle of one call of sympy.
+"""A limit on the processor time of long symbolic work, also inside one call of sympy.
 
-Such a call never looks at a clock. In the main thread a timer of the operating system interrupts it; elsewhere, and
-where there is no such timer, the limit is looked at whenever a stage begins. Processor time is counted, so that other
-work on the machine makes no build fail. Garbage is collected less often meanwhile.
+In the main thread a timer of the operating system interrupts such a call. In other threads, and without such a timer,
+the limit is checked when a stage begins. The limit is on processor time, so that other work on the machine makes no
+build fail. Garbage is collected less often meanwhile.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ BUILD = 30.0
 CHECK = 120.0
 """Seconds that all checks may take together."""
 _AGAIN = 0.5
-"""Seconds after which the timer interrupts once more, where what it interrupted swallowed it."""
+"""Seconds after which the timer interrupts again, in case the interrupted code swallowed the exception."""
 _COUNTED = 1_000_000
-"""Parts of an expression after which they are no longer counted."""
+"""Largest count of the parts of an expression."""
 
 
 class Overdue(BaseException):
-    """The time is over; not an Exception, so that no handler between takes it for a failure of what it guards."""
+    """The time is over; not an Exception, so that no handler of other failures catches it."""
 
 
 class Stages:
-    """The stages of a derivation: which one is at work, and on what."""
+    """The current stage of a derivation, and a description of its input."""
 
     def __init__(self, limit: float) -> None:
         self.limit = limit
@@ -48,14 +48,14 @@ class Stages:
         self._described: Callable[[], str] = str
 
     def begin(self, stage: str, described: Callable[[], str] | None = None) -> None:
-        """Go on to a stage; `described` says what is worked on, should it take too long."""
+        """Begin a stage; `described` describes its input if the stage takes too long."""
         if time.process_time() > self._end:
             raise Overdue
         self._stage, self._described = stage, described or self._described
 
     @contextmanager
     def limited(self) -> Iterator[None]:
-        """End what is inside with a SizeError that names the stage and what is too large."""
+        """Limit the time of the block; SizeError names the stage and the size of its input."""
         try:
             with interrupted_after(self._end - time.process_time()):
                 yield
@@ -71,8 +71,10 @@ class Stages:
 
 @contextmanager
 def interrupted_after(seconds: float) -> Iterator[None]:
-    """Raise Overdue inside after so many seconds of processor time, where a timer can be set that is not in use."""
-    if not _settable() or math.isinf(seconds):
+    """Raise Overdue in the block after some seconds of processor time, if a timer is free."""
+    in_main = threading.current_thread() is threading.main_thread()
+    is_free = in_main and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_PROF)[0] == 0.0
+    if not is_free or math.isinf(seconds):
         yield
         return
 
@@ -90,7 +92,7 @@ def interrupted_after(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def rare_collections() -> Iterator[None]:
-    """Look for cyclic garbage less often: expressions leave little, and looking takes a sixth of the time."""
+    """Collect cyclic garbage less often: expressions leave little, and collection takes a sixth of the time."""
     before = gc.get_threshold()
     gc.set_threshold(100_000, *before[1:])
     try:
@@ -99,13 +101,8 @@ def rare_collections() -> Iterator[None]:
         gc.set_threshold(*before)
 
 
-def _settable() -> bool:
-    here = threading.current_thread() is threading.main_thread()
-    return here and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_PROF)[0] == 0.0
-
-
 def described(model: Model | PairwiseModel) -> str:
-    """What is large in a problem: its coordinates, and its longest expression."""
+    """Return the number of coordinates of a problem and the size of its longest expression, as words."""
     from codegen.discretise.model.definitions import Model
 
     if not isinstance(model, Model):
@@ -123,7 +120,7 @@ def described(model: Model | PairwiseModel) -> str:
 
 
 def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str) -> str:
-    """What is large in the equations of an interval of a problem that is described already."""
+    """Return the size of an interval's equations, as words after those of the problem."""
     from codegen.discretise.program import ControlProgram, StepProgram
 
     if isinstance(program, ControlProgram):
@@ -136,7 +133,7 @@ def extent(program: ControlProgram | StepProgram | PairwiseProgram, problem: str
 
 
 def parts_of(*expressions: Any) -> int:
-    """How many different parts some expressions have, counted up to a million."""
+    """Return the number of different parts of some expressions, at most a million."""
     seen: set[Any] = set()
     waiting = list(expressions)
     while waiting and len(seen) < _COUNTED:

@@ -1,4 +1,4 @@
-"""What a module is called and where it comes from: the user's choices, versions, and the record in its header."""
+"""The name and the origin of a module: the user's choices, versions, and the record in the header."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ DEFAULT_SCHEME = "midpoint"
 
 @dataclass(frozen=True)
 class Choices:
-    """What a user chooses beside the problem: None stands for the default.
+    """The user's choices in addition to the problem; None stands for the default.
 
-    `general` forces the form of a module that leaves nothing out, to measure what leaving out saves; no command has it.
-    With `sensitivities` the module makes derivatives of solutions by parameters and boundary values. A `standalone`
-    module holds the numerics that it uses.
+    `general` forces the general form, in which a module has all features, for measurements; no command has it. With
+    `sensitivities` the module makes derivatives of solutions by parameters and boundary values. A `standalone` module
+    contains the numerics that it uses.
     """
 
     scheme: str | None = None
@@ -46,40 +46,32 @@ def chosen(
     general: bool = False,
     sensitivities: bool = False,
 ) -> Choices:
-    """What a user chooses, in the form in which a module records it: the default scheme needs no name."""
+    """Return the choices as a module records them: the default scheme has no name."""
     return Choices(None if scheme == DEFAULT_SCHEME else scheme, method, controls, general, sensitivities)
 
 
 def origin_of(
     problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, files: Iterable[DataFile] = ()
 ) -> Origin:
-    """The header's record of where a module comes from; it names no folder, so that any machine makes the same text.
+    """Return the header's record of a module's origin, without folders: all machines make the same text.
 
-    `files` are those that the problem file has read.
+    `files` are the data files that the problem reads.
     """
     from codegen.emit.lower.module import Origin
 
     source = source_of(problem)
     inputs = input_digest(source, arguments, *choice_texts(choices), *versions())
     if not isinstance(source, ProblemFile):
-        place, command = f"where {source.name} is defined", _call(source.name, source.title, choices)
+        # The call that makes the module of an object again.
+        named = {"name": source.name, **({"title": source.title} if source.title != source.name else {})}
+        values = {field.name: getattr(choices, field.name) for field in fields(choices)}
+        named |= {key: value for key, value in values.items() if value != getattr(Choices(), key)}
+        command = f"codegen.compile({', '.join(['problem', *(f'{key}={value!r}' for key, value in named.items())])})"
+        place = f"where {source.name} is defined"
         return Origin(f"{source.name}, an object", command, inputs, versions(), place=place)
+    # The command that makes the module of a problem file again.
     reads = dict.fromkeys(f"{file.path}, sha256 {file.digest}" for file in files)
     file = source.path.name
-    command = _command(file, arguments, choices)
-    return Origin(file, command, inputs, versions(), tuple(reads), f"in the folder of {file}")
-
-
-def _call(name: str, title: str, choices: Choices) -> str:
-    """The call that makes the module of an object again."""
-    named = {"name": name, **({"title": title} if title != name else {})}
-    own = {field.name: getattr(choices, field.name) for field in fields(choices)}
-    named |= {key: value for key, value in own.items() if value != getattr(Choices(), key)}
-    return f"codegen.compile({', '.join(['problem', *(f'{key}={value!r}' for key, value in named.items())])})"
-
-
-def _command(file: str, arguments: Mapping[str, str], choices: Choices) -> str:
-    """The command that makes the module of a problem file again."""
     settings = (shlex.quote(f"{key}={value}") for key, value in sorted(arguments.items()))
     words = ["codegen build", shlex.quote(file), *(f"--set {setting}" for setting in settings)]
     for option in ("scheme", "method"):
@@ -87,11 +79,11 @@ def _command(file: str, arguments: Mapping[str, str], choices: Choices) -> str:
     words += [f"--controls {choices.controls}"] if choices.controls != "interval" else []
     words += ["--sensitivities"] if choices.sensitivities else []
     words += ["(in the general form, for measurements)"] if choices.general else []
-    return " ".join(words)
+    return Origin(file, " ".join(words), inputs, versions(), tuple(reads), f"in the folder of {file}")
 
 
 def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> str:
-    """The problem's name, followed by every choice that is not the default."""
+    """Return the problem's name, followed by every choice that is not the default."""
     parts = [source_of(problem).name]
     if choices.method:
         parts.append(choices.method)
@@ -110,23 +102,23 @@ def module_name(problem: Source | Path | str, arguments: Mapping[str, str], choi
     plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in name)
     if plain == name.replace("-", "_"):
         return plain
-    # Characters were lost that may have told two modules apart.
+    # Lost characters may have distinguished two modules.
     return f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def versions() -> tuple[str, ...]:
-    """The versions that a generated text depends on."""
+    """Return the versions that a generated text depends on."""
     return (f"codegen {__version__}", f"sympy {_version_of('sympy')}")
 
 
 @cache
 def _version_of(library: str) -> str:
-    """The version of an installed library, which its metadata tell, whose reading takes longer than a solve."""
+    """Return the version of an installed library; reading its metadata takes longer than a solve."""
     return metadata.version(library)
 
 
 def choice_texts(choices: Choices) -> tuple[str, ...]:
-    """The choices as a digest takes them; ArgumentError where controls live nowhere."""
+    """Return the choices for a digest; ArgumentError for an unknown place of controls."""
     if choices.controls not in ("interval", "nodal", "stages"):
         raise ArgumentError(f"controls is {choices.controls!r}", "use interval, stages or nodal")
     words = [word for word in ("general", "sensitivities", "standalone") if getattr(choices, word)]

@@ -10,20 +10,19 @@ from sympy import Expr, Symbol
 
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.errors import ExpressionError
+from codegen.symbolic.graph import Assignment
 from codegen.symbolic.terms import Invariants, without_cancellation
 from codegen.symbolic.zeros import identically_zero
-
-Assignment = tuple[Symbol, Expr]
 
 
 @dataclass(frozen=True)
 class TermDerivatives:
     """One term and its derivatives by the moving symbols of one or two particles.
 
-    `differences` are those of two coordinates on which a scalar depends; `scalars` are polynomials of the moving
-    symbols and of differences. `slopes` and `curvatures` name the derivatives of the term by
-    them, expressions in the scalars; `gradient` (dense) and `hessian` (lower triangle, structural nonzeros) are written
-    in these names. `distances` are the scalars that vanish where both particles meet.
+    `differences` are the differences of two coordinates on which a scalar depends; `scalars` are polynomials of the
+    moving symbols and of differences. `slopes` and `curvatures` name the derivatives of the term by the scalars, as
+    expressions in the scalars. `gradient` (dense) and `hessian` (lower triangle, structural nonzeros) are written in
+    these names. `distances` are the scalars that vanish where both particles meet.
     """
 
     moving: tuple[Symbol, ...]
@@ -39,10 +38,10 @@ class TermDerivatives:
 
 @dataclass(frozen=True)
 class PairDerivatives:
-    """Both terms with their derivatives, and what is known about the whole Hamiltonian.
+    """Both terms with their derivatives, and properties of the whole Hamiltonian.
 
-    `separable`: no term mixes coordinates and momenta. `quadratic`: H(q, r p) = r^2 H(q, p), kinetic energy alone.
-    `isotropic`: the second derivatives by momenta are a matrix of particles times the identity of space.
+    `separable`: no term mixes coordinates and momenta. `quadratic`: H(q, r p) = r^2 H(q, p), which is kinetic energy
+    alone. `isotropic`: the second derivatives by momenta are a matrix of particles times the identity of space.
     """
 
     alone: TermDerivatives
@@ -63,27 +62,25 @@ def pair_derivatives(model: PairwiseModel) -> PairDerivatives:
         for row, column, value in term.hessian
         if (row // dimension) % 2 != (column // dimension) % 2
     ]
-    # Whether every term is homogeneous of degree two in the momenta.
     factor = Symbol("factor", positive=True)
     scaled = {p: factor * p for p in (*model.first.p, *model.second.p)}
-
-    def is_homogeneous(term: Expr) -> bool:
-        return bool(sympy.expand(sympy.factor_terms(term.xreplace(scaled) - factor**2 * term)) == 0)
-
     return PairDerivatives(
         alone=alone,
         pair=pair,
         separable=not mixed,
-        quadratic=(is_homogeneous(model.self_term) and is_homogeneous(model.pair_term)),
+        quadratic=all(  # every term is homogeneous of degree two in the momenta
+            sympy.expand(sympy.factor_terms(term.xreplace(scaled) - factor**2 * term)) == 0
+            for term in (model.self_term, model.pair_term)
+        ),
         isotropic=_is_isotropic(alone, dimension) and _is_isotropic(pair, dimension),
     )
 
 
 def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol]) -> TermDerivatives:
+    """Differentiate a term twice: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k, where the scalars are I_k."""
     parts = Invariants.of(term, first, second)
     count, moving = len(parts.symbols), parts.moving
     slopes = [Symbol(f"by_{s}", real=True) for s in parts.symbols]
-    slope_values = [parts.slope(k) for k in range(count)]
     curvatures: dict[tuple[int, int], Assignment] = {}
     for k in range(count):
         for m in range(k + 1):
@@ -93,9 +90,6 @@ def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol
     differences = _Differences(first, second)
     polynomials = [differences.inserted(p) for p in parts.polynomials]
     gradients = [[differences.derivative(p, z) for z in moving] for p in polynomials]
-    gradient = [
-        sum((f * g[z] for f, g in zip(slopes, gradients, strict=True)), sympy.S.Zero) for z in range(len(moving))
-    ]
     entries: list[tuple[int, int, Expr]] = []
     for row in range(len(moving)):
         for column in range(row + 1):
@@ -115,15 +109,17 @@ def _differentiated(term: Expr, first: Sequence[Symbol], second: Sequence[Symbol
         scalars=tuple(zip(parts.symbols, polynomials, strict=True)),
         distances=tuple(parts.symbols[k] for k in parts.distances()),
         value=without_cancellation(parts.outer),
-        slopes=tuple(zip(slopes, slope_values, strict=True)),
+        slopes=tuple((symbol, parts.slope(k)) for k, symbol in enumerate(slopes)),
         curvatures=tuple(curvatures.values()),
-        gradient=tuple(gradient),
+        gradient=tuple(
+            sum((f * g[z] for f, g in zip(slopes, gradients, strict=True)), sympy.S.Zero) for z in range(len(moving))
+        ),
         hessian=tuple(entries),
     )
 
 
 class _Differences:
-    """The differences of the coordinates of two particles, as symbols of their own."""
+    """The differences of the coordinates of two particles, with a symbol for each."""
 
     def __init__(self, first: Sequence[Symbol], second: Sequence[Symbol]) -> None:
         half = len(second) // 2
@@ -134,7 +130,7 @@ class _Differences:
         self.used: list[Assignment] = []
 
     def inserted(self, polynomial: Expr) -> Expr:
-        """The polynomial in differences, if it depends on nothing else."""
+        """Return the polynomial in differences, if it depends on nothing else."""
         written = polynomial.xreplace({x: d + y for d, (x, y) in self.pairs.items()})
         expanded = sympy.expand(written)
         if expanded.free_symbols - self.pairs.keys() or not expanded.free_symbols:
@@ -145,7 +141,7 @@ class _Differences:
         return expanded
 
     def derivative(self, expression: Expr, z: Symbol) -> Expr:
-        """The derivative by a moving symbol, through differences as well."""
+        """Return the derivative by a moving symbol, also through differences."""
         total = sympy.diff(expression, z)
         for d, (x, y) in self.pairs.items():
             if z in (x, y):
@@ -154,7 +150,7 @@ class _Differences:
 
 
 def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
-    """Whether second derivatives by momenta join equal components only, by the same value for all of them."""
+    """Return True if second derivatives by momenta couple equal components only, with one value for all components."""
     blocks: dict[tuple[int, int], set[Expr]] = {}
     counts: dict[tuple[int, int], int] = {}
     for row, column, value in term.hessian:
@@ -170,10 +166,10 @@ def _is_isotropic(term: TermDerivatives, dimension: int) -> bool:
 
 @dataclass(frozen=True)
 class TracerDerivatives:
-    """What particle j contributes to the velocity of a tracer point i: `velocity`, d entries, and `gradient`.
+    """The contribution of particle j to the velocity of a tracer point i: `velocity`, d entries, and `gradient`.
 
-    Entry a*d + b of the gradient is the derivative of velocity component a by coordinate b. `assignments` are
-    differences, scalars and derivatives by them that both are written in.
+    Entry a*d + b of the gradient is the derivative of velocity component a by coordinate b. Both read `assignments`:
+    differences, scalars and derivatives by scalars.
     """
 
     assignments: tuple[Assignment, ...]
@@ -184,8 +180,8 @@ class TracerDerivatives:
 def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> TracerDerivatives:
     """Put p_i = 0 into the derivatives of the pair term.
 
-    Raises ExpressionError where a particle without momentum does not stay so, where it does not only follow the
-    others, or where it would not stay with another one that it meets.
+    Raises ExpressionError if a particle without momentum gains momentum, if it moves without the other particles, or if
+    it does not stay with a particle that it meets.
     """
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     for name, term in (("pair_term", model.pair_term), ("self_term", model.self_term)):
@@ -206,34 +202,12 @@ def tracer_derivatives(model: PairwiseModel, derivatives: PairDerivatives) -> Tr
                 f"a tracer point has no {', '.join(model.own)}, on which its velocity depends",
                 "leave out passive=True, or own parameters",
             )
-    _require_company(model)
-    pair, size = derivatives.pair, len(model.coordinates)
-    known: dict[Symbol, Expr] = dict.fromkeys(model.first.p, sympy.S.Zero)
-    assignments: list[Assignment] = []
-    for symbol, value in (*pair.differences, *pair.scalars, *pair.slopes, *pair.curvatures):
-        reduced = value.xreplace(known)
-        if reduced.is_number:
-            known[symbol] = reduced
-        else:
-            assignments.append((symbol, reduced))
-    entries = {(row, column): value for row, column, value in pair.hessian}
-    return TracerDerivatives(
-        assignments=tuple(assignments),
-        velocity=tuple(value.xreplace(known) for value in pair.gradient[size : 2 * size]),
-        gradient=tuple(
-            entries.get((size + a, b), sympy.S.Zero).xreplace(known) for a in range(size) for b in range(size)
-        ),
-    )
-
-
-def _require_company(model: PairwiseModel) -> None:
-    """A tracer point that lies on a particle has its velocity: the limit of the pair term gives that of self_term."""
     if model.limit is None:
         raise ExpressionError(
             "the system has no tracer points: where one meets a particle, its velocity has no limit",
             "leave out passive=True, or write a pair_term that is continuous",
         )
-    rest = dict.fromkeys(model.first.p, sympy.S.Zero)
+    # A tracer point that lies on a particle has its velocity: the limit of the pair term gives that of self_term.
     alone = dict(zip((*model.second.p, *model.second.own), (*model.first.p, *model.first.own), strict=True))
     for p in model.first.p:
         met = sympy.diff(model.limit, p).xreplace(rest).xreplace(alone)
@@ -243,3 +217,20 @@ def _require_company(model: PairwiseModel) -> None:
                 "pair_term at coincidence",
                 "leave out self_term, or passive=True",
             )
+    pair, size = derivatives.pair, len(model.coordinates)
+    numbers: dict[Symbol, Expr] = dict.fromkeys(model.first.p, sympy.S.Zero)
+    assignments: list[Assignment] = []
+    for symbol, value in (*pair.differences, *pair.scalars, *pair.slopes, *pair.curvatures):
+        reduced = value.xreplace(numbers)
+        if reduced.is_number:
+            numbers[symbol] = reduced
+        else:
+            assignments.append((symbol, reduced))
+    entries = {(row, column): value for row, column, value in pair.hessian}
+    return TracerDerivatives(
+        assignments=tuple(assignments),
+        velocity=tuple(value.xreplace(numbers) for value in pair.gradient[size : 2 * size]),
+        gradient=tuple(
+            entries.get((size + a, b), sympy.S.Zero).xreplace(numbers) for a in range(size) for b in range(size)
+        ),
+    )

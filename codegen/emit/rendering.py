@@ -1,10 +1,8 @@
 """Module -> text of one Python file, and that text -> disk, atomically and only when it changed.
 
-Leave out of the loops over intervals what a problem lacks: branches, loops and summands for absent features.
-
 The loops in `templates/loops.txt` are written for every problem. Sizes such as SHARED are literal numbers in a
-generated module, so `if SHARED:` and `for j in range(SHARED):` are decided when the module is made: their bodies are
-included, without the test, or left out.
+generated module, so that `if SHARED:` and `for j in range(SHARED):` are decided when the module is made. Their bodies
+are included, without the test, or left out: no module has branches, loops and summands of absent features.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ import hashlib
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
 from importlib import resources
@@ -29,183 +27,14 @@ if TYPE_CHECKING:
 
     from codegen.emit.lower.module import Module, Origin
 
-
-def specialise(text: str, sizes: Mapping[str, int]) -> str:
-    """Source text in which every branch on the name of a size, and every loop over an empty one, has been decided.
-
-    `if NAME:` and `if NAME and other:` are understood, with an `else` that is no `elif`, and `for ... in range(NAME):`.
-    In a sum `... + NAME`, a size that is zero is left out.
-    """
-    while _may_be_undecided(text, sizes):
-        lines, chosen = text.splitlines(), list[_Site]()
-        # What lies inside, or on a line of, something decided has to wait for the next round.
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, _Site) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
-                chosen.append(node)
-        if not chosen:
-            return text
-        for node in sorted(chosen, key=lambda node: -node.lineno):  # so that lines above keep their numbers
-            lines = _decided(node, lines, sizes) or lines
-        text = "\n".join(lines) + "\n"
-    return text
-
-
-def _may_be_undecided(text: str, sizes: Mapping[str, int]) -> bool:
-    """Whether a text has words that look like something to decide; parsing it, to be certain, takes far longer."""
-    names, zeros = "|".join(sizes), "|".join(name for name, size in sizes.items() if size == 0)
-    tests, empty = rf"\bif ({names})\b", rf"(\bin range\(|\+ )({zeros})\b"
-    return bool((names and re.search(tests, text)) or (zeros and re.search(empty, text)))
-
-
-_Site = ast.If | ast.For | ast.BinOp
-"""Where there may be something to decide."""
-
-
-def _meet(one: _Site, other: _Site) -> bool:
-    """Whether two sites have a line in common."""
-    return one.lineno <= (other.end_lineno or 0) and other.lineno <= (one.end_lineno or 0)
-
-
-def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
-    """The lines with one statement decided, or None when there is nothing to decide about it."""
-    if isinstance(node, ast.BinOp):
-        return _without_zero(lines, node, sizes)
-    if isinstance(node, ast.For):
-        empty = isinstance(node.iter, ast.Call) and [sizes.get(getattr(a, "id", ""), 1) for a in node.iter.args] == [0]
-        return _replaced(lines, node, []) if empty else None
-    combined = isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.And)
-    name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
-    if name not in sizes:
-        return None
-    assert not any(_is_elif(branch, lines) for branch in node.orelse), f"an elif beside {name}"
-    if sizes[name] == 0:
-        return _replaced(lines, node, node.orelse)
-    if combined:
-        first = node.lineno - 1
-        return [*lines[:first], lines[first].replace(f"{name} and ", "", 1), *lines[first + 1 :]]
-    return _replaced(lines, node, node.body)
-
-
-def _is_elif(statement: ast.stmt, lines: list[str]) -> bool:
-    """Whether a statement is the `elif` of another one, from which it cannot be told by its syntax tree."""
-    return isinstance(statement, ast.If) and lines[statement.lineno - 1].lstrip().startswith("elif ")
-
-
-def _without_zero(lines: list[str], node: ast.BinOp, sizes: Mapping[str, int]) -> list[str] | None:
-    """The lines without the name of a size that is zero and is added, on one line, to something else."""
-    name = getattr(node.right, "id", "")
-    if not isinstance(node.op, ast.Add) or sizes.get(name, 1) or node.lineno != node.end_lineno:
-        return None
-    row, (begin, end) = node.lineno - 1, (node.left.end_col_offset, node.right.end_col_offset)
-    line = lines[row].encode()  # columns count bytes
-    assert line[begin:end] == f" + {name}".encode(), "a left operand in parentheses"
-    return [*lines[:row], (line[:begin] + line[end:]).decode(), *lines[row + 1 :]]
-
-
-def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) -> list[str]:
-    """The lines with a statement replaced by some of the statements inside it."""
-    inner = lines[_first_line(kept[0]) - 1 : kept[-1].end_lineno] if kept else []
-    body = textwrap.indent(textwrap.dedent("\n".join(inner)), " " * node.col_offset).splitlines()
-    return [*lines[: node.lineno - 1], *body, *lines[node.end_lineno :]]
-
-
-def _first_line(node: ast.stmt) -> int:
-    """The line where a statement begins, with its decorators."""
-    decorators: list[ast.expr] = getattr(node, "decorator_list", [])
-    return min([node.lineno, *(decorator.lineno for decorator in decorators)])
-
-
-_NAME = "@@digest@@"
-"""Where a text's own name comes, which depends on all the rest of the text."""
+_DIGEST = "@@digest@@"
+"""Placeholder of the digest of all the rest of a text."""
 _IDENTITY = re.compile(r"^# Text: sha256 ([0-9a-f]{16})$", re.MULTILINE)
-"""The line that tells it."""
-
-
-def render(module: Module, origin: Origin) -> str:
-    """The text of a generated module; its template asks for values by name, and decides nothing."""
-    values = {field.name: getattr(module, field.name) for field in fields(module)}
-    values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
-    names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
-    values |= {
-        "description": (*module.description, *renamed_arguments(names)),
-        "title": _in_docstring(module.title),
-        "record_type": type(module.metadata).__name__,
-        "record_lines": _record_lines(replace(module.metadata, inputs=origin.inputs)),
-        "imports": (),
-        "numba_imports": (),
-    }
-    if module.template == "control.py.j2":
-        sizes = dict(module.sizes)
-        loops = resources.files("codegen.emit").joinpath("templates/loops.txt").read_text(encoding="utf-8")
-        values["loops"] = specialise(loops, sizes).strip()
-        values["public"] = (
-            *_PUBLIC,
-            *(("variable_bounds",) if sizes["INEQUALITIES"] else ()),
-            *(("sensitivities", "unpacked_rates") if sizes["SENSITIVE"] else ()),
-        )
-    template = _environment().get_template(module.template)
-    body = template.render(values, identity=_NAME)
-    lines = _imports_of(body, values["public"], _IMPORTED[module.template])
-    values["numba_imports"] = [line for line in lines if line.startswith("from numba ")]
-    values["imports"] = [line for line in lines if not line.startswith("from numba ")]
-    named = renamed(_tidy(template.render(values, identity=_NAME)))
-    text = named.replace(_NAME, _digest(named.replace(_NAME, "")))
-    compile(text, f"{module.name}.py", "exec")
-    return text
-
-
-def _arguments(record: Any) -> Iterator[str]:
-    """The arguments with which code makes a dataclass, without those that equal their default."""
-    positional = True
-    for entry in fields(record):
-        value = getattr(record, entry.name)
-        if value == _default(entry):
-            positional = False
-            continue
-        yield _code(value) if positional and not entry.kw_only else f"{entry.name}={_code(value)}"
-
-
-def _default(entry: Field[Any]) -> Any:
-    return entry.default if entry.default_factory is MISSING else entry.default_factory()
-
-
-def _code(value: Any) -> str:
-    """The code of data."""
-    if isinstance(value, Enum):
-        return f"{type(value).__name__}.{value.name}"
-    if is_dataclass(value):
-        return f"{type(value).__name__}({', '.join(_arguments(value))})"
-    if isinstance(value, tuple):
-        return f"({', '.join(map(_code, value))}{',' * (len(value) == 1)})"
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{_code(key)}: {_code(entry)}' for key, entry in value.items())}}}"
-    return repr(value)
-
-
-def _record_lines(record: Any) -> list[str]:
-    """Lines of the arguments of a record; a long tuple has lines of its own."""
-    values = {entry.name: getattr(record, entry.name) for entry in fields(record)}
-    long = {name: value for name, value in values.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
-    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
-    for name, value in long.items():
-        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
-    return lines
-
-
-def _filled(arguments: Iterable[str]) -> list[str]:
-    """Lines of as many arguments as fit, or of one that is long."""
-    lines = list[str]()
-    for argument in arguments:
-        if lines and len(lines[-1]) + len(argument) < _WIDTH:
-            lines[-1] += f" {argument},"
-        else:
-            lines.append(f"{argument},")
-    return lines
-
-
+"""The line with the digest."""
 _WIDTH = 114
 """Columns for the arguments of a record, without the indentation."""
-
+_OF_NUMBA = ("carray", "njit", "prange")
+"""Names that generated modules import from numba."""
 
 _PUBLIC = (
     "evaluate", "initial_guess", "make_grid", "metadata", "multiplier_unknowns", "nlp", "primal_unknowns", "problem",
@@ -231,21 +60,59 @@ _IMPORTED = {
 """Modules of the runtime from which generated modules import, by their template."""
 
 
+def render(module: Module, origin: Origin) -> str:
+    """Return the text of a generated module; its template reads values by name and has no logic."""
+    values = {field.name: getattr(module, field.name) for field in fields(module)}
+    values |= {field.name: getattr(origin, field.name) for field in fields(origin)}
+    names = [argument.name for argument in (*module.arguments, *getattr(module, "own", ()))]
+    values |= {
+        "description": (*module.description, *renamed_arguments(names)),
+        "title": module.title.replace("\\", "\\\\").replace('"', '\\"'),  # as between triple quotes
+        "record_type": type(module.metadata).__name__,
+        "record_lines": _record_lines(replace(module.metadata, inputs=origin.inputs)),
+        "imports": (),
+        "numba_imports": (),
+    }
+    if module.template == "control.py.j2":
+        sizes = dict(module.sizes)
+        loops = resources.files("codegen.emit").joinpath("templates/loops.txt").read_text(encoding="utf-8")
+        values["loops"] = specialise(loops, sizes).strip()
+        values["public"] = (
+            *_PUBLIC,
+            *(("variable_bounds",) if sizes["INEQUALITIES"] else ()),
+            *(("sensitivities", "unpacked_rates") if sizes["SENSITIVE"] else ()),
+        )
+    template = _environment().get_template(module.template)
+    body = template.render(values, identity=_DIGEST)
+    lines = _imports_of(body, values["public"], _IMPORTED[module.template])
+    values["numba_imports"] = [line for line in lines if line.startswith("from numba ")]
+    values["imports"] = [line for line in lines if not line.startswith("from numba ")]
+    written = template.render(values, identity=_DIGEST)
+    # No trailing blanks, two empty lines at most, one newline at the end.
+    written = "\n".join(line.rstrip() for line in written.splitlines())
+    named = renamed(re.sub(r"\n{4,}", "\n\n\n", written).strip("\n") + "\n")
+    text = named.replace(_DIGEST, _digest(named.replace(_DIGEST, "")))
+    compile(text, f"{module.name}.py", "exec")
+    return text
+
+
 @cache
-def _importable(files: tuple[str, ...]) -> dict[str, str]:
-    """Names that a module may import, with the modules of the runtime that define them."""
-    found = {}
-    for path in files:
-        file = resources.files("codegen.runtime").joinpath(*path.split(".")[:-1], f"{path.split('.')[-1]}.py")
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in tree.body:
-            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
-                found[node.name] = f"codegen.runtime.{path}"
-    return found
+def _environment() -> jinja2.Environment:
+    """Return the environment of templates, which keeps them translated: translation takes longer than rendering."""
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("codegen.emit"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=False,
+        autoescape=False,
+    )
 
 
 def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tuple[str, ...]:
-    """The lines that import what a text uses and does not define, and what it offers."""
+    """Return the lines that import the public names and all names that a text uses and does not define."""
     tree, wanted = ast.parse(text), dict[str, set[str]]()
     used = set(public)
     for part in tree.body:
@@ -262,35 +129,146 @@ def _imports_of(text: str, public: Iterable[str], files: tuple[str, ...]) -> tup
     return tuple(f"from {module} import {', '.join(sorted(wanted[module]))}" for module in sorted(wanted))
 
 
-_OF_NUMBA = ("carray", "njit", "prange")
-
-
 @cache
-def _environment() -> jinja2.Environment:
-    """Where templates are found; it keeps them translated, which takes longer than filling them in."""
-    import jinja2
+def _importable(files: tuple[str, ...]) -> dict[str, str]:
+    """Return the names that a module may import, with the modules of the runtime that define them."""
+    modules = {}
+    for path in files:
+        file = resources.files("codegen.runtime").joinpath(*path.split(".")[:-1], f"{path.split('.')[-1]}.py")
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+                modules[node.name] = f"codegen.runtime.{path}"
+    return modules
 
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("codegen.emit"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=False,
-        autoescape=False,
-    )
+
+def _record_lines(record: Any) -> list[str]:
+    """Return lines with the arguments of a record; a long tuple has lines of its own."""
+    values = {entry.name: getattr(record, entry.name) for entry in fields(record)}
+    long = {name: value for name, value in values.items() if isinstance(value, tuple) and len(_code(value)) > _WIDTH}
+    lines = _filled(a for a in _arguments(record) if a.partition("=")[0] not in long)
+    for name, value in long.items():
+        lines += [f"{name}=(", *(f"    {line}" for line in _filled(map(_code, value))), "),"]
+    return lines
+
+
+def _filled(arguments: Iterable[str]) -> list[str]:
+    """Return lines of as many arguments as fit, or of a single long argument."""
+    lines = list[str]()
+    for argument in arguments:
+        if lines and len(lines[-1]) + len(argument) < _WIDTH:
+            lines[-1] += f" {argument},"
+        else:
+            lines.append(f"{argument},")
+    return lines
+
+
+def _arguments(record: Any) -> Iterator[str]:
+    """Yield the arguments of the call that makes a dataclass, without those that equal their default."""
+    positional = True
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        if value == (entry.default if entry.default_factory is MISSING else entry.default_factory()):
+            positional = False
+            continue
+        yield _code(value) if positional and not entry.kw_only else f"{entry.name}={_code(value)}"
+
+
+def _code(value: Any) -> str:
+    """Return the code of data."""
+    if isinstance(value, Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if is_dataclass(value):
+        return f"{type(value).__name__}({', '.join(_arguments(value))})"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_code, value))}{',' * (len(value) == 1)})"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{_code(key)}: {_code(entry)}' for key, entry in value.items())}}}"
+    return repr(value)
+
+
+_Site = ast.If | ast.For | ast.BinOp
+"""Statements and sums that a size may decide."""
+
+
+def specialise(text: str, sizes: Mapping[str, int]) -> str:
+    """Return source text in which every branch on the name of a size, and every loop over an empty one, is decided.
+
+    `if NAME:` and `if NAME and other:` are understood, with an `else` that is no `elif`, and `for ... in range(NAME):`.
+    In a sum `... + NAME`, a size that is zero is left out.
+    """
+    names, zeros = "|".join(sizes), "|".join(name for name, size in sizes.items() if size == 0)
+    tests, empty = rf"\bif ({names})\b", rf"(\bin range\(|\+ )({zeros})\b"
+    # Parsing takes far longer than looking for words that may have to be decided.
+    while (names and re.search(tests, text)) or (zeros and re.search(empty, text)):
+        lines, chosen = text.splitlines(), list[_Site]()
+        # Sites inside, or on a line of, another site wait for the next round.
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, _Site) and _decided(node, lines, sizes) and not any(_meet(node, c) for c in chosen):
+                chosen.append(node)
+        if not chosen:
+            return text
+        for node in sorted(chosen, key=lambda node: -node.lineno):  # so that lines above keep their numbers
+            lines = _decided(node, lines, sizes) or lines
+        text = "\n".join(lines) + "\n"
+    return text
+
+
+def _meet(one: _Site, other: _Site) -> bool:
+    """Return True if two sites have a line in common."""
+    return one.lineno <= (other.end_lineno or 0) and other.lineno <= (one.end_lineno or 0)
+
+
+def _decided(node: _Site, lines: list[str], sizes: Mapping[str, int]) -> list[str] | None:
+    """Return the lines with one site decided, or None if no size decides it."""
+    if isinstance(node, ast.BinOp):
+        name = getattr(node.right, "id", "")
+        if not isinstance(node.op, ast.Add) or sizes.get(name, 1) or node.lineno != node.end_lineno:
+            return None
+        row, (begin, end) = node.lineno - 1, (node.left.end_col_offset, node.right.end_col_offset)
+        line = lines[row].encode()  # columns count bytes
+        assert line[begin:end] == f" + {name}".encode(), "a left operand in parentheses"
+        return [*lines[:row], (line[:begin] + line[end:]).decode(), *lines[row + 1 :]]
+    if isinstance(node, ast.For):
+        empty = isinstance(node.iter, ast.Call) and [sizes.get(getattr(a, "id", ""), 1) for a in node.iter.args] == [0]
+        return _replaced(lines, node, []) if empty else None
+    combined = isinstance(node.test, ast.BoolOp) and isinstance(node.test.op, ast.And)
+    name = getattr(node.test.values[0] if isinstance(node.test, ast.BoolOp) and combined else node.test, "id", "")
+    if name not in sizes:
+        return None
+    # The syntax tree of an `elif` is that of an `if` in an `else`.
+    elifs = [s for s in node.orelse if isinstance(s, ast.If) and lines[s.lineno - 1].lstrip().startswith("elif ")]
+    assert not elifs, f"an elif beside {name}"
+    if sizes[name] == 0:
+        return _replaced(lines, node, node.orelse)
+    if combined:
+        first = node.lineno - 1
+        return [*lines[:first], lines[first].replace(f"{name} and ", "", 1), *lines[first + 1 :]]
+    return _replaced(lines, node, node.body)
+
+
+def _replaced(lines: list[str], node: ast.If | ast.For, kept: list[ast.stmt]) -> list[str]:
+    """Return the lines with a statement replaced by some of the statements inside it."""
+    inner = list[str]()
+    if kept:
+        decorators: list[ast.expr] = getattr(kept[0], "decorator_list", [])
+        first = min([kept[0].lineno, *(decorator.lineno for decorator in decorators)])
+        inner = lines[first - 1 : kept[-1].end_lineno]
+    body = textwrap.indent(textwrap.dedent("\n".join(inner)), " " * node.col_offset).splitlines()
+    return [*lines[: node.lineno - 1], *body, *lines[node.end_lineno :]]
 
 
 def is_whole(text: str) -> bool:
-    """Whether a text is still as it was rendered: the name in it is the digest of all the rest."""
-    found = _IDENTITY.search(text)
-    return found is not None and _digest(text.replace(found[1], "", 1)) == found[1]
+    """Return True if a text is unchanged since rendering: the digest in it is that of all the rest."""
+    match = _IDENTITY.search(text)
+    return match is not None and _digest(text.replace(match[1], "", 1)) == match[1]
 
 
 def signed(text: str) -> str:
-    """A text that was changed, with the digest of all the rest in place of the one that it had."""
-    found = _IDENTITY.search(text)
-    assert found is not None, "a generated text holds its digest"
-    return text.replace(found[1], _digest(text.replace(found[1], "", 1)), 1)
+    """Return a changed text with a new digest in place of the old one."""
+    match = _IDENTITY.search(text)
+    assert match is not None, "a generated text holds its digest"
+    return text.replace(match[1], _digest(text.replace(match[1], "", 1)), 1)
 
 
 def _digest(text: str) -> str:
@@ -298,9 +276,9 @@ def _digest(text: str) -> str:
 
 
 def write(path: Path, text: str) -> bool:
-    """Write a file atomically if its text differs; return whether it was written.
+    """Write a file atomically if its text differs; return True if it was written.
 
-    A reader sees the old file or the new one, and a killed build leaves the old one. Raises FileError when the file
+    A reader sees the old file or the new one, and a killed build leaves the old one. Raises FileError if the file
     system refuses.
     """
     try:
@@ -311,14 +289,3 @@ def write(path: Path, text: str) -> bool:
         raise refused(error, path) from error
     write_text(path, text)
     return True
-
-
-def _in_docstring(text: str) -> str:
-    """Text as it has to be written between triple quotes."""
-    return text.replace("\\", "\\\\").replace('"', '\\"')
-
-
-def _tidy(text: str) -> str:
-    """Strip trailing blanks, allow two empty lines at most, and end with one newline."""
-    text = "\n".join(line.rstrip() for line in text.splitlines())
-    return re.sub(r"\n{4,}", "\n\n\n", text).strip("\n") + "\n"

@@ -1,8 +1,7 @@
 """One file that runs without this package: a generated module with the numerics of `codegen.runtime` that it uses.
 
-The statements of the runtime's files are copied as they are, without those that nothing calls; imports of the package
-go, and a name that two files define becomes another one in the file that comes later. What is left imports numpy, numba
-and the standard library.
+The used statements of the runtime's files are copied unchanged, without imports of the package. A name that two files
+define is renamed in the later file. The result imports numpy, numba and the standard library.
 """
 
 from __future__ import annotations
@@ -115,6 +114,46 @@ _HEADER = """#
 """
 
 
+def bundle(text: str) -> str:
+    """Return the text of a standalone module, made from the text of an ordinary one."""
+    module = File("", text)
+    files: dict[str, File] = {}
+
+    def file_of(name: str) -> File:
+        if name not in files:
+            files[name] = File(name, _numerics(name, text))
+        return files[name]
+
+    wanted = _reached(module, file_of)
+    order = _in_order(wanted, files)
+    names = _new_names(module, order, wanted, files)
+    parts = []
+    for name in order:
+        file, before = files[name], None
+        title = f"# ---- {name.removeprefix(RUNTIME + '.').replace('.', '/')}.py ----"
+        summary = textwrap.wrap(file.summary, 118, initial_indent="# ", subsequent_indent="# ")
+        parts.append("\n".join([title, "#", *summary]))
+        for block in file.kept(wanted):
+            # Assignments need no empty lines between them.
+            pair = [file.statement(b) for b in (before, block) if b is not None]
+            is_close = len(pair) == 2 and all(isinstance(node, (ast.Assign, ast.AnnAssign)) for node in pair)
+            parts.append(("" if is_close else "\n" if before is None else "\n\n") + _rewritten(file, block, names))
+            before = block
+        parts.append("\n")
+    numerics, imports = "\n".join(parts).rstrip(), _imports([module, *(files[name] for name in order)], wanted)
+    statements = [node for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
+    header = "\n".join(module.lines[: statements[0].lineno - 1]).rstrip()
+    comments, quotes, docstring = header.partition('\n"""')
+    comments = re.sub(r"(by: codegen build .*)", r"\1 --standalone", comments, count=1)
+    last = max(node.end_lineno or 0 for node in statements)
+    rest = Block(last + 1, len(module.lines), (), [r for block in module.blocks for r in block.references])
+    problem = _rewritten(module, rest, names).strip("\n")
+    header = f"{comments}\n{_HEADER.rstrip()}{quotes}{docstring}\n\n{imports}\n\n"
+    whole = f"{header}{numerics}\n\n\n# ---- The problem ----\n\n{problem}\n"
+    whole = re.sub(r"`codegen\.runtime\.[\w.]*?(\w+)`", r"`\1`", whole)
+    return signed(re.sub(r"\n{4,}", "\n\n\n", whole))
+
+
 @dataclass(frozen=True)
 class Target:
     """The meaning of a name: a definition in a file, a file (without a name), or a name of another package."""
@@ -122,12 +161,12 @@ class Target:
     file: str
     name: str = ""
     external: str = ""
-    """The statement that imports it, for something of another package."""
+    """The statement that imports a name of another package."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A name in a text, by line and columns (in bytes), and what it stands for."""
+    """A name in a text, by line and columns (in bytes), and its meaning."""
 
     line: int
     start: int
@@ -148,7 +187,7 @@ class Block:
 
 
 class File:
-    """The statements of one file, and what the names in it stand for."""
+    """The statements of one file, and the meanings of the names in it."""
 
     def __init__(self, name: str, text: str) -> None:
         self.name, self.lines = name, text.splitlines()
@@ -163,29 +202,30 @@ class File:
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 self.bound |= _bindings(node)
             elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-                if self.blocks:  # the description of what is assigned above
+                if self.blocks:  # the description of the assignment above
                     self.blocks[-1].last = node.end_lineno or 0
             else:
-                self.blocks.append(self._block(node))
+                decorators = getattr(node, "decorator_list", [])
+                first = min([node.lineno, *(decorator.lineno for decorator in decorators)])
+                while first > 1 and self.lines[first - 2].startswith("#"):
+                    first -= 1
+                self.blocks.append(Block(first, node.end_lineno or 0, tuple(_defined(node))))
         defined = {name for block in self.blocks for name in block.names}
         self.bound |= {name: Target(self.name, name) for name in defined}
         for block in self.blocks:
-            _Names(self, block).visit_top(block)
-
-    def _block(self, node: ast.stmt) -> Block:
-        decorators = getattr(node, "decorator_list", [])
-        first = min([node.lineno, *(decorator.lineno for decorator in decorators)])
-        while first > 1 and self.lines[first - 2].startswith("#"):
-            first -= 1
-        return Block(first, node.end_lineno or 0, tuple(_defined(node)))
+            _Names(self, block).visit_top()
 
     def statement(self, block: Block) -> ast.stmt:
-        """The syntax tree of a block."""
+        """Return the syntax tree of a block."""
         return next(node for node in self.tree.body if block.first <= node.lineno <= block.last)
+
+    def kept(self, wanted: set[tuple[str, str]]) -> list[Block]:
+        """Return the blocks that define wanted names, pairs of file and name."""
+        return [block for block in self.blocks if any((self.name, name) in wanted for name in block.names)]
 
 
 def _defined(node: ast.stmt) -> Iterator[str]:
-    """Names that a statement defines at the top of a file."""
+    """Yield the names that a statement defines at the top of a file."""
     if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
         yield node.name
     targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
@@ -194,35 +234,34 @@ def _defined(node: ast.stmt) -> Iterator[str]:
 
 
 def _bindings(node: ast.Import | ast.ImportFrom) -> dict[str, Target]:
-    """Names that an import binds, with what they stand for."""
-    found = {}
+    """Return the names that an import binds, with their meanings."""
+    targets = {}
     for alias in node.names:
-        name = alias.asname or alias.name.partition(".")[0]
+        name, renamed = alias.asname or alias.name.partition(".")[0], f" as {alias.asname}" if alias.asname else ""
         if isinstance(node, ast.Import):
-            found[name] = Target("", name, f"import {alias.name}" + (f" as {alias.asname}" if alias.asname else ""))
+            targets[name] = Target("", name, f"import {alias.name}{renamed}")
         elif (node.module or "").startswith(RUNTIME):
             is_file = f"{node.module}.{alias.name}" in _runtime_files()
-            found[name] = Target(f"{node.module}.{alias.name}") if is_file else Target(str(node.module), alias.name)
+            targets[name] = Target(f"{node.module}.{alias.name}") if is_file else Target(str(node.module), alias.name)
         elif node.module != "__future__":
-            imported = alias.name + (f" as {alias.asname}" if alias.asname else "")
-            found[name] = Target(str(node.module), name, imported)
-    return found
+            targets[name] = Target(str(node.module), name, f"{alias.name}{renamed}")
+    return targets
 
 
 @cache
 def _runtime_files() -> dict[str, str]:
-    """The texts of all files of the runtime, by their names as modules."""
-    found = {}
+    """Return the texts of all files of the runtime, by their names as modules."""
+    texts = {}
 
     def collect(folder: resources.abc.Traversable, name: str) -> None:
         for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
             if entry.is_dir() and not entry.name.startswith("_"):
                 collect(entry, f"{name}.{entry.name}")
             elif entry.name.endswith(".py") and entry.name != "__init__.py":
-                found[f"{name}.{entry.name[:-3]}"] = entry.read_text(encoding="utf-8")
+                texts[f"{name}.{entry.name[:-3]}"] = entry.read_text(encoding="utf-8")
 
     collect(resources.files(RUNTIME), RUNTIME)
-    return found
+    return texts
 
 
 class _Names(ast.NodeVisitor):
@@ -232,13 +271,16 @@ class _Names(ast.NodeVisitor):
         self.file, self.block, self.scopes = file, block, list[set[str]]()
         self.imported: list[dict[str, Target]] = []
 
-    def visit_top(self, block: Block) -> None:
-        node = self.file.statement(block)
+    def visit_top(self) -> None:
+        node = self.file.statement(self.block)
         self.visit(node)
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-            self._add(node, *_place_of_name(node, self.file.lines), node.name)
+            match = re.match(r"\s*(async def|def|class)\s+", self.file.lines[node.lineno - 1])
+            assert match is not None, "a definition begins its line"
+            start = len(match[0].encode())
+            self._add(node.lineno, start, start + len(node.name.encode()), node.name)
 
-    def _add(self, node: ast.AST, line: int, start: int, end: int, name: str) -> None:
+    def _add(self, line: int, start: int, end: int, name: str) -> None:
         target = self._target(name)
         if target is not None:
             self.block.references.append(Reference(line, start, end, target))
@@ -250,15 +292,15 @@ class _Names(ast.NodeVisitor):
         return next((bound[name] for bound in self.imported if name in bound), self.file.bound.get(name))
 
     def visit_Name(self, node: ast.Name) -> None:
-        self._add(node, node.lineno, node.col_offset, node.end_col_offset or 0, node.id)
+        self._add(node.lineno, node.col_offset, node.end_col_offset or 0, node.id)
 
     def visit_Attribute(self, node: ast.Attribute) -> None:
         target = self._target(node.value.id) if isinstance(node.value, ast.Name) else None
         if target is None or target.name:
             self.generic_visit(node)
         else:  # a name in another file
-            place = node.lineno, node.col_offset, node.end_col_offset or 0
-            self.block.references.append(Reference(*place, Target(target.file, node.attr)))
+            position = node.lineno, node.col_offset, node.end_col_offset or 0
+            self.block.references.append(Reference(*position, Target(target.file, node.attr)))
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
         arguments = node.args
@@ -306,103 +348,59 @@ class _Names(ast.NodeVisitor):
         self.scopes.pop()
 
 
+_SCOPES = (ast.FunctionDef, ast.ClassDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
+"""Parts of a function with names of their own."""
+
+
 def _locals(body: list[ast.stmt]) -> set[str]:
-    """Names that the statements of a function assign, without those of functions and comprehensions inside."""
-    found, waiting = set[str](), list[ast.AST](body)
+    """Return the names that a function assigns, without those of functions and comprehensions inside."""
+    names, waiting = set[str](), list[ast.AST](body)
     while waiting:
         node = waiting.pop()
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-            found.add(node.name)
+            names.add(node.name)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            found.add(node.id)
+            names.add(node.id)
         elif isinstance(node, ast.ExceptHandler) and node.name:
-            found.add(node.name)
+            names.add(node.name)
         elif isinstance(node, (ast.Import, ast.ImportFrom)) and not getattr(node, "module", "").startswith(RUNTIME):
-            found |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
-        if not isinstance(
-            node, (ast.FunctionDef, ast.ClassDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
-        ):
+            names |= {alias.asname or alias.name.partition(".")[0] for alias in node.names}
+        if not isinstance(node, _SCOPES):
             waiting += ast.iter_child_nodes(node)
-    return found
+    return names
 
 
-def _place_of_name(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> tuple[int, int, int]:
-    """Line and columns of the name in a definition."""
-    start = len(re.match(r"\s*(async def|def|class)\s+", lines[node.lineno - 1])[0].encode())  # type: ignore[index]
-    return node.lineno, start, start + len(node.name.encode())
-
-
-def bundle(text: str) -> str:
-    """The text of a standalone module, made from that of an ordinary one."""
-    module = File("", text)
-    files: dict[str, File] = {}
-
-    def file_of(name: str) -> File:
-        if name not in files:
-            files[name] = File(name, _replaced(name, text))
-        return files[name]
-
-    wanted = _reached(module, file_of)
-    order = _in_order(wanted, files)
-    names = _new_names(module, order, wanted, files)
-    parts = []
-    for name in order:
-        file = files[name]
-        kept = [block for block in file.blocks if any((name, n) in wanted for n in block.names)]
-        parts.append(_title(name, file))
-        for before, block in zip([None, *kept], kept, strict=False):
-            is_close = before is not None and _are_assignments(file, before, block)
-            parts.append(("" if is_close else "\n" if before is None else "\n\n") + _rewritten(file, block, names))
-        parts.append("\n")
-    used = [module, *(files[name] for name in order)]
-    return signed(_assembled(module, "\n".join(parts).rstrip(), names, _imports(used, wanted)))
-
-
-def _title(name: str, file: File) -> str:
-    """Comments with the name of a file and the first paragraph of its description."""
-    lines = textwrap.wrap(file.summary, 118, initial_indent="# ", subsequent_indent="# ")
-    return "\n".join([f"# ---- {name.removeprefix(RUNTIME + '.').replace('.', '/')}.py ----", "#", *lines])
-
-
-def _are_assignments(file: File, *blocks: Block) -> bool:
-    """Return True if all blocks are assignments, which need no empty lines between them."""
-    return all(isinstance(file.statement(block), (ast.Assign, ast.AnnAssign)) for block in blocks)
-
-
-def _replaced(name: str, text: str) -> str:
-    """The text of a file of the runtime, or of what takes its place in the module of that text."""
+def _numerics(name: str, text: str) -> str:
+    """Return the text of a file of the runtime, or its replacement in the module with the given text."""
     folder, _, stem = name.rpartition(".")
     if name == f"{RUNTIME}.linking":
         return _LINKING
     if name == f"{RUNTIME}.kept_code":
         return _KEPT_CODE
-    if folder == f"{RUNTIME}.kkt":
-        if stem == "specialised":
-            return _SYSTEM
-        shape = _shape_of(text)
-        if stem == "stages" and not shape.stages:
-            return _NO_STAGES
-        return _with_constants(stem, _runtime_files()[name], shape)
-    return _runtime_files()[name]
-
-
-def _with_constants(stem: str, text: str, shape: Shape) -> str:
-    """A file of the linear system whose functions read a constant `shape`, and have no such argument."""
-    lines = text.splitlines()
-    for node in reversed(ast.parse(text).body):
+    if folder != f"{RUNTIME}.kkt":
+        return _runtime_files()[name]
+    if stem == "specialised":
+        return _SYSTEM
+    shape = _shape_of(text)
+    if stem == "stages" and not shape.stages:
+        return _NO_STAGES
+    # Functions of the linear system read a constant `shape`, and have no such argument.
+    numerics = _runtime_files()[name]
+    lines, tree = numerics.splitlines(), ast.parse(numerics)
+    for node in reversed(tree.body):
         if isinstance(node, ast.FunctionDef) and node.name not in ("factor_sizes", "stage_sizes"):
             part = slice(node.lineno - 1, node.end_lineno)
             lines[part] = without_shape("\n".join(lines[part])).splitlines()
         elif isinstance(node, ast.ClassDef):
             lines.insert(node.end_lineno or 0, f"\n\nshape = Shape({', '.join(map(str, shape))})")
     if stem != "shape":
-        lines.insert(ast.parse(text).body[0].end_lineno or 0, f"from {RUNTIME}.kkt.shape import shape")
+        lines.insert(tree.body[0].end_lineno or 0, f"from {RUNTIME}.kkt.shape import shape")
     return "\n".join(lines) + "\n"
 
 
 @lru_cache(maxsize=1)
 def _shape_of(text: str) -> Shape:
-    """The shape of the linear system of a module, which is run for that; nothing is compiled."""
+    """Return the shape of a module's linear system; the module is executed for this, and nothing is compiled."""
     values: dict[str, object] = {"__name__": "standalone"}
     exec(compile(text, "<module>", "exec"), values)
     shape: Shape = values["problem"].structure.shape  # type: ignore[attr-defined]
@@ -410,7 +408,7 @@ def _shape_of(text: str) -> Shape:
 
 
 def _reached(module: File, file_of: Callable[[str], File]) -> set[tuple[str, str]]:
-    """Files and names of all definitions that a module uses, directly or not."""
+    """Return files and names of all definitions that a module uses, directly or not."""
     wanted, waiting = set[tuple[str, str]](), [r.target for b in module.blocks for r in b.references]
     waiting += [target for target in module.bound.values() if not target.external and target.file]
     while waiting:
@@ -427,14 +425,14 @@ def _reached(module: File, file_of: Callable[[str], File]) -> set[tuple[str, str
 
 
 def _in_order(wanted: set[tuple[str, str]], files: Mapping[str, File]) -> list[str]:
-    """The files with wanted definitions, each behind those that it uses."""
+    """Return the files with wanted definitions, each after the files that it uses."""
     order: list[str] = []
 
     def add(name: str, above: tuple[str, ...]) -> None:
         if name in order or name in above:
             return
-        kept = [block for block in files[name].blocks if any((name, n) in wanted for n in block.names)]
-        used = {r.target.file for block in kept for r in block.references if not r.target.external and r.target.file}
+        references = [reference for block in files[name].kept(wanted) for reference in block.references]
+        used = {r.target.file for r in references if not r.target.external and r.target.file}
         for other in sorted(used - {name}):
             add(other, (*above, name))
         order.append(name)
@@ -447,29 +445,29 @@ def _in_order(wanted: set[tuple[str, str]], files: Mapping[str, File]) -> list[s
 def _new_names(
     module: File, order: list[str], wanted: set[tuple[str, str]], files: Mapping[str, File]
 ) -> dict[tuple[str, str], str]:
-    """The name of each definition in the standalone text: its own, unless another one has it already."""
+    """Return the name of each definition in the standalone text: its old name unless another definition has it."""
     names = {(t.file, t.name): name for name, t in module.bound.items() if t.file and not t.external and t.name}
     taken, identifiers = set(module.bound), set[str]()
     for file in (module, *(files[name] for name in order)):
         taken |= {name for name, target in file.bound.items() if target.external}
         identifiers |= file.identifiers
     for name in order:
-        for own in (n for block in files[name].blocks for n in block.names if (name, n) in wanted):
-            if (name, own) in names:
+        for old in (n for block in files[name].blocks for n in block.names if (name, n) in wanted):
+            if (name, old) in names:
                 continue
-            new, stem = own, name.rpartition(".")[2]
+            new, stem = old, name.rpartition(".")[2]
             if new in taken:
-                new = f"_{stem}{own}" if own.startswith("_") else f"{stem}_{own}"
+                new = f"_{stem}{old}" if old.startswith("_") else f"{stem}_{old}"
                 assert new not in taken | identifiers, (
-                    f"{new} means something else already, in place of {own} of {name}"
+                    f"{new} means something else already, in place of {old} of {name}"
                 )
-            names[name, own] = new
+            names[name, old] = new
             taken.add(new)
     return names
 
 
 def _rewritten(file: File, block: Block, names: Mapping[tuple[str, str], str]) -> str:
-    """The lines of a block with new names, without imports of the package inside functions."""
+    """Return the lines of a block with new names, without imports of the package inside functions."""
     lines = {number: file.lines[number - 1].encode() for number in range(block.first, block.last + 1)}
     for reference in sorted(set(block.references), key=lambda r: (r.line, r.start), reverse=True):
         new = names.get((reference.target.file, reference.target.name))
@@ -484,36 +482,13 @@ def _rewritten(file: File, block: Block, names: Mapping[tuple[str, str], str]) -
     return "\n".join(text.decode() for number, text in lines.items() if number not in block.dropped)
 
 
-def _assembled(
-    module: File,
-    numerics: str,
-    names: Mapping[tuple[str, str], str],
-    imports: str,
-) -> str:
-    """The header, all imports, the numerics, and the rest of the module."""
-    first = next(node for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
-    header = "\n".join(module.lines[: first.lineno - 1]).rstrip()
-    comments, quotes, docstring = header.partition('\n"""')
-    comments = re.sub(r"(by: codegen build .*)", r"\1 --standalone", comments, count=1)
-    last = max(node.end_lineno or 0 for node in module.tree.body if isinstance(node, (ast.Import, ast.ImportFrom)))
-    rest = Block(last + 1, len(module.lines), (), [r for block in module.blocks for r in block.references])
-    own = _rewritten(module, rest, names).strip("\n")
-    header = f"{comments}\n{_HEADER.rstrip()}{quotes}{docstring}\n\n{imports}\n\n"
-    body = f"{header}{numerics}\n\n\n# ---- The problem ----\n\n{own}\n"
-    body = re.sub(r"`codegen\.runtime\.[\w.]*?(\w+)`", r"`\1`", body)
-    return re.sub(r"\n{4,}", "\n\n\n", body)
-
-
 def _imports(files: list[File], wanted: set[tuple[str, str]]) -> str:
-    """The statements that import what the text uses of other packages."""
+    """Return the statements that import the used names of other packages, first those of the standard library."""
     plain, of_packages = set[str](), dict[str, set[str]]()
     bound: dict[str, Target] = {}
     for file in files:
-        for block in file.blocks:
-            if file.name and not any((file.name, name) in wanted for name in block.names):
-                continue
-            for reference in block.references:
-                target = reference.target
+        for block in file.kept(wanted) if file.name else file.blocks:
+            for target in (reference.target for reference in block.references):
                 if not target.external:
                     continue
                 other = bound.setdefault(target.name, target)
@@ -525,6 +500,5 @@ def _imports(files: list[File], wanted: set[tuple[str, str]]) -> str:
     lines = {f"from {package} import {', '.join(sorted(names))}": package for package, names in of_packages.items()}
     lines |= {line: line.split()[1] for line in plain}
     order = sorted(lines, key=lambda line: (line.startswith("from"), line))
-    is_standard = {line: lines[line].partition(".")[0] in sys.stdlib_module_names for line in order}
-    standard = [line for line in order if is_standard[line]]
-    return "\n".join([*standard, "", *(line for line in order if not is_standard[line])])
+    standard = [line for line in order if lines[line].partition(".")[0] in sys.stdlib_module_names]
+    return "\n".join([*standard, "", *(line for line in order if line not in standard)])

@@ -20,7 +20,7 @@ from codegen.errors import ExpressionError, clause
 from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.quantities import Quantity
 from codegen.problem.tables import Measurements, Table, Trajectory
-from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic.functions import TableBase
 
 _LINKS = ("partner", "past", "end_values", "declared")
 """What symbols know of each other; the order of declaration is that of their lines."""

@@ -17,9 +17,18 @@ from codegen.errors import TableError
 from codegen.problem.points import data_file
 from codegen.problem.symbols import ControlInput, Coordinate, Quantity, State
 from codegen.symbolic.checks import checked
-from codegen.symbolic.measurements import LOSSES, Layout, MeasurementData, read_measurements
-from codegen.symbolic.table_functions import member
-from codegen.symbolic.tables import KINDS, OUTSIDE, TableData, read_columns, read_table
+from codegen.symbolic.functions import table_function
+from codegen.symbolic.tables import (
+    KINDS,
+    LOSSES,
+    OUTSIDE,
+    Layout,
+    MeasurementData,
+    TableData,
+    read_columns,
+    read_measurements,
+    read_table,
+)
 
 
 class Table:
@@ -65,7 +74,7 @@ class Table:
                 f"give {' and '.join(shape.inputs)}, as in {shape.name}({', '.join(shape.inputs)})",
             )
         whats = (f"{name} of table {shape.name}" for name in shape.inputs)
-        return member(self.data, (0,) * len(at))(*(checked(a, what) for a, what in zip(at, whats, strict=True)))
+        return table_function(self.data, (0,) * len(at))(*(checked(a, what) for a, what in zip(at, whats, strict=True)))
 
     @property
     def range(self) -> tuple[tuple[float, float], ...]:
@@ -124,7 +133,7 @@ def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any
                 remedy = f"did you mean {close[0]}?" if close else f"call it like one of {', '.join(named)},"
                 finding = f"{guess.file}: no quantity that may be guessed is called {column}"
                 raise TableError(finding, f"{remedy} or choose columns=[...]")
-        return {named[column]: member(table, (0,))(time) for column, table in guess.tables.items()}
+        return {named[column]: table_function(table, (0,))(time) for column, table in guess.tables.items()}
     if not isinstance(guess, Mapping):
         return guess
     return {key: value(time) if isinstance(value, Table) else value for key, value in guess.items()}

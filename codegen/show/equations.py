@@ -34,7 +34,7 @@ from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.show.notation import WIDTH, Block, Notation, written
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import OUTSIDE
 from codegen.symbolic.terms import Invariants
 

@@ -24,7 +24,7 @@ from codegen.show.figures import shapes
 from codegen.show.figures.quantities import first_guess_of_segments
 from codegen.solving.interfaces import GeneratedModule, is_control
 from codegen.solving.results.result import Result
-from codegen.symbolic.special_functions import NUMPY
+from codegen.symbolic.functions import NUMPY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,6 @@ from sympy.printing.pretty.stringpict import prettyForm
 
 from codegen import identifiers
 from codegen.discretise.model.definitions import Model
-from codegen.symbolic import latex as lettering
 
 WIDTH = 100
 _LATEX_WIDTH = 90
@@ -126,7 +125,7 @@ class Notation:
             return rf"\dot{{{self._letter(word)}}}" if self.latex else self._letter(word) + "\u0307"
         if not self.latex:
             return _LETTERS.get(word, word)
-        return lettering.word(word)
+        return identifiers.word(word)
 
 
 def written(title: str, blocks: Sequence[Block], notation: Notation) -> str:

@@ -10,14 +10,14 @@ import sympy
 from sympy.logic.boolalg import Boolean
 from sympy.printing.latex import LatexPrinter
 
+from codegen import identifiers
 from codegen.discretise.conditions import CONDITIONS
+from codegen.identifiers import in_latex, written_unit
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.problem import Control, Phases, Problem
 from codegen.problem.quantities import Delayed, Moving, Parameter, Quantity
 from codegen.problem.symbols import Coordinate, FreeParameter, Velocity
-from codegen.symbolic import latex as lettering
-from codegen.symbolic.latex import in_latex, written_unit
 
 
 class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
@@ -68,7 +68,7 @@ class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
 def _name(symbol: sympy.Symbol) -> str:
     if isinstance(symbol, Velocity) and symbol.name == f"d{symbol.partner.name}":
         return rf"\dot{{{_name(symbol.partner)}}}"
-    return lettering.in_latex(symbol.name)
+    return identifiers.in_latex(symbol.name)
 
 
 _IN_A_ROW = 4

@@ -32,8 +32,7 @@ from codegen.solving.results.overrides import (
     require_apart_from_delays,
 )
 from codegen.solving.tasks import TASKS, Task, task_of
-from codegen.symbolic.measurements import Layout, given_measurements, read_measurements
-from codegen.symbolic.tables import read_table
+from codegen.symbolic.tables import Layout, given_measurements, read_measurements, read_table
 
 if TYPE_CHECKING:
     from codegen.problem.points import PointSet

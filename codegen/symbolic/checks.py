@@ -1,7 +1,4 @@
-"""Checks on single sympy expressions: real, finite, printable, of full rank.
-
-How far a value may be from another one by rounding of the numbers that an author gave.
-"""
+"""Checks on single sympy expressions: real, finite, printable, of full rank; rounding of authors' numbers."""
 
 from __future__ import annotations
 
@@ -18,8 +15,8 @@ from sympy import Add, Expr, Symbol
 from sympy.core.function import AppliedUndef
 
 from codegen.errors import ExpressionError
-from codegen.symbolic import special_functions
-from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic import functions
+from codegen.symbolic.functions import TableBase
 from codegen.symbolic.terms import EachBodyBase
 from codegen.symbolic.zeros import identically_zero
 
@@ -27,13 +24,13 @@ PRINTABLE = (
     *(sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan, sympy.atan2),
     *(sympy.sinh, sympy.cosh, sympy.tanh, sympy.asinh, sympy.acosh, sympy.atanh),
     *(sympy.exp, sympy.log, sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise),
-    *(sympy.erf, sympy.erfc, special_functions.gamma, special_functions.lgamma, special_functions.OrderedBase),
+    *(sympy.erf, sympy.erfc, functions.gamma, functions.lgamma, functions.OrderedBase),
     *(TableBase, EachBodyBase),
 )
-"""Functions that the printer knows how to write as numba code."""
+"""Functions that the printer writes as numba code."""
 
 _TINY = 1e-50
-"""Below this a value may be what is left where terms cancel, and is looked at again."""
+"""Values below this size may be remainders of cancellation and are checked again."""
 _ARITHMETIC = (
     *(sympy.Symbol, sympy.Number, sympy.NumberSymbol, sympy.Add, sympy.Mul, sympy.Pow),
     *(sympy.functions.elementary.piecewise.ExprCondPair, sympy.core.relational.Relational),
@@ -41,11 +38,11 @@ _ARITHMETIC = (
 )
 
 _WIDE = 100
-"""Decimal exponent of factors that belong into the exponent of an exponential."""
+"""Decimal exponent of factors that are moved into the exponent of an exponential."""
 
 
 def checked(value: Any, what: str) -> sympy.Expr:
-    """Sympify a scalar; ExpressionError names `what` when it is no finite real scalar of known functions."""
+    """Return a sympified scalar; ExpressionError names `what` if it is no finite real scalar of known functions."""
     if hasattr(value, "data") and callable(value) and hasattr(value.data, "shape"):
         call = f"{value.data.shape.name}({', '.join(value.data.shape.inputs)})"
         raise ExpressionError(f"{what} is a {type(value).__name__}", f"call it, as in {call}")
@@ -57,7 +54,7 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is a {type(value).__name__}", "give one sympy expression or number") from None
     if not isinstance(expression, sympy.Expr) or getattr(expression, "is_Matrix", False):
         raise ExpressionError(f"{what} is a {type(expression).__name__}", "give one scalar expression")
-    expression = special_functions.rewritten(with_exponents_together(expression), what)
+    expression = functions.rewritten(with_exponents_together(expression), what)
     for atom in sorted(expression.atoms(sympy.Number, sympy.core.numbers.ComplexInfinity), key=str):
         if not atom.is_finite or not (atom.is_zero or sys.float_info.min <= abs(atom) <= sys.float_info.max):
             number = sympy.N(atom, 15) if atom.is_finite else atom
@@ -67,15 +64,15 @@ def checked(value: Any, what: str) -> sympy.Expr:
         raise ExpressionError(f"{what} is complex", "use real expressions")
     for part in sympy.preorder_traversal(expression):
         if isinstance(part, AppliedUndef) or not isinstance(part, (*_ARITHMETIC, *PRINTABLE)):
-            raise special_functions.refusal(part, what)
+            raise functions.refusal(part, what)
     return expression
 
 
 def with_exponents_together(expression: sympy.Expr) -> sympy.Expr:
     """Put large and small factors of exponentials back into the exponents, as in exp(885.85 - 885.85 x).
 
-    sympy evaluates the constant part of an exponent with decimals: what is left is 6.4e384 exp(-885.85 x), or factors
-    that a computer can represent, but whose product underflows. As fractions such exponents stay together.
+    sympy evaluates the constant part of a decimal exponent. The result 6.4e384 exp(-885.85 x) overflows, or its
+    product underflows. Fractions in exponents are not evaluated.
     """
     if not any(abs(sympy.log(abs(c), 10).evalf()) > _WIDE for c in expression.atoms(sympy.Float) if not c.is_zero):
         return expression
@@ -83,7 +80,7 @@ def with_exponents_together(expression: sympy.Expr) -> sympy.Expr:
 
 
 def _joined(product: sympy.Expr) -> sympy.Expr:
-    """A product with its decimal factor inside the exponent of an exponential, if that is a direct factor."""
+    """Return a product with its decimal factor inside the exponent of an exponential, if one is a direct factor."""
     factor, rest = product.as_coeff_Mul()
     powers = [f for f in sympy.Mul.make_args(rest) if isinstance(f, sympy.exp)]
     if not powers or not factor.is_Float or abs(sympy.log(abs(factor), 10).evalf()) <= _WIDE:
@@ -96,15 +93,15 @@ def _joined(product: sympy.Expr) -> sympy.Expr:
 
 
 def tidied(expression: sympy.Expr) -> sympy.Expr:
-    """Write decimal numbers as the rationals that they stand for, so that cancellation is exact (0.5 -> 1/2)."""
+    """Return an expression with rationals in place of decimals, so that cancellation is exact (0.5 -> 1/2)."""
     numbers = {number: sympy.Rational(str(number)) for number in expression.atoms(sympy.Float)}
     return expression.xreplace(numbers)
 
 
 def multiplied_out(expression: sympy.Expr) -> int:
-    """How many terms an expression has at most when all products and powers of sums in it are multiplied out.
+    """Return the largest number of terms of an expression after expansion of all products and powers of sums.
 
-    To be asked before sympy.expand, whose time grows with it: the cube of a sum of 20 squares has 1540 terms.
+    The time of sympy.expand grows with this number: the cube of a sum of 20 squares has 1540 terms.
     """
     if expression.is_Add:
         return sum(map(multiplied_out, expression.args))
@@ -117,7 +114,7 @@ def multiplied_out(expression: sympy.Expr) -> int:
 
 
 def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
-    """Whether some expressions have more operations than that together; of long ones the rest is not counted."""
+    """Return True if some expressions together have more operations than the limit; counting ends there."""
     most = 5 * (limit + len(terms))  # parts; an operation has at most two symbols, a sign and a number beside it
     parts = (part for term in terms for part in sympy.preorder_traversal(term))
     if sum(1 for _ in islice(parts, most + 1)) > most:
@@ -126,15 +123,15 @@ def longer_than(limit: int, terms: Sequence[sympy.Expr]) -> bool:
 
 
 def number_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
-    """The value of an expression to 15 digits as a float, or None when it is not a finite real number there.
+    """Return the value of an expression to 15 digits, or None if it is not a finite real number.
 
-    Where terms cancel altogether it is a number like 1e-125 instead of zero.
+    If all terms cancel, the value is a number like 1e-125 instead of zero.
     """
     return _real(lambda: expression.evalf(subs=dict(values)))
 
 
 def rounded_at(expression: sympy.Expr, values: Mapping[sympy.Symbol, float]) -> float | None:
-    """The value of an expression in floating-point arithmetic, or None when it is not a finite real number there."""
+    """Return the value of an expression in floating-point arithmetic, or None if it is not a finite real number."""
     present = expression.free_symbols
     floats = {symbol: sympy.Float(value) for symbol, value in values.items() if symbol in present}
     return _real(lambda: expression.xreplace(floats).evalf())
@@ -153,9 +150,9 @@ def _real(evaluate: Callable[[], sympy.Expr]) -> float | None:
 def sample_points(
     symbols: Collection[sympy.Symbol], fixed: Mapping[sympy.Symbol, float], likely: Mapping[sympy.Symbol, float]
 ) -> Iterator[dict[sympy.Symbol, float]]:
-    """Points at which to try whether an expression has a value: the likely one, usual ones, then far-flung ones.
+    """Yield points for trial evaluations: first the likely one, then usual ones, then points of all magnitudes.
 
-    All are at the `fixed` values; only the first is also at the `likely` ones. They are the same in every run.
+    All have the `fixed` values; only the first has the `likely` ones. The points are the same in every run.
     """
     generator = random.Random(1)
     ordered = sorted(symbols, key=str)
@@ -168,11 +165,11 @@ def sample_points(
 
 
 def null_direction(samples: Iterable[np.ndarray | None]) -> np.ndarray | None:
-    """The weights of a null direction of a square matrix that is singular in all its samples, else None.
+    """Return the weights of a null direction of a square matrix that is singular in all samples, else None.
 
-    Decided by the numerical rank, since a matrix that is not identically singular is regular at a random point with
-    probability one; this stays cheap where a symbolic determinant would not. Rows and columns are scaled first, so
-    that large and small masses may occur side by side. None also where no sample has real values.
+    The numerical rank decides: a matrix that is not identically singular is regular at a random point with probability
+    one. A symbolic determinant would take longer. Rows and columns are scaled first, so that large and small masses may
+    occur together. Without a sample of real values the result is None.
     """
     direction = None
     for values in samples:
@@ -188,10 +185,10 @@ def null_direction(samples: Iterable[np.ndarray | None]) -> np.ndarray | None:
 
 
 def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, float]]) -> np.ndarray | None:
-    """The weights of a vanishing combination of the rows of a symbolic matrix, if there is one at all given points.
+    """Return the weights of a vanishing combination of the rows of a symbolic matrix, if one exists at all points.
 
-    Rows are scaled to unit length first; a row of zeros is a combination by itself. None where the rows are
-    independent at some point, and where the matrix has no real value at any.
+    Rows are scaled to unit length first; a row of zeros is a combination by itself. None if the rows are independent at
+    some point, or if the matrix has no real value at any point.
     """
     combination = None
     for point in points:
@@ -208,42 +205,37 @@ def dependent_rows(matrix: sympy.Matrix, points: Iterable[Mapping[sympy.Symbol, 
 
 
 def values_at(matrix: sympy.Matrix, point: Mapping[sympy.Symbol, float]) -> np.ndarray | None:
-    """The entries of a matrix as floats, or None where one of them is not a finite real number."""
+    """Return the entries of a matrix as floats, or None if an entry is not a finite real number."""
     try:
         values = np.array(matrix.evalf(subs=point).tolist(), dtype=float).reshape(matrix.shape)
     except (TypeError, ValueError):
         return None
     for index in np.argwhere((values != 0.0) & (np.abs(values) < _TINY)):
         row, column = map(int, index)
-        if _cancels(matrix[row, column], float(values[row, column]), point):
+        entry, value = matrix[row, column], float(values[row, column])
+        # A tiny value may be the remainder of cancellation: evalf works with 100 digits.
+        terms = [rounded_at(term, point) for term in entry.args] if entry.is_Add else []
+        if identically_zero(entry) or abs(value) < 1e-90 * sum(abs(term) for term in terms if term is not None):
             values[row, column] = 0.0
     return values if np.all(np.isfinite(values)) else None
 
 
-def _cancels(entry: sympy.Expr, value: float, point: Mapping[sympy.Symbol, float]) -> bool:
-    """Whether a tiny value is what evalf, which works with 100 digits, leaves where terms cancel."""
-    if identically_zero(entry):
-        return True
-    terms = [rounded_at(term, point) for term in entry.args] if entry.is_Add else []
-    return abs(value) < 1e-90 * sum(abs(term) for term in terms if term is not None)
-
-
 GIVEN = 1e-9
-"""Relative error of the numbers that authors give, who copy nine or ten digits."""
+"""Relative error of an author's numbers, which have nine or ten digits."""
 _ROUNDINGS = 200
-"""Of numbers about one, such as sin(pi) or 0.1 + 0.2 - 0.3, which authors leave to a computer."""
+"""Rounding errors, in units of epsilon, of computed numbers such as sin(pi) or 0.1 + 0.2 - 0.3."""
 
 
 def rounding_of(sizes: Iterable[float]) -> float:
-    """The rounding of a sum, or of a comparison, of numbers of some sizes that an author gave."""
+    """Return the rounding of a sum, or of a comparison, of an author's numbers of some sizes."""
     return max(GIVEN * max(map(abs, sizes), default=0.0), _ROUNDINGS * sys.float_info.epsilon)
 
 
 def rounding_at(expression: Expr, values: Mapping[Symbol, float]) -> float:
-    """The rounding of an expression: that of the largest of its terms, and what rounding of each value makes of it.
+    """Return the rounding of an expression: of its largest term, plus the effect of rounding of each value.
 
-    The second is for terms that stand inside functions and products: x^2 + y^2 - R^2 and sqrt(x^2 + y^2) - R are
-    as uncertain as their terms, whatever is left of them.
+    The second part is for terms inside functions and products: x^2 + y^2 - R^2 and sqrt(x^2 + y^2) - R are as uncertain
+    as their terms, however small their difference is.
     """
     middle = rounded_at(expression, values)
     terms = (rounded_at(term, values) for term in Add.make_args(expression))

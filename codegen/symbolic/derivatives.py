@@ -1,24 +1,19 @@
-"""Derivatives of long expressions, found on a graph of their values and written as straight-line programs.
+"""Derivatives of long expressions: on a graph of their values, as straight-line programs or as numbers.
 
 Plain differentiation of a tree repeats common parts in every derivative, and finding them afterwards takes longer
-than all the rest. Here common parts are found first (`graph`), derivatives are accumulated in reverse (`adjoint`), and
-what has become common is found again (`sharing`); the time is proportional to the size of the result.
-
-Gradient and Hessian of a value on its graph, by reverse accumulation.
+than all the rest. Here common parts are found first, derivatives are accumulated in reverse, and new common parts are
+found again. The time is proportional to the size of the result.
 
 The gradient passes adjoints, the derivatives of the value by its nodes, from each node to its arguments. The Hessian
-passes second derivatives by pairs of nodes in the same sweep; an entry exists only where the pair can be reached, so
-the pattern of zeros is exact up to cancellation. The adjoint of a multiplier is its equation: what is linear is
-differentiated once only. Source: Gower and Mello (2012), A new framework for the computation of Hessians,
-Optimization Methods and Software 27 (edge pushing).
+passes second derivatives by pairs of nodes in the same sweep. An entry exists only if the pair can be reached, so that
+the pattern of zeros is exact up to cancellation. The adjoint of a multiplier is its equation: linear parts are
+differentiated only once. Source: Gower and Mello (2012), A new framework for the computation of Hessians, Optimization
+Methods and Software 27 (edge pushing).
 
-Derivatives of one expression along directions, which keep its structure.
+Derivatives along directions keep the structure of an expression. Along a direction, the speed of a body that many
+coordinates move has one derivative; accumulated in reverse, by every coordinate, it would be multiplied out.
 
-Along a direction the speed of a body that many coordinates move has one derivative; accumulated in reverse, by every
-coordinate, it would be multiplied out. Equal parts are differentiated once, which plain differentiation of a tree does
-not do.
-
-Second derivatives as numbers at points, without their expressions, which of large systems are long.
+Second derivatives as numbers need no expressions, which are long for large systems.
 """
 
 from __future__ import annotations
@@ -62,33 +57,33 @@ class Adjoints:
 
 
 def accumulate(graph: Graph, value: int, unknowns: Sequence[int]) -> Adjoints:
-    """The first and second derivatives of a value by all nodes between it and the unknowns, and by these."""
+    """Return first and second derivatives of a value by the unknowns and by all nodes between them and the value."""
     return _Sweep(graph, value, unknowns).run()
 
 
 def slopes(graph: Graph, value: int, unknowns: Sequence[int]) -> dict[int, int]:
-    """Nodes of the first derivatives of a value by those of the unknowns on which it depends."""
+    """Return the nodes of the first derivatives of a value by the unknowns on which it depends."""
     wanted = set(unknowns)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]
     depending = set[int]()
     for node in order:
         if node in wanted or not depending.isdisjoint(arguments(graph.nodes[node])):
             depending.add(node)
-    sweep, found = _Sweep(graph, value, unknowns), dict[int, int]()
+    sweep, adjoints = _Sweep(graph, value, unknowns), dict[int, int]()
     for node in reversed(order):
         if node not in depending:
             continue
-        adjoint = found[node] = graph.sum(sweep.first.pop(node, []))
+        adjoint = adjoints[node] = graph.sum(sweep.first.pop(node, []))
         if node in wanted:
             continue
         for argument, slope, factor in slopes_of_node(graph, node):
             if argument in depending:
                 sweep.first.setdefault(argument, []).append((sweep.times(adjoint, slope), factor))
-    return {node: adjoint for node, adjoint in found.items() if node in wanted}
+    return {node: adjoint for node, adjoint in adjoints.items() if node in wanted}
 
 
 class _Sweep:
-    """One reverse sweep; what is passed to a node or pair is collected as the terms of a sum."""
+    """One reverse sweep, which collects the contributions to each node or pair as the terms of a sum."""
 
     def __init__(self, graph: Graph, value: int, unknowns: Sequence[int]) -> None:
         self.graph = graph
@@ -104,17 +99,18 @@ class _Sweep:
         self.zero = graph.number(ONE - ONE)
 
     def run(self) -> Adjoints:
-        found = Adjoints()
+        adjoints = Adjoints()
         for node in self.order:
-            adjoint = found.first[node] = self.graph.sum(self.first.pop(node, []))
+            adjoint = adjoints.first[node] = self.graph.sum(self.first.pop(node, []))
             row = {other: self.graph.sum(terms) for other, terms in self.second.pop(node, {}).items()}
             row = {other: curvature for other, curvature in row.items() if curvature != self.zero}
-            found.second |= {(node, other): curvature for other, curvature in row.items()}
+            adjoints.second |= {(node, other): curvature for other, curvature in row.items()}
             if node not in self.unknowns:
                 self._push(node, adjoint, row)
-        return found
+        return adjoints
 
     def _push(self, node: int, adjoint: int, row: dict[int, int]) -> None:
+        """Pass the derivatives by a node on to its arguments."""
         slopes, curvatures = slopes_of_node(self.graph, node), self._curvatures(node)
         for argument, slope, factor in slopes:
             self.first.setdefault(argument, []).append((self.times(adjoint, slope), factor))
@@ -138,23 +134,23 @@ class _Sweep:
         return node if slope is None else self.graph.times(node, slope)
 
     def _curvatures(self, number: int) -> list[tuple[int, int, int]]:
-        """The second derivatives of a node by pairs of its arguments, each pair once."""
-        graph, found = self.graph, list[tuple[int, int, int]]()
+        """Return the second derivatives of a node by pairs of its arguments, each pair once."""
+        graph, entries = self.graph, list[tuple[int, int, int]]()
         node, varies = graph.nodes[number], graph.varies
         if isinstance(node, Product):
             varying = [factor for factor, _ in node.factors if varies[factor]]
-            found = [(a, b, _lowered(graph, node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
+            entries = [(a, b, _lowered(graph, node, a, b)) for i, a in enumerate(varying) for b in varying[: i + 1]]
         elif not isinstance(node, Sum):
             call = graph.call_at(number)
             indices = [(i, a) for i, a in enumerate(call.arguments) if varies[a]]
-            found = [
+            entries = [
                 (a, b, graph.derivative(call, i, j)) for n, (i, a) in enumerate(indices) for j, b in indices[: n + 1]
             ]
-        return [(a, b, curvature) for a, b, curvature in found if curvature != self.zero]
+        return [(a, b, curvature) for a, b, curvature in entries if curvature != self.zero]
 
 
 def slopes_of_node(graph: Graph, number: int) -> Slopes:
-    """The first derivatives of a node by those of its arguments that vary."""
+    """Return the first derivatives of a node by its arguments that vary."""
     node, varies = graph.nodes[number], graph.varies
     if isinstance(node, Sum):
         return [(term, None, coefficient) for term, coefficient in node.terms if varies[term]]
@@ -165,7 +161,7 @@ def slopes_of_node(graph: Graph, number: int) -> Slopes:
 
 
 def _lowered(graph: Graph, product: Product, *factors: int) -> int:
-    """The derivative of a product by factors, one after the other."""
+    """Return the derivative of a product by factors, one after the other."""
     exponents, coefficient = dict(product.factors), ONE
     for factor in factors:
         coefficient *= exponents[factor]
@@ -174,16 +170,16 @@ def _lowered(graph: Graph, product: Product, *factors: int) -> int:
 
 
 def _affine(graph: Graph, varying: Sequence[int], unknowns: set[int]) -> set[int]:
-    """The nodes that are linear in the unknowns, with coefficients that are free of them."""
-    found = set(unknowns)
+    """Return the nodes that are linear in the unknowns, with coefficients free of unknowns."""
+    affine = set(unknowns)
     for number in varying:
         node = graph.nodes[number]
         inside = [a for a in arguments(node) if graph.varies[a]]
-        if not found.issuperset(inside):
+        if not affine.issuperset(inside):
             continue
         if isinstance(node, Sum) or (isinstance(node, Product) and [dict(node.factors)[a] for a in inside] == [ONE]):
-            found.add(number)
-    return found
+            affine.add(number)
+    return affine
 
 
 @dataclass(frozen=True)
@@ -214,8 +210,7 @@ def second_derivatives(scalar: Expr, unknowns: Sequence[Symbol], beside: Sequenc
     absent = vanishing(graph, list(entries.values()))
     indices = tuple(sorted(index for index, node in entries.items() if node not in absent))
     second = [entries[index] for index in indices]
-    taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
-    return SecondDerivatives(_written(graph, [*first, *further], taken), _written(graph, second, taken), indices)
+    return SecondDerivatives(program_of(graph, [*first, *further]), program_of(graph, second), indices)
 
 
 @dataclass(frozen=True)
@@ -266,30 +261,26 @@ def jacobian(
 
 
 def values_of(values: Sequence[Expr]) -> StraightLine:
-    """A program for some values, whose common parts are found on their graph."""
+    """Return a program for some values, with common parts from their graph."""
     symbols = set[Symbol]().union(*(value.free_symbols for value in values))
     graph = Graph(sorted(symbols, key=lambda symbol: symbol.name))
     return program_of(graph, [graph.of(value) for value in values])
 
 
 def program_of(graph: Graph, roots: Sequence[int]) -> StraightLine:
-    """A program for the values of some nodes, in names that no leaf of the graph has."""
-    return _written(graph, roots, {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)})
-
-
-def _written(graph: Graph, roots: Sequence[int], taken: set[str]) -> StraightLine:
-    """A program for some values, with its own common parts and names x0, x1, ..."""
+    """Return a program for the values of some nodes, with names x0, x1, ... that no leaf of the graph has."""
+    taken = {str(node.expression) for node in graph.nodes if isinstance(node, Leaf)}
     smaller, numbers = shared(graph, roots)
     fresh = (Symbol(f"x{i}", real=True) for i in count() if f"x{i}" not in taken)
     return straight_line(smaller, [numbers[root] for root in roots], fresh)
 
 
 _LONG = 500
-"""Operations from which on derivatives are found on a graph; shorter ones read better from plain derivatives."""
+"""Operations from which on derivatives are accumulated on a graph; plain derivatives of shorter ones read better."""
 
 
 def gradient(function: Expr, symbols: Iterable[Symbol]) -> tuple[Expr, ...]:
-    """The derivatives of a function by symbols, each written out as one expression."""
+    """Return the derivatives of a function by symbols, each as one expression."""
     ordered = tuple(symbols)
     if function.count_ops() < _LONG:
         return tuple(sympy.diff(function, symbol) for symbol in ordered)
@@ -297,7 +288,7 @@ def gradient(function: Expr, symbols: Iterable[Symbol]) -> tuple[Expr, ...]:
 
 
 def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:
-    """The derivative of a function along displacements of its symbols."""
+    """Return the derivative of a function along displacements of its symbols."""
     if function.count_ops() >= _LONG:
         return _along(function, [displacements])[0]
     amount = sympy.Dummy("amount", real=True)
@@ -306,29 +297,23 @@ def variation(function: Expr, displacements: Mapping[Symbol, Expr]) -> Expr:
 
 
 def _along(function: Expr, directions: Sequence[Mapping[Symbol, Expr]]) -> tuple[Expr, ...]:
+    """Return the derivatives of a function along directions."""
     graph = Graph(sorted(set().union(*directions), key=lambda symbol: symbol.name))
     value = graph.of(function)
     order = [node for node in graph.reachable([value]) if graph.varies[node]]
-    found = (
-        _tangent(graph, order, value, {graph.of(symbol): graph.of(d) for symbol, d in direction.items()})
-        for direction in directions
-    )
-    return written_out(graph, list(found))
-
-
-def _tangent(graph: Graph, order: Sequence[int], value: int, direction: Mapping[int, int]) -> int:
-    """The node of the derivative of a node along a direction, which is given by nodes for leaves."""
-    tangents = dict(direction)
-    for node in order:
-        if node in tangents or tangents.keys().isdisjoint(arguments(graph.nodes[node])):
-            continue
-        terms = (
-            (tangents[a] if slope is None else graph.times(slope, tangents[a]), factor)
-            for a, slope, factor in slopes_of_node(graph, node)
-            if a in tangents
-        )
-        tangents[node] = graph.sum(terms)
-    return tangents.get(value, graph.number(ONE - ONE))
+    derivatives = []
+    for direction in directions:
+        tangents = {graph.of(symbol): graph.of(displacement) for symbol, displacement in direction.items()}
+        for node in order:
+            if node in tangents or tangents.keys().isdisjoint(arguments(graph.nodes[node])):
+                continue
+            tangents[node] = graph.sum(
+                (tangents[a] if slope is None else graph.times(slope, tangents[a]), factor)
+                for a, slope, factor in slopes_of_node(graph, node)
+                if a in tangents
+            )
+        derivatives.append(tangents.get(value, graph.number(ONE - ONE)))
+    return written_out(graph, derivatives)
 
 
 _DIGITS = 100
@@ -338,13 +323,13 @@ _FUNCTIONS = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lam
 def hessian_samples(
     function: Expr, variables: Sequence[Symbol], points: Iterable[Mapping[Symbol, float]]
 ) -> Iterator[np.ndarray | None]:
-    """The matrix of second derivatives at each point, of shape (variables, variables).
+    """Yield the matrix of second derivatives at each point, of shape (variables, variables).
 
-    None where an entry is not a finite real number.
+    The matrix is None if an entry is not a finite real number.
     """
     graph = Graph(variables)
-    found = accumulate(graph, graph.of(function), range(len(variables))).second
-    inside = {pair: node for pair, node in found.items() if max(pair) < len(variables)}
+    second = accumulate(graph, graph.of(function), range(len(variables))).second
+    inside = {pair: node for pair, node in second.items() if max(pair) < len(variables)}
     absent = vanishing(graph, inside.values())
     entries = {pair: node for pair, node in inside.items() if node not in absent}
     order, functions = graph.reachable(entries.values()), _Functions()
@@ -363,7 +348,7 @@ def hessian_samples(
 
 
 class _Functions(dict[Expr, Callable[..., Any]]):
-    """The functions of nodes with many digits, by their templates, each made once."""
+    """The functions of nodes in many digits, by their templates; each is made once."""
 
     def __missing__(self, template: Expr) -> Callable[..., Any]:
         arguments = sorted(template.free_symbols, key=lambda symbol: int(symbol.name[1:]))
@@ -374,17 +359,17 @@ class _Functions(dict[Expr, Callable[..., Any]]):
 def _values(
     graph: Graph, order: Sequence[int], point: Mapping[Symbol, float], functions: Mapping[Expr, Callable[..., Any]]
 ) -> dict[int, Any]:
-    """The values of nodes in the order of computation; a kind of ArithmeticError where one has none."""
-    known: dict[int, Any] = {}
+    """Return the values of nodes in the order of computation; ArithmeticError if a node has no value."""
+    values: dict[int, Any] = {}
     for number in order:
         node = graph.nodes[number]
         if isinstance(node, Leaf):
-            given = point[node.expression] if node.expression.is_Symbol else node.expression.evalf(_DIGITS + 5)
-            known[number] = mpmath.mpmathify(given)
+            leaf = point[node.expression] if node.expression.is_Symbol else node.expression.evalf(_DIGITS + 5)
+            values[number] = mpmath.mpmathify(leaf)
         elif isinstance(node, Sum):
-            known[number] = precise(node.constant) + sum(precise(c) * known[a] for a, c in node.terms)
+            values[number] = precise(node.constant) + sum(precise(c) * values[a] for a, c in node.terms)
         elif isinstance(node, Product):
-            known[number] = mpmath.fprod(known[a] ** precise(exponent) for a, exponent in node.factors)
+            values[number] = mpmath.fprod(values[a] ** precise(exponent) for a, exponent in node.factors)
         else:
-            known[number] = functions[node.template](*(known[a] for a in node.arguments))
-    return known
+            values[number] = functions[node.template](*(values[a] for a in node.arguments))
+    return values

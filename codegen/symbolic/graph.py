@@ -1,16 +1,14 @@
-"""Expressions as a graph in which equal values have one node (value numbering).
+"""Expressions as a graph in which equal values have one node (value numbering), and as straight-line programs.
 
-A tree repeats what occurs more than once, and its derivatives repeat it more often still. In the graph every value
-has a number, its node; nodes are made from their arguments in a canonical form, so that an equal value made again is
-found instead of stored. Canonical forms: a sum has its terms once, in order of their numbers, and no common factor;
-a product has its factors once, in order, and no number; numbers are exact fractions. A node's arguments have lower
-numbers than itself, hence the order of numbers is one in which values can be computed.
+A tree repeats common parts, and its derivatives repeat them more often still. In the graph every value has a number,
+its node. Nodes have a canonical form: a sum has its terms once, in order of their numbers, and no common factor; a
+product has its factors once, in order, and no number; numbers are exact fractions. So an equal value is stored once. A
+node's arguments have lower numbers than the node: values can be computed in the order of numbers.
 
-A graph as a straight-line program: short assignments in order, and values in terms of them.
-
-Common parts of sums and products: what occurs together more than once is computed once. The pair of factors, or of
-terms, that most products, or sums, have in common becomes a node of its own, and so on until no pair occurs twice.
-Source: Breuer (1969), Generation of optimal code for expressions via factorization, Communications of the ACM 12.
+A straight-line program has short assignments in order, and values in terms of them. Parts of sums and products that
+occur together more than once are computed once: the pair of factors, or of terms, that most products, or sums, have in
+common becomes a node, and so on until no pair occurs twice. Source: Breuer (1969), Generation of optimal code for
+expressions via factorization, Communications of the ACM 12.
 """
 
 from __future__ import annotations
@@ -20,6 +18,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import combinations
 
 import sympy
 from sympy import Add, Expr, Mul, Pow, Rational, S, Symbol
@@ -30,7 +29,7 @@ ZERO, ONE = Fraction(0), Fraction(1)
 
 @dataclass(frozen=True, slots=True)
 class Leaf:
-    """A symbol, or a constant that is no fraction, such as pi."""
+    """A symbol, or a constant such as pi that is no fraction."""
 
     expression: Expr
 
@@ -62,12 +61,12 @@ Node = Leaf | Sum | Product | Call
 
 
 def argument(index: int) -> Symbol:
-    """The symbol that stands in a template for the argument at an index."""
+    """Return the symbol of the argument at an index in a template."""
     return Symbol(f"_{index}", real=True)
 
 
 class Graph:
-    """Nodes by number; `varies` tells of each whether it depends on an unknown."""
+    """Nodes by number; `varies` is True for the nodes that depend on an unknown."""
 
     def __init__(self, unknowns: Iterable[Expr] = ()) -> None:
         self.nodes: list[Node] = []
@@ -80,7 +79,7 @@ class Graph:
         self.varies = [True] * len(self.nodes)
 
     def add(self, node: Node) -> int:
-        """The number of a node that is in canonical form already."""
+        """Return the number of a node in canonical form."""
         number = self._numbers.setdefault(node, len(self.nodes))
         if number == len(self.nodes):
             self.nodes.append(node)
@@ -88,11 +87,11 @@ class Graph:
         return number
 
     def number(self, value: Fraction) -> int:
-        """The node of a number."""
+        """Return the node of a number."""
         return self.add(Sum(value, ()))
 
     def sum(self, terms: Iterable[tuple[int, Fraction]], constant: Fraction = ZERO) -> int:
-        """The node of constant + sum of coefficient * node."""
+        """Return the node of constant + sum of coefficient * node."""
         total: dict[int, Fraction] = {}
         for node, coefficient in terms:
             factor, core = self.scaled(node)
@@ -101,11 +100,17 @@ class Graph:
             else:
                 total[core] = total.get(core, ZERO) + coefficient * factor
         items = tuple(sorted((node, coefficient) for node, coefficient in total.items() if coefficient))
-        if constant:
-            items, constant = self._with_expm1(items, constant)
+        for index, (node, coefficient) in enumerate(items if constant else ()):
+            inner = self.nodes[node]
+            if coefficient == -constant and isinstance(inner, Call) and inner.template == sympy.exp(argument(0)):
+                # c exp(x) - c is written as c expm1(x), which keeps all digits.
+                shifted = self.add(Call(expm1(argument(0)), inner.arguments))
+                items = tuple(sorted([*items[:index], (shifted, coefficient), *items[index + 1 :]]))
+                constant = ZERO
+                break
         if len(items) + (constant != 0) <= 1:
             return items[0][0] if items and items[0][1] == 1 else self.add(Sum(constant, items))
-        # The common factor of a sum: the size that most of its numbers have, with the sign of the first.
+        # The common factor of a sum: the most frequent absolute value of its numbers, with the sign of the first.
         numbers = [*(coefficient for _, coefficient in items), *([constant] if constant else [])]
         sizes = [abs(number) for number in numbers]
         content = max(sizes, key=sizes.count) * (1 if numbers[0] > 0 else -1)
@@ -113,7 +118,7 @@ class Graph:
         return core if content == 1 else self.add(Sum(ZERO, ((core, content),)))
 
     def product(self, factors: Iterable[tuple[int, Fraction]], coefficient: Fraction = ONE) -> int:
-        """The node of coefficient * product of node ** exponent."""
+        """Return the node of coefficient * product of node ** exponent."""
         total: dict[int, Fraction] = {}
         for node, exponent in factors:
             if exponent.denominator == 1:
@@ -133,11 +138,11 @@ class Graph:
         return self.sum([(core, coefficient)])
 
     def times(self, *nodes: int) -> int:
-        """The node of a product of nodes."""
+        """Return the node of a product of nodes."""
         return self.product([(node, ONE) for node in nodes])
 
     def call(self, template: Expr, indices: tuple[int, ...]) -> int:
-        """The node of a function; the logarithm of 1 + x is written without loss of digits."""
+        """Return the node of a function; log(1 + x) is written as log1p(x), which keeps all digits."""
         if len(set(indices)) < len(indices):  # equal arguments, such as in atan2(x, x), are one
             once = {argument(i): argument(indices.index(node)) for i, node in enumerate(indices)}
             return self.of(template.xreplace(once), {argument(i): node for i, node in enumerate(indices)})
@@ -150,13 +155,13 @@ class Graph:
         return self.add(Call(template, indices))
 
     def call_at(self, number: int) -> Call:
-        """The function that a node is, which it must be."""
+        """Return a node that must be a function."""
         node = self.nodes[number]
         assert isinstance(node, Call), "leaves have no arguments"
         return node
 
     def scaled(self, node: int) -> tuple[Fraction, int | None]:
-        """A value as a number times a node that is not; no node where the value is a number."""
+        """Return a value as a number times a node without a numerical factor; a number has no node."""
         inner = self.nodes[node]
         if isinstance(inner, Sum):
             if not inner.terms:
@@ -165,32 +170,33 @@ class Graph:
                 return inner.terms[0][1], inner.terms[0][0]
         return ONE, node
 
-    def of(self, expression: Expr, given: Mapping[Symbol, int] | None = None) -> int:
-        """The node of an expression; `given` symbols stand for nodes."""
-        known: dict[Expr, int] = self._of if given is None else dict(given)
-        return self._converted(expression, known)
+    def of(self, expression: Expr, symbols: Mapping[Symbol, int] | None = None) -> int:
+        """Return the node of an expression; `symbols` have nodes of their own."""
+        nodes: dict[Expr, int] = self._of if symbols is None else dict(symbols)
 
-    def _converted(self, expression: Expr, known: dict[Expr, int]) -> int:
-        if expression not in known:
-            known[expression] = self._made(expression, known)
-        return known[expression]
+        def node_of(part: Expr) -> int:
+            if part not in nodes:
+                nodes[part] = made(part)
+            return nodes[part]
 
-    def _made(self, expression: Expr, known: dict[Expr, int]) -> int:
-        if expression.is_Rational:
-            return self.number(_fraction(expression))
-        if expression.is_Atom:
-            return self.add(Leaf(expression))
-        if expression.is_Add:
-            return self.sum((self._converted(term, known), ONE) for term in expression.args)
-        if expression.is_Mul:
-            return self.product((self._converted(factor, known), ONE) for factor in expression.args)
-        if expression.is_Pow and expression.exp.is_Rational:
-            return self.product([(self._converted(expression.base, known), _fraction(expression.exp))])
-        template, parts = _template(expression)
-        return self.call(template, tuple(self._converted(part, known) for part in parts))
+        def made(part: Expr) -> int:
+            if part.is_Rational:
+                return self.number(_fraction(part))
+            if part.is_Atom:
+                return self.add(Leaf(part))
+            if part.is_Add:
+                return self.sum((node_of(term), ONE) for term in part.args)
+            if part.is_Mul:
+                return self.product((node_of(factor), ONE) for factor in part.args)
+            if part.is_Pow and part.exp.is_Rational:
+                return self.product([(node_of(part.base), _fraction(part.exp))])
+            template, operands = _template(part)
+            return self.call(template, tuple(node_of(operand) for operand in operands))
+
+        return node_of(expression)
 
     def derivative(self, call: Call, *indices: int) -> int:
-        """The node of the derivative of a function by the arguments at some indices; kinks have no derivative."""
+        """Return the node of the derivative of a function by the arguments at some indices, without deltas of kinks."""
         template = call.template
         for index in indices:
             key = template, index
@@ -201,7 +207,7 @@ class Graph:
         return self.of(template, {argument(i): node for i, node in enumerate(call.arguments)})
 
     def reachable(self, roots: Iterable[int]) -> list[int]:
-        """All nodes that some nodes are computed from, themselves included, in order."""
+        """Return the nodes that the roots are computed from, and the roots themselves, in order."""
         seen: set[int] = set()
         waiting = list(roots)
         while waiting:
@@ -212,23 +218,12 @@ class Graph:
         return sorted(seen)
 
     def independent(self, roots: Iterable[int], of: Iterable[int]) -> bool:
-        """Whether some nodes are computed without any of others."""
+        """Return True if some nodes are computed without any of the nodes `of`."""
         return not set(of).intersection(self.reachable(roots))
-
-    def _with_expm1(
-        self, items: tuple[tuple[int, Fraction], ...], constant: Fraction
-    ) -> tuple[tuple[tuple[int, Fraction], ...], Fraction]:
-        """Write c exp(x) - c as c expm1(x), which keeps all digits."""
-        for index, (node, coefficient) in enumerate(items):
-            inner = self.nodes[node]
-            if coefficient == -constant and isinstance(inner, Call) and inner.template == sympy.exp(argument(0)):
-                shifted = self.add(Call(expm1(argument(0)), inner.arguments))
-                return tuple(sorted([*items[:index], (shifted, coefficient), *items[index + 1 :]])), ZERO
-        return items, constant
 
 
 def arguments(node: Node) -> tuple[int, ...]:
-    """The nodes that a node is computed from."""
+    """Return the nodes that a node is computed from."""
     if isinstance(node, Sum):
         return tuple(term for term, _ in node.terms)
     if isinstance(node, Product):
@@ -241,7 +236,7 @@ def _fraction(rational: Expr) -> Fraction:
 
 
 def _template(expression: Expr) -> tuple[Expr, list[Expr]]:
-    """A function with its arguments replaced by symbols, and what they stand for, each once."""
+    """Return a function with symbols in place of its arguments, and these arguments, each once."""
     parts: dict[Expr, Symbol] = {}
 
     def placed(part: Expr) -> Expr:
@@ -267,12 +262,12 @@ _LOGICAL = (
 Assignment = tuple[Symbol, Expr]
 
 _LONG = 6
-"""Operations from which on a value gets a name even if it is read once only."""
+"""Operations from which on a value gets a name even if it is read once."""
 
 
 @dataclass(frozen=True)
 class StraightLine:
-    """`values` may read the symbols of `assignments`, and each of these the ones before it.
+    """`values` may read the symbols of `assignments`, and each assignment the symbols before it.
 
     A value that does not depend on unknowns reads no assignment.
     """
@@ -282,9 +277,16 @@ class StraightLine:
 
 
 def straight_line(graph: Graph, roots: Sequence[int], names: Iterator[Symbol]) -> StraightLine:
-    """Write the values of `roots`; what is read more than once, or is long, is assigned to the next of the names."""
+    """Return a program for the values of `roots`; values that are long or read repeatedly get the next of the names."""
     order = graph.reachable(root for root in roots if graph.varies[root])
-    uses, outputs = _uses(graph, order, roots), set(roots)
+    outputs = set(roots)
+    # Reads of each value. A value that is raised to a power counts twice, since sympy would multiply it out.
+    uses = Counter(roots)
+    for number in order:
+        node = graph.nodes[number]
+        uses.update(arguments(node))
+        if isinstance(node, Product):
+            uses.update(factor for factor, exponent in node.factors if abs(exponent) != 1)
     written: dict[int, Expr] = {}
     lengths: dict[int, int] = {}
     assignments: list[Assignment] = []
@@ -303,7 +305,7 @@ def straight_line(graph: Graph, roots: Sequence[int], names: Iterator[Symbol]) -
 
 
 def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
-    """Values as one expression each."""
+    """Return each value as one expression."""
     written: dict[int, Expr] = {}
     for number in graph.reachable(roots):
         written[number] = _expression(graph, number, written)
@@ -311,39 +313,26 @@ def written_out(graph: Graph, roots: Sequence[int]) -> tuple[Expr, ...]:
 
 
 def _expression(graph: Graph, number: int, written: Mapping[int, Expr]) -> Expr:
+    """Return the expression of a node from those of its arguments."""
     node = graph.nodes[number]
     if isinstance(node, Leaf):
         return node.expression
     if isinstance(node, Sum):
-        terms = [_scaled(_rational(coefficient), written[term]) for term, coefficient in node.terms]
+        scaled = [(_rational(coefficient), written[term]) for term, coefficient in node.terms]
+        # sympy would multiply out a multiple of a sum.
+        terms = [Mul(c, value, evaluate=not value.is_Add or c == 1) for c, value in scaled]
         return Add(_rational(node.constant), *terms) if len(terms) != 1 or node.constant else terms[0]
     if isinstance(node, Product):
         return Mul(*(Pow(written[factor], _rational(exponent)) for factor, exponent in node.factors))
     return node.template.xreplace({argument(i): written[a] for i, a in enumerate(node.arguments)})
 
 
-def _scaled(coefficient: Expr, value: Expr) -> Expr:
-    """A multiple of a value; sympy would multiply out that of a sum."""
-    return Mul(coefficient, value, evaluate=not value.is_Add or coefficient == 1)
-
-
 def _rational(number: Fraction) -> Expr:
     return Rational(number.numerator, number.denominator)
 
 
-def _uses(graph: Graph, order: Sequence[int], roots: Sequence[int]) -> Counter[int]:
-    """How often each value is read; what is raised to a power counts twice, since sympy would multiply it out."""
-    uses = Counter(roots)
-    for number in order:
-        node = graph.nodes[number]
-        uses.update(arguments(node))
-        if isinstance(node, Product):
-            uses.update(factor for factor, exponent in node.factors if abs(exponent) != 1)
-    return uses
-
-
 def _operations(graph: Graph, number: int) -> int:
-    """The operations of a node by itself; a change of sign is none."""
+    """Return the operations of a node without its arguments; a change of sign is no operation."""
     node = graph.nodes[number]
     if isinstance(node, Leaf):
         return 0
@@ -359,20 +348,11 @@ Pair = tuple[int, int, Fraction, Fraction]
 
 
 def shared(graph: Graph, roots: Sequence[int]) -> tuple[Graph, dict[int, int]]:
-    """A graph of the same values with common parts, and what the numbers of nodes become in it."""
+    """Return a graph of the same values with common parts, and the new numbers of nodes."""
     nodes = [(number, graph.nodes[number]) for number in graph.reachable(roots)]
     fresh = iter(range(len(graph.nodes), 2**62))
     products = {number: dict(node.factors) for number, node in nodes if isinstance(node, Product)}
-    _name_powers(products, fresh)
-    _Pairs(products, fresh, proportional=False).share()
-    sums = {number: dict(node.terms) for number, node in nodes if isinstance(node, Sum)}
-    constants = {number: node.constant for number, node in nodes if isinstance(node, Sum) and node.constant}
-    _Pairs(sums, fresh, proportional=True, constants=constants).share()
-    return _Rebuilt(graph, products, sums, constants).build(roots)
-
-
-def _name_powers(products: dict[int, Parts], fresh: Iterator[int]) -> None:
-    """Make a node of each power, such as 1/h, that occurs in more than one product."""
+    # A power, such as 1/h, that occurs in more than one product becomes a node.
     counts = Counter(power for parts in products.values() for power in parts.items() if power[1] != 1)
     alone = {next(iter(parts.items())): number for number, parts in products.items() if len(parts) == 1}
     for power, count in sorted(counts.items()):
@@ -384,12 +364,17 @@ def _name_powers(products: dict[int, Parts], fresh: Iterator[int]) -> None:
                 del parts[power[0]]
                 parts[name] = ONE
         products[name] = dict([power])
+    _Pairs(products, fresh, proportional=False).share()
+    sums = {number: dict(node.terms) for number, node in nodes if isinstance(node, Sum)}
+    constants = {number: node.constant for number, node in nodes if isinstance(node, Sum) and node.constant}
+    _Pairs(sums, fresh, proportional=True, constants=constants).share()
+    return _Rebuilt(graph, products, sums, constants).build(roots)
 
 
 class _Pairs:
-    """Which pairs of parts occur in which groups (sums or products), and how often.
+    """The groups (sums or products) that contain each pair of parts.
 
-    Terms with `proportional` coefficients are the same pair, so that 2 a + 2 b is twice a + b.
+    With `proportional` coefficients pairs are equal up to a factor, so that 2 a + 2 b is twice a + b.
     """
 
     def __init__(
@@ -405,13 +390,13 @@ class _Pairs:
         self.constants = constants or {}
         self.users: dict[Pair, set[int]] = {}
         for number, parts in groups.items():
-            for pair in self._pairs(parts):
-                self.users.setdefault(pair, set()).add(number)
+            for (a, weight), (b, other) in combinations(sorted(parts.items()), 2):
+                self.users.setdefault(self._pair(a, weight, b, other), set()).add(number)
         self.queue = [(-len(users), pair) for pair, users in self.users.items() if len(users) > 1]
         heapq.heapify(self.queue)
 
     def share(self) -> None:
-        """Take out the pair that occurs most often, as long as one occurs twice."""
+        """Take out the most frequent pair, as long as a pair occurs twice."""
         while self.queue:
             count, pair = heapq.heappop(self.queue)
             users = self.users[pair]
@@ -438,21 +423,15 @@ class _Pairs:
             if not parts[name]:
                 del parts[name]
             for present in self._pairs_with((name,), parts):
-                found = self.users.setdefault(present, set())
-                found.add(number)
-                if len(found) > 1:
-                    heapq.heappush(self.queue, (-len(found), present))
+                users_of_pair = self.users.setdefault(present, set())
+                users_of_pair.add(number)
+                if len(users_of_pair) > 1:
+                    heapq.heappush(self.queue, (-len(users_of_pair), present))
         self.groups[name] = {a: weight, b: other}
         self.users[pair].add(name)
 
-    def _pairs(self, parts: Parts) -> Iterator[Pair]:
-        items = sorted(parts.items())
-        for index, (a, weight) in enumerate(items):
-            for b, other in items[index + 1 :]:
-                yield self._pair(a, weight, b, other)
-
     def _pairs_with(self, chosen: Sequence[int], parts: Parts) -> Iterator[Pair]:
-        """The pairs of which one at least is among the chosen parts, in no order; some of them twice."""
+        """Yield the pairs with at least one of the chosen parts, in no order; some pairs twice."""
         for a in chosen:
             if a not in parts:
                 continue
@@ -468,7 +447,7 @@ class _Pairs:
 
 
 class _Rebuilt:
-    """The graph of rewritten products and sums; its numbers are again in an order of computation."""
+    """The graph of rewritten products and sums, with numbers in an order of computation."""
 
     def __init__(
         self, graph: Graph, products: dict[int, Parts], sums: dict[int, Parts], constants: dict[int, Fraction]

@@ -1,20 +1,20 @@
-"""Files of tables: a line of column names, then rows of numbers, and nothing else but comments after `#`.
+"""Tables and measurements in files, and tables as piecewise polynomials, without sympy.
 
-A table of two inputs has a row for every pair of the grid, in any order. Reading needs neither sympy nor a module.
+A file has a line of column names, then rows of numbers, and comments after `#`. A table of two inputs has a row for
+every pair of the grid, in any order. Measurements have a column of times and columns of values, with empty cells for
+missing values; times need not be nodes, and may occur twice.
 
-A table as numbers: breakpoints, and at each of them what the piecewise polynomials through it are made of.
-
-Derivatives of a table in any arithmetic: floating-point and complex arrays, numbers with many digits.
-
-What has branches goes by real parts, so that complex steps and differences with many digits see one polynomial. Source:
-de Boor (2001), A practical guide to splines, chapter 4, for Hermite's form.
+A table consists of breakpoints and of the numbers of a piecewise polynomial at each of them. Its derivatives are
+evaluated in any arithmetic: floating-point and complex arrays, numbers with many digits. Real parts decide branches, so
+that complex steps and differences with many digits see one polynomial. Source: de Boor (2001), A practical guide to
+splines, chapter 4, for Hermite's form.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,18 @@ KINDS = {
     "linear": "straight lines, whose slope jumps at every breakpoint",
     "steps": "the value of the breakpoint before, with a slope of zero",
 }
-"""How values between breakpoints follow, and what that says of derivatives."""
+"""Kinds of interpolation between breakpoints, and their continuity."""
 OUTSIDE = {
     "error": "a solution that reads it outside its range is no solution",
     "clamp": "outside it has the value at the edge, and the slope zero",
     "extend": "outside the outermost polynomials go on",
 }
-"""What holds beyond the first and the last breakpoint."""
+"""Values outside the first and the last breakpoint."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What of a table a generated module is built for: everything but its numbers.
+    """The properties of a table on which a generated module depends: all except its numbers.
 
     `inputs` are one or two, `sizes` the numbers of breakpoints of each.
     """
@@ -60,12 +60,12 @@ class Shape:
 
     @property
     def width(self) -> int:
-        """How many numbers stand at a breakpoint: the value, and for cubics what it needs of slopes."""
+        """The count of numbers at a breakpoint: the value, and for cubics the slopes."""
         return 1 if self.kind in ("linear", "steps") else 2 ** len(self.sizes)
 
     @property
     def count(self) -> int:
-        """How many numbers the table is."""
+        """The count of all numbers of the table."""
         return sum(self.sizes) + int(np.prod(self.sizes)) * self.width
 
 
@@ -84,7 +84,7 @@ class TableData:
 
     @property
     def summary(self) -> str:
-        """What the table is, on one line."""
+        """A description of the table on one line."""
         shape = self.shape
         ranges = " and ".join(
             f"{name} ({axis.size} from {axis[0]:g} to {axis[-1]:g})"
@@ -100,12 +100,12 @@ class TableData:
 
     @property
     def heights(self) -> NDArray[np.float64]:
-        """What stands at breakpoints, shape (*sizes, width)."""
+        """The numbers at breakpoints, shape (*sizes, width)."""
         return np.array(self.numbers[sum(self.shape.sizes) :]).reshape(*self.shape.sizes, self.shape.width)
 
 
 def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], values: NDArray[np.float64]) -> TableData:
-    """The table through values, shape `sizes`, at the breakpoints of its axes.
+    """Return the table through values, shape `sizes`, at the breakpoints of its axes.
 
     Cubic splines have the end conditions "not a knot"; of two inputs they are products of those of one. Sources: de
     Boor (2001), A practical guide to splines, chapters 4 and 17; Fritsch and Butland (1984), A method for constructing
@@ -122,7 +122,7 @@ def fitted(shape: Shape, source: str, axes: Sequence[NDArray[np.float64]], value
 
 
 def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], index: int) -> NDArray[np.float64]:
-    """The slopes at the breakpoints of the spline along one axis."""
+    """Return the slopes at the breakpoints of the spline along one axis."""
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     spline = (CubicSpline if kind == "cubic" else PchipInterpolator)(axis, values, axis=index)
@@ -130,7 +130,7 @@ def _slopes(kind: str, axis: NDArray[np.float64], values: NDArray[np.float64], i
 
 
 MOST = 20_000
-"""Rows: what is measured more often is to be smoothed, or thinned out, before it is fitted."""
+"""Largest number of rows; more measurements must be smoothed or thinned out before a fit."""
 _LEAST = {"cubic": 4, "monotone": 2, "linear": 2, "steps": 1}
 
 
@@ -143,7 +143,7 @@ class Columns:
     lines: tuple[int, ...]
 
     def refused(self, row: int, finding: str, remedy: str) -> TableError:
-        """What is said of a row."""
+        """Return the error of a row."""
         return TableError(f"{self.path}:{self.lines[row]}: {finding}", remedy)
 
 
@@ -175,7 +175,7 @@ def read_columns(path: Path, names: Sequence[str] = (), optional: Collection[str
 
 
 def _rows(lines: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
-    """The fields of every line that holds any, with its number."""
+    """Yield number and fields of every line with fields."""
     without = (line.partition("#")[0] for line in lines)
     for number, row in enumerate(csv.reader(without), 1):
         fields = [field.strip() for field in row]
@@ -213,7 +213,7 @@ def _number(path: Path, line: int, row: Sequence[str], header: Sequence[str], in
 def read_table(
     path: Path, source: str, name: str, inputs: Sequence[str], output: str, kind: str, outside: str
 ) -> TableData:
-    """Read a file and fit the spline of a table; TableError names the line of what is unusable."""
+    """Read a file and fit the spline of a table; TableError names the unusable line."""
     columns = read_columns(path, [*inputs, output])
     if len(inputs) == 1:
         axes, values = [columns.values[inputs[0]]], columns.values[output]
@@ -240,7 +240,7 @@ def _require_ascending(columns: Columns, name: str) -> None:
 def _grid(
     columns: Columns, inputs: Sequence[str], output: str
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.float64]]:
-    """The breakpoints of two inputs and the values at all pairs; TableError for a pair that is missing or twice."""
+    """Return the breakpoints of two inputs and the values at all pairs; TableError for a missing or repeated pair."""
     found = [np.unique(columns.values[name], return_inverse=True) for name in inputs]
     axes = [axis for axis, _ in found]
     pairs = np.stack([index.ravel() for _, index in found], axis=1)
@@ -269,14 +269,14 @@ ORDERS: dict[int, tuple[tuple[int, ...], ...]] = {
     1: ((0,), (1,), (2,), (3,)),
     2: ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)),
 }
-"""The derivatives that a look-up returns, in their order, by the number of inputs."""
+"""The derivatives that a look-up returns, in order, by the number of inputs."""
 _HERMITE = ((1, 0, -3, 2), (0, 1, -2, 1), (0, 0, 3, -2), (0, 0, -1, 1))
 """Coefficients of 1, s, s^2, s^3 of the cubics that are 1 in the value, then the slope, at s = 0, then at s = 1."""
 _BASES: dict[str, tuple[tuple[int, ...], ...]] = {"linear": ((1, -1), (0, 1))}
 
 
 def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: Callable[[Any], Any]) -> Any:
-    """The derivative of an `order` by each input, at numbers or arrays; `real` gives the real part of a number."""
+    """Return the derivative of an `order` by each input, at numbers or arrays; `real` gives the real part."""
     kind, heights = table.shape.kind, table.heights
     if kind == "steps":
         before = np.searchsorted(table.axes[0], np.asarray(real(at[0]), dtype=float), side="right") - 1
@@ -299,7 +299,7 @@ def derivative(table: TableData, order: Sequence[int], at: Sequence[Any], real: 
 
 
 def _part(axis: NDArray[np.float64], table: TableData, order: int, x: Any, real: Callable[[Any], Any]) -> Any:
-    """The cell of an input, and the weights, differentiated, of what stands at its ends."""
+    """Return the cell of an input, and the differentiated weights of the numbers at its ends."""
     flat, at, factor = np.asarray(real(x), dtype=float), x, None
     if table.shape.outside == "clamp":
         inside = (flat >= axis[0]) & (flat <= axis[-1])
@@ -322,7 +322,7 @@ def _plain(height: Any) -> Any:
 
 
 def _differentiated(polynomial: Sequence[int], order: int, s: Any) -> Any:
-    """The derivative of a polynomial."""
+    """Return the derivative of a polynomial."""
     coefficients = list(polynomial)
     for _ in range(order):
         coefficients = [k * c for k, c in enumerate(coefficients)][1:] or [0]
@@ -330,3 +330,123 @@ def _differentiated(polynomial: Sequence[int], order: int, s: Any) -> Any:
     for coefficient in coefficients[-2::-1]:
         total = total * s + coefficient
     return total
+
+
+LOSSES = {
+    "squares": "the sum of squares",
+    "huber": "the sum of Huber's losses, e^2 up to |e| = 1 and 2 |e| - 1 beyond",
+    "soft-l1": "the sum of soft absolute values, 2 (sqrt(1 + e^2) - 1)",
+}
+"""Losses of errors e relative to their standard deviations, as in scipy's least_squares."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The columns on which a module depends: of times, of each value, and of its standard deviation.
+
+    A standard deviation is a number, a column, or None if it is unknown; then errors are not scaled.
+    """
+
+    time: str
+    columns: tuple[str, ...]
+    sigmas: tuple[float | str | None, ...]
+
+    @property
+    def width(self) -> int:
+        """The count of numbers of a row: the time, the values, their standard deviations."""
+        return 1 + 2 * len(self.columns)
+
+
+@dataclass(frozen=True)
+class MeasurementData:
+    """One file of measurements: rows (time, values, standard deviations) by time, NaN for missing values.
+
+    `lines` are the line numbers of the rows in the file.
+    """
+
+    layout: Layout
+    source: str
+    rows: tuple[tuple[float, ...], ...]
+    lines: tuple[int, ...]
+
+    @property
+    def array(self) -> NDArray[np.float64]:
+        """The rows, shape (n, width)."""
+        return np.array(self.rows).reshape(-1, self.layout.width)
+
+    @property
+    def summary(self) -> str:
+        """A description of the measurements on one line."""
+        values = self.array[:, 1 : 1 + len(self.layout.columns)]
+        times, count = self.array[:, 0], int(np.isfinite(values).sum())
+        return f"{count} values of {', '.join(self.layout.columns)} at {times.size} times from {self.source}"
+
+
+def read_measurements(path: Path, source: str, layout: Layout) -> MeasurementData:
+    """Read a file; TableError names the unusable line and column."""
+    deviations = [sigma for sigma in layout.sigmas if isinstance(sigma, str)]
+    names = list(dict.fromkeys([layout.time, *layout.columns, *deviations]))
+    columns = read_columns(path, names, optional={*layout.columns, *deviations})
+    return _checked_measurements(columns, source, layout)
+
+
+def given_measurements(given: Mapping[str, Any], layout: Layout) -> MeasurementData:
+    """Return measurements from columns by name, each of shape (n,), with NaN for missing values."""
+    source = "the columns given"
+    deviations = [sigma for sigma in layout.sigmas if isinstance(sigma, str)]
+    values: dict[str, NDArray[np.float64]] = {}
+    for name in dict.fromkeys([layout.time, *layout.columns, *deviations]):
+        if name not in given:
+            raise TableError(
+                f"{source} lack {name!r}", f"give {', '.join([layout.time, *layout.columns, *deviations])}"
+            )
+        try:
+            values[name] = np.array(given[name], dtype=float)
+        except (TypeError, ValueError) as error:
+            raise TableError(f"column {name!r} of {source} holds what is no number", "give numbers") from error
+        if values[name].ndim != 1 or values[name].shape != values[layout.time].shape:
+            raise TableError(
+                f"column {name!r} of {source} has shape {values[name].shape}", "give as many as there are times"
+            )
+    finite = {name: np.isfinite(column) | (np.isnan(column) & (name != layout.time)) for name, column in values.items()}
+    for name, usable in finite.items():
+        if not usable.all():
+            row = int(np.flatnonzero(~usable)[0])
+            raise TableError(f"{name}[{row}] of {source} is {values[name][row]}", "give finite numbers")
+    return _checked_measurements(Columns(Path(source), values, tuple(range(values[layout.time].size))), source, layout)
+
+
+def _checked_measurements(columns: Columns, source: str, layout: Layout) -> MeasurementData:
+    """Return values and standard deviations, by time; TableError for an invalid deviation or an empty column."""
+    times = columns.values[layout.time]
+    values = [columns.values[name] for name in layout.columns]
+    sigmas = []
+    for name, value, sigma in zip(layout.columns, values, layout.sigmas, strict=True):
+        if not isinstance(sigma, str):
+            sigmas.append(np.full(times.size, 1.0 if sigma is None else sigma))
+            continue
+        sigmas.append(columns.values[sigma])
+        for row in np.flatnonzero(np.isfinite(value) & ~(sigmas[-1] > 0.0)):
+            found = "empty" if math.isnan(sigmas[-1][row]) else f"{sigmas[-1][row]:g}"
+            raise columns.refused(
+                int(row), f"{sigma}, the standard deviation of {name}, is {found}", "let it be positive"
+            )
+        sigmas[-1] = np.where(np.isfinite(value), sigmas[-1], 1.0)
+    for name, value in zip(layout.columns, values, strict=True):
+        if not np.isfinite(value).any():
+            raise TableError(f"{columns.path}: column {name} holds no value", "give some, or leave the column out")
+    rows = np.stack([times, *values, *sigmas], axis=1)
+    order = np.argsort(times, kind="stable")
+    lines = tuple(columns.lines[row] for row in order)
+    return MeasurementData(layout, source, tuple(tuple(map(float, row)) for row in rows[order]), lines)
+
+
+def require_within(data: MeasurementData, duration: float) -> None:
+    """Raise TableError for times outside a motion, with the line of the first such time."""
+    rounding = 1e-9 * duration
+    for line, time in zip(data.lines, data.array[:, 0], strict=True):
+        if not -rounding <= time <= duration + rounding:
+            raise TableError(
+                f"{data.source}:{line}: {data.layout.time} is {time:g}, and the motion lasts from 0 to {duration:g}",
+                "take the row out, or change the duration",
+            )

@@ -1,19 +1,17 @@
-"""Conditions as sums of terms, and terms sorted into a few kinds.
+"""Structure of terms: kinds of terms in conditions, pair terms as functions of few scalars, and values of bodies.
 
-Terms that differ only in the quantities that they read, such as the squared differences in the sides of a polygon, are
-instances of one kind: what is done for each kind does not grow with the number of bodies.
+Terms that differ only in their quantities, such as the squared differences in the sides of a polygon, are instances of
+one kind. Code for kinds does not grow with the number of bodies.
 
-A pair term as a function of few scalars: squared distance, scalar products, distance from a boundary.
+A pair term is a function of few scalars: squared distance, scalar products, distance from a boundary. The scalars are
+polynomials in the coordinates and momenta of two particles, with short and exact derivatives; the outer function has
+three or four variables. Each part is differentiated separately: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k. So no digits
+are lost if points nearly meet or are near a boundary.
 
-The scalars are polynomials in the coordinates and momenta of two particles, so that their derivatives are short and
-exact; what is left is a function of three or four variables. Digits are lost neither where points nearly meet nor
-near a boundary, because each part is differentiated by itself: f_k dI_k, and f_kl dI_k dI_l + f_k d2I_k.
+Two functions replace differences that would lose all digits: for small x, both x - log(1 + x) and
+log(1 + x) - x/(1 + x) are about x^2/2. Kernels of plates and their derivatives, among others, are made of them.
 
-Two functions of which the difference that defines them would lose all digits, and where they occur. For small x, both x
-- log(1 + x) and log(1 + x) - x/(1 + x) are about x^2/2. Kernels of plates, among others, are made of them, and so are
-their derivatives.
-
-A number for each of many identical bodies, as a function of the body's number.
+Values of many identical bodies are a function of the body's number.
 """
 
 from __future__ import annotations
@@ -32,7 +30,7 @@ from sympy.core.random import seed
 
 @dataclass(frozen=True)
 class Kind:
-    """An expression of arguments a0, a1, ... that stand for the quantities which an instance reads."""
+    """An expression of arguments a0, a1, ... in place of the quantities of an instance."""
 
     expression: Expr
     arguments: tuple[Symbol, ...]
@@ -40,7 +38,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Instance:
-    """One term: its kind, the condition (row) to which it belongs, and the indices of the quantities that it reads."""
+    """One term: its kind, the index of its condition (row), and the indices of its quantities."""
 
     kind: int
     row: int
@@ -50,7 +48,7 @@ class Instance:
 def sorted_terms(
     conditions: Sequence[Expr], indices: Mapping[Symbol, int]
 ) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
-    """The kinds of the terms of conditions, in order of appearance, and all terms; `indices` number the quantities."""
+    """Return the kinds of terms of conditions, in order, and all terms; `indices` number the quantities."""
     symbols = set().union(*(condition.free_symbols for condition in conditions))
     taken = {symbol.name for symbol in symbols - indices.keys()}
     fresh = (Symbol(f"a{i}", real=True) for i in count() if f"a{i}" not in taken)
@@ -68,7 +66,7 @@ def sorted_terms(
 
 
 def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[int, ...]:
-    """The indices of those conditions that do not merely repeat an earlier one with other quantities."""
+    """Return the indices of the conditions that do not repeat an earlier one with other quantities."""
     indices = {symbol: index for index, symbol in enumerate(quantities)}
     arguments = [Dummy(f"a{i}", real=True) for i in range(len(quantities))]
     first: dict[Expr, int] = {}
@@ -79,14 +77,14 @@ def distinct(conditions: Sequence[Expr], quantities: Sequence[Symbol]) -> tuple[
 
 
 def _signed(expression: Expr) -> Expr:
-    """An equal expression in which (b - a)^2 is (a - b)^2, so that both are seen to be the same."""
+    """Return an equal expression with (a - b)^2 in place of (b - a)^2, so that equal terms compare equal."""
     return expression.replace(
         lambda e: e.is_Pow and e.exp.is_even and e.base.could_extract_minus_sign(), lambda e: (-e.base) ** e.exp
     )
 
 
 class x_minus_log1p(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """x - log(1 + x); the second argument is log(1 + x), so that it is shared with whoever else needs it."""
+    """x - log(1 + x); the second argument is log(1 + x), which other expressions share."""
 
     nargs = 2
 
@@ -106,9 +104,9 @@ class log1p_minus_ratio(sympy.Function):  # type: ignore[misc]
 
 
 def without_cancellation(expression: Expr) -> Expr:
-    """The same value with rational parts over common denominators and the two differences taken out.
+    """Return an equal expression with common denominators and with the two functions of small differences.
 
-    Decides nothing where logarithms enter other than linearly.
+    Expressions with nonlinear terms of logarithms are unchanged.
     """
     logs = sorted(expression.atoms(sympy.log), key=sympy.default_sort_key)
     if not logs:
@@ -139,10 +137,10 @@ def without_cancellation(expression: Expr) -> Expr:
 
 
 def _rational(expression: Expr) -> Expr:
-    """Factors over a common denominator.
+    """Return factors over a common denominator.
 
-    Wang's algorithm evaluates polynomials at random integers, and with some it does not come to an end for hours; with
-    the same ones every time, a build takes the same way every time.
+    Wang's algorithm evaluates polynomials at random integers; some integers make it run for hours. A fixed seed makes
+    all builds use the same integers.
     """
     seed(0)
     return sympy.factor(sympy.together(expression))
@@ -153,7 +151,7 @@ _SINGULAR = (sympy.zoo, sympy.nan, sympy.oo, -sympy.oo)
 
 @dataclass(frozen=True)
 class Invariants:
-    """`outer` is a function of `symbols`, each of which stands for one of the `polynomials` in moving symbols.
+    """A term as a function `outer` of `symbols`, each with its polynomial in moving symbols.
 
     `first` and `second` are the moving symbols (coordinates, momenta) of both particles.
     """
@@ -166,14 +164,12 @@ class Invariants:
 
     @classmethod
     def of(cls, term: Expr, first: Sequence[Symbol], second: Sequence[Symbol] = ()) -> Invariants:
-        """Find the scalars of a term: its longest sums that are polynomials in moving symbols."""
+        """Return the scalars of a term: its longest sums that are polynomials in moving symbols."""
         moving = {*first, *second}
-        found: dict[Expr, Symbol] = {}
+        symbols: dict[Expr, Symbol] = {}
 
         def named(polynomial: Expr) -> Symbol:
-            if polynomial not in found:
-                found[polynomial] = Symbol(f"s{len(found)}", real=True)
-            return found[polynomial]
+            return symbols.setdefault(polynomial, Symbol(f"s{len(symbols)}", real=True))
 
         def replaced(part: Expr) -> Expr:
             if not part.free_symbols & moving:
@@ -193,11 +189,11 @@ class Invariants:
             return part.func(*map(replaced, part.args))
 
         outer = replaced(term)
-        return cls(tuple(first), tuple(second), tuple(found.values()), tuple(found), outer)
+        return cls(tuple(first), tuple(second), tuple(symbols.values()), tuple(symbols), outer)
 
     @property
     def moving(self) -> tuple[Symbol, ...]:
-        """All symbols by which derivatives are taken."""
+        """The symbols of derivatives."""
         return (*self.first, *self.second)
 
     @property
@@ -206,19 +202,19 @@ class Invariants:
         return without_cancellation(self.outer)
 
     def slope(self, k: int) -> Expr:
-        """The derivative of the outer function by its k-th variable."""
+        """Return the derivative of the outer function by its k-th variable."""
         return without_cancellation(sympy.diff(self.outer, self.symbols[k]))
 
     def curvature(self, k: int, m: int) -> Expr:
-        """A second derivative of the outer function."""
+        """Return a second derivative of the outer function."""
         return without_cancellation(sympy.diff(self.outer, self.symbols[k], self.symbols[m]))
 
     def distances(self) -> tuple[int, ...]:
-        """Indices of the squared distances: what vanishes where both particles meet, and is nowhere negative."""
+        """Return the indices of squared distances: nonnegative scalars that vanish where both particles meet."""
         return tuple(k for k in self._vanishing() if _is_square(self.polynomials[k], self.moving))
 
     def _vanishing(self) -> tuple[int, ...]:
-        """Indices of the scalars that vanish where both particles meet, such as a difference of coordinates."""
+        """Return the indices of scalars that vanish where both particles meet, such as a difference of coordinates."""
         if not self.second:
             return ()
         return tuple(
@@ -231,11 +227,11 @@ class Invariants:
         return dict(zip(self.second[:half], self.first[:half], strict=True))
 
     def coincidence(self) -> tuple[Expr | None, bool]:
-        """The limit of the term where both particles meet, None if it has none; whether its gradient follows.
+        """Return the limit of the term where both particles meet, or None, and True if the gradient has that limit.
 
-        The limit is taken in the squared distance s from above. The gradient of s is of the size of its root, so that
-        the gradient of the term is that of the limit if f_s sqrt(s) tends to zero. Of a difference, which has two
-        signs, the value and the slope at zero are taken.
+        The limit is taken in the squared distance s from above. The gradient of s has the size of sqrt(s): the
+        gradient of the term tends to that of the limit if f_s sqrt(s) tends to zero. A difference has two signs: its
+        value and slope at zero are taken.
         """
         indices = self._vanishing()
         if len(indices) > 1:
@@ -247,7 +243,7 @@ class Invariants:
             values[self.symbols[indices[0]]] = sympy.S.Zero
             value, slope = self.outer.xreplace(values), self.slope(indices[0]).xreplace(values)
             return (None, False) if value.has(*_SINGULAR) else (value, not slope.has(*_SINGULAR))
-        # What has the same value where both meet is one symbol; that of a term in its domain is positive.
+        # Scalars with equal values at the meeting point have one symbol, positive as in the domain of the term.
         same = {value: Symbol(f"m{k}", positive=True) for k, value in enumerate(dict.fromkeys(values.values()))}
         positive = {s: same[values[s]] for s in self.symbols}
         distance, outer = positive[self.symbols[indices[0]]], self.outer.xreplace(positive)
@@ -259,7 +255,7 @@ class Invariants:
 
 
 def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
-    """Whether a polynomial of degree two is a sum of squares: of a lower degree or indefinite, it has both signs."""
+    """Return True if a polynomial is of degree two and a sum of squares; other ones have both signs."""
     own = [symbol for symbol in moving if symbol in polynomial.free_symbols]
     if not own or sympy.Poly(polynomial, *own).total_degree() != 2:
         return False
@@ -268,7 +264,7 @@ def _is_square(polynomial: Expr, moving: Sequence[Symbol]) -> bool:
 
 
 def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
-    """Whether a term is a polynomial of degree two at most in moving symbols, with numbers as coefficients."""
+    """Return True if a term is a polynomial of degree at most two in moving symbols, with numbers as coefficients."""
     if not term.is_polynomial(*moving) or term.free_symbols - moving:
         return False
     own = sorted(term.free_symbols & moving, key=str)
@@ -276,7 +272,7 @@ def _is_quadratic(term: Expr, moving: set[Symbol]) -> bool:
 
 
 def _directed(polynomial: Expr) -> tuple[Expr, Expr]:
-    """Content and primitive part, the sign of squares that stand alone taken into the content."""
+    """Return content and primitive part; without a constant term the sign is part of the content."""
     content, primitive = polynomial.primitive()
     if primitive.as_coeff_Add()[0] == 0 and primitive.could_extract_minus_sign():
         return -content, -primitive
@@ -284,23 +280,23 @@ def _directed(polynomial: Expr) -> tuple[Expr, Expr]:
 
 
 class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
-    """The value of body 0, 1, ... among those that follow the body's number.
+    """The value of body 0, 1, ...; the first argument is the body's number, the others are the values.
 
-    Printers of sympy ask for a base class by its name if that ends in Base.
+    Printers of sympy look for methods of a base class if its name ends in Base.
     """
 
     is_real = True
 
     @classmethod
     def eval(cls, body: Expr, *values: Expr) -> Expr | None:
-        """The value itself where the number is known, or where all are the same."""
+        """Return the value for a known number, or if all values are equal."""
         if body.is_number:
             number = int(body)
             return values[number] if 0 <= number < len(values) else sympy.nan
         return values[0] if len(set(values)) == 1 else None
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Nothing is differentiated by a body's number."""
+        """Return zero: derivatives by a body's number do not exist."""
         return sympy.S.Zero
 
     def _sympystr(self, printer: Any) -> str:
@@ -308,5 +304,5 @@ class EachBodyBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
 
 
 def value_counts(expression: Expr) -> set[int]:
-    """For how many bodies an expression has values of their own."""
+    """Return the numbers of bodies for which an expression has values."""
     return {len(function.args) - 1 for function in expression.atoms(EachBodyBase)}

@@ -1,16 +1,16 @@
-"""Which values vanish identically although their expressions do not show it: the one place where that is decided.
+"""Proof that values vanish identically although their expressions do not show it.
 
-A value counts as zero only where that is proved, in exact arithmetic (`residues`), or where values with ever more
-digits become smaller as fast as digits grow, at points of many magnitudes. How small a value is never matters.
+A value counts as zero only if exact arithmetic in finite fields proves it, or if its size decreases as fast as the
+number of digits grows, at points of many magnitudes. The size of a value itself never matters.
 
-Expressions evaluated in finite fields, where a value is zero only if the expression is, but for a chance of 1e-15.
-Symbols are drawn at random; sums, products and fractions are exact. A function becomes a random map with its algebraic
-laws: exp(a) is the power of a random element whose order is a prime s, with `a` evaluated modulo s, so that exp(a + b)
-is exp(a) exp(b) and exp(a/2)^2 is exp(a); sines and cosines are made of such powers with the square root of -1, and
-tan, sinh, cosh and tanh follow. The root of u is an element whose square is u, with a random sign. Of any other
-function it is known only that equal arguments have equal values. Sources: Schwartz (1980), Fast probabilistic
-algorithms for verification of polynomial identities, JACM 27; Gonnet (1984), Determining equivalence of expressions in
-random polynomial time, STOC; Monagan and Gonnet (1994), Signature functions for algebraic numbers, ISSAC.
+In a finite field a value is zero only if its expression is, except with a probability of 1e-15. Symbols are random;
+sums, products and fractions are exact. A function becomes a random map with its algebraic laws: exp(a) is the power of
+a random element whose order is a prime s, with `a` evaluated modulo s. So exp(a + b) is exp(a) exp(b), and exp(a/2)^2
+is exp(a). Sines and cosines are made of such powers with the square root of -1; tan, sinh, cosh and tanh follow. The
+root of u is an element whose square is u, with a random sign. Of any other function the only law is that equal
+arguments have equal values. Sources: Schwartz (1980), Fast probabilistic algorithms for verification of polynomial
+identities, JACM 27; Gonnet (1984), Determining equivalence of expressions in random polynomial time, STOC; Monagan and
+Gonnet (1994), Signature functions for algebraic numbers, ISSAC.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from sympy.ntheory import sqrt_mod
 from codegen.symbolic.graph import Call, Graph, Leaf, Node, Product, Sum, argument, arguments
 
 PRIMES = (936163401400647582669834523849, 22851088688748476436971161, 5146641596564972170489, 2305843009213697209)
-"""Each divides the one before it less 1, and modulo each of them -1, 2, 3, 5, 7, 11 and 13 are squares.
+"""Each prime divides its predecessor minus 1, and modulo each of them -1, 2, 3, 5, 7, 11 and 13 are squares.
 
-Arguments of exponentials and angles are evaluated modulo the next prime, theirs modulo the one after it, and so on.
+Arguments of exponentials and angles are evaluated modulo the next prime, arguments inside these modulo the prime after.
 """
 _ARGUMENT = argument(0)
 
 
 class Residues:
-    """One random evaluation of the nodes of a graph; ZeroDivisionError where it meets a pole."""
+    """One random evaluation of the nodes of a graph; ZeroDivisionError at a pole."""
 
     def __init__(self, graph: Graph, seed: int) -> None:
         levels = range(len(PRIMES))
@@ -52,39 +52,36 @@ class Residues:
         self._steps = [self._in_subgroup(level) for level in levels], [self._in_subgroup(level) for level in levels]
 
     def evaluate(self, roots: Iterable[int], level: int = 0) -> Mapping[int, int]:
-        """Values modulo the prime of a level, of the nodes and of all that they are computed from."""
-        known = self.values[level]
-        for number in self._missing(roots, known):
-            node = self.graph.nodes[number]
-            known[number] = self._value(number, node, level)
-            if any(a in self.uncertain[level] for a in arguments(node)):
-                self.uncertain[level].add(number)
-        return known
-
-    def is_certain(self, root: int) -> bool:
-        """Whether a value that is not zero belongs to an expression that is not: no law was left out."""
-        return root not in self.uncertain[0]
-
-    def _missing(self, roots: Iterable[int], known: Mapping[int, int]) -> list[int]:
-        waiting, found = list(roots), set[int]()
+        """Return values modulo the prime of a level, of the nodes and of all nodes below them."""
+        values = self.values[level]
+        waiting, missing = list(roots), set[int]()
         while waiting:
             number = waiting.pop()
-            if number not in found and number not in known:
-                found.add(number)
+            if number not in missing and number not in values:
+                missing.add(number)
                 waiting += arguments(self.graph.nodes[number])
-        return sorted(found)
+        for number in sorted(missing):
+            node = self.graph.nodes[number]
+            values[number] = self._value(number, node, level)
+            if any(a in self.uncertain[level] for a in arguments(node)):
+                self.uncertain[level].add(number)
+        return values
+
+    def is_certain(self, root: int) -> bool:
+        """Return True if a nonzero value proves that the expression is not zero: no law of a function is missing."""
+        return root not in self.uncertain[0]
 
     def _value(self, number: int, node: Node, level: int) -> int:
-        prime, known = PRIMES[level], self.values[level]
+        prime, values = PRIMES[level], self.values[level]
         if isinstance(node, Sum):
             total = self._fraction(node.constant, level) if node.constant else 0
             for term, coefficient in node.terms:
-                total += known[term] * self._fraction(coefficient, level)
+                total += values[term] * self._fraction(coefficient, level)
             return total % prime
         if isinstance(node, Product):
             result = 1
             for factor, exponent in node.factors:
-                result = result * self._power(number, known[factor], exponent, level) % prime
+                result = result * self._power(number, values[factor], exponent, level) % prime
             return result
         if isinstance(node, Leaf):
             return self._leaf(number, node.expression, level)
@@ -126,7 +123,7 @@ class Residues:
         return self._drawn((call.template, *values), level)
 
     def _symbolic_power(self, number: int, call: Call, level: int) -> int:
-        """base^exponent, with the laws of powers where the base is a power of the elements that symbols are."""
+        """Return base^exponent; the laws of powers hold if the base is a power of the elements of symbols."""
         base, exponent = call.arguments
         value = self.values[level][base]
         if pow(value, PRIMES[level + 1], PRIMES[level]) == 1:
@@ -153,16 +150,16 @@ class Residues:
         return pow(self._root(number, value, exponent.denominator, level), exponent.numerator, prime)
 
     def _root(self, number: int, value: int, degree: int, level: int) -> int:
-        """A root of an element, the same one for equal elements; half of them have no square root in the field."""
+        """Return a root of an element, the same for equal elements; half of them have no square root in the field."""
         prime = PRIMES[level]
         if degree & (degree - 1) == 0:
             if degree > 2:
                 value = self._root(number, value, degree // 2, level)
             key = "root", level, value
             if key not in self._opaque:
-                found = sqrt_mod(value, prime)
-                if found is not None:
-                    self._opaque[key] = int(found) * self.generator.choice((-1, 1)) % prime
+                root = sqrt_mod(value, prime)
+                if root is not None:
+                    self._opaque[key] = int(root) * self.generator.choice((-1, 1)) % prime
             if key in self._opaque:
                 return self._opaque[key]
         elif level + 1 < len(PRIMES) and pow(value, PRIMES[level + 1], prime) == 1:
@@ -171,14 +168,14 @@ class Residues:
         return self._drawn(("root", value, degree), level)
 
     def _drawn(self, key: tuple[Any, ...], level: int, draw: Callable[[int], int] | None = None) -> int:
-        """The random element that stands for something unknown."""
+        """Return the random element of a key."""
         key = (level, *key)
         if key not in self._opaque:
             self._opaque[key] = draw(level) if draw else self.generator.randrange(2, PRIMES[level])
         return self._opaque[key]
 
     def _in_subgroup(self, level: int) -> int:
-        """A random element whose order is the next prime; any element where there is none."""
+        """Return a random element whose order is the next prime; at the last level any element."""
         element = self.generator.randrange(2, PRIMES[level])
         if level + 1 == len(PRIMES):
             return element
@@ -205,17 +202,17 @@ _EXPONENTIAL: dict[Any, tuple[int, Callable[[int, int, int, int], int]]] = {
     sympy.sec: (1, lambda e, f, i, p: 2 * _inverse(e + f, p)),
     sympy.csc: (1, lambda e, f, i, p: 2 * i * _inverse(e - f, p)),
 }
-"""Functions by e = exp(a) and f = 1/e, where the first entry is 0, or exp(i a), where it is 1."""
+"""Functions of e and f = 1/e, where e is exp(a) if the first entry is 0, and exp(i a) if it is 1."""
 
 
 _DRAWS = 2
-"""Evaluations in finite fields that have to be zero; each is so by chance once in 1e15 times."""
+"""Evaluations in finite fields that must be zero; each is zero by chance with probability 1e-15."""
 _ATTEMPTS = 6
 _DIGITS = (40, 80, 160, 320)
 _POINTS, _NEEDED = 12, 4
 _STABLE, _SHRUNK = 1e-6, 1e-20
 _LARGEST = 1e9
-"""Of arguments of exponentials and angles: beyond it high precision takes too long."""
+"""Largest argument of exponentials and angles; beyond it high precision takes too long."""
 _SATURATING = (sympy.tanh, sympy.coth, sympy.atan, sympy.acot, sympy.erf, sympy.erfc)
 _GROWING = (sympy.exp, sympy.codegen.cfunctions.expm1, sympy.sin, sympy.cos, sympy.tan, sympy.sinh, sympy.cosh)
 _ANALYTIC = (
@@ -226,7 +223,7 @@ _ANALYTIC = (
 
 
 def identically_zero(expression: Expr) -> bool:
-    """Whether an expression is proved to be zero everywhere; False also where that is not known."""
+    """Return True if an expression is proved to be zero everywhere; False also if it is undecided."""
     if expression.has(sympy.DiracDelta):  # of kinks; zero almost everywhere, and emitted so
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
     if expression.is_Number or expression.is_Symbol:
@@ -240,7 +237,7 @@ def identically_zero(expression: Expr) -> bool:
 
 
 def vanishing(graph: Graph, roots: Iterable[int]) -> set[int]:
-    """Those of the nodes whose values are proved to be zero, whatever their symbols are."""
+    """Return the nodes whose values are proved to be zero for all values of their symbols."""
     scaled = {root: graph.scaled(root) for root in roots}
     structural = {root for root, (factor, core) in scaled.items() if core is None and factor == 0}
     exact, doubtful = _by_residues(graph, {root for root, (_, core) in scaled.items() if core is not None})
@@ -248,37 +245,41 @@ def vanishing(graph: Graph, roots: Iterable[int]) -> set[int]:
 
 
 def _by_residues(graph: Graph, roots: set[int]) -> tuple[set[int], set[int]]:
-    """Nodes that vanish in exact arithmetic, and those of which it does not know all laws."""
-    zeros, doubtful, met = set(roots), set[int](), 0
+    """Return the nodes that vanish in exact arithmetic, and the nodes with functions whose laws are missing."""
+    zeros, doubtful, evaluations = set(roots), set[int](), 0
     for seed in range(_ATTEMPTS):
         field = Residues(graph, seed + 1)
         try:
             values = field.evaluate(zeros)
         except ZeroDivisionError:  # a pole by chance, or everywhere
             continue
-        met += 1
+        evaluations += 1
         doubtful |= {root for root in zeros if values[root] and not field.is_certain(root)}
         zeros = {root for root in zeros if not values[root]}
-        if met == _DRAWS or not zeros:
+        if evaluations == _DRAWS or not zeros:
             return zeros, doubtful
     return set(), doubtful
 
 
 def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
-    """Nodes whose values are nothing but rounding, at several points and with ever more digits.
+    """Return the nodes whose values are only rounding errors, at several points and with increasing digits.
 
-    An analytic function that vanishes at random points vanishes everywhere; one with branches is not asked for. A point
-    says nothing about a node that reads a sum in which a term was lost beside larger ones.
+    An analytic function that vanishes at random points vanishes everywhere; functions with branches are left out. A
+    point decides nothing about a node that reads a sum in which a term was absorbed by larger ones.
     """
-    order = graph.reachable(roots)
-    branched = _dependent(graph, order, lambda call: not isinstance(call.template, _ANALYTIC))
+    branched = set[int]()  # nodes that depend on a function with branches
+    for number in graph.reachable(roots):
+        node = graph.nodes[number]
+        is_branched = isinstance(node, Call) and not isinstance(node.template, _ANALYTIC)
+        if is_branched or any(a in branched for a in arguments(node)):
+            branched.add(number)
     candidates = {root: 0 for root in roots if root not in branched}
     generator = random.Random(1)
     for trial in range(_POINTS):
-        left = [root for root, count in candidates.items() if count < _NEEDED]
-        if not left:
+        undecided = [root for root, count in candidates.items() if count < _NEEDED]
+        if not undecided:
             break
-        verdicts = _verdicts(graph, left, generator, trial)
+        verdicts = _verdicts(graph, undecided, generator, trial)
         candidates = {root: count for root, count in candidates.items() if verdicts.get(root, 0) >= 0}
         for root, verdict in verdicts.items():
             if root in candidates:
@@ -287,7 +288,7 @@ def _by_digits(graph: Graph, roots: Sequence[int]) -> set[int]:
 
 
 def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, trial: int) -> dict[int, int]:
-    """For nodes: 1 where the value at a random point is rounding only, -1 where it is not or in doubt, else 0."""
+    """Return for nodes: 1 if the value at a random point is only rounding, -1 if not or in doubt, else 0."""
     order, verdicts = graph.reachable(roots), dict[int, int]()
     symbols = [node.expression for node in map(graph.nodes.__getitem__, order) if isinstance(node, Leaf)]
     point = {symbol: _drawn(generator, trial) for symbol in symbols if symbol.is_Symbol}
@@ -298,7 +299,7 @@ def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, tria
         try:
             with mpmath.workdps(digits):
                 values = evaluation.values(graph.reachable(waiting))
-        except (ArithmeticError, ValueError, TypeError):  # no value there
+        except (ArithmeticError, ValueError, TypeError):  # no value at the point
             return verdicts
         for root in waiting if former else ():
             new, old = values[root], former[root]
@@ -313,7 +314,7 @@ def _verdicts(graph: Graph, roots: Sequence[int], generator: random.Random, tria
 
 
 def _drawn(generator: random.Random, trial: int) -> float:
-    """Ordinary numbers first, then numbers of all magnitudes."""
+    """Return an ordinary number or a number of any magnitude."""
     if trial % 3 == 0:
         return generator.uniform(0.4, 1.6)
     return generator.choice((-1, 1) if trial % 3 == 1 else (1,)) * 10 ** generator.uniform(-8, 8 if trial > 6 else 2)
@@ -322,7 +323,7 @@ def _drawn(generator: random.Random, trial: int) -> float:
 class _Evaluation:
     """Values of nodes at a point.
 
-    `absorbed` are those that lost a term of a sum beside larger ones, or what a saturated function differs from 1 by.
+    `absorbed` are the nodes that lost a term beside larger ones, or the difference of a saturated function from 1.
     """
 
     def __init__(self, graph: Graph, point: Mapping[Expr, float], digits: int) -> None:
@@ -331,31 +332,31 @@ class _Evaluation:
         self.functions: dict[Expr, Callable[..., Any]] = {}
 
     def values(self, order: Sequence[int]) -> dict[int, Any]:
-        """Values of nodes in the order of computation; ValueError where one is not real or out of reach."""
-        known: dict[int, Any] = {}
+        """Return values of nodes in the order of computation; ValueError if one is not real or out of reach."""
+        values: dict[int, Any] = {}
         for number in order:
             node = self.graph.nodes[number]
             if isinstance(node, Leaf):
-                symbolic = node.expression in self.point
-                value = mpmath.mpf(self.point[node.expression]) if symbolic else self._constant(node.expression)
+                if node.expression in self.point:
+                    value = mpmath.mpf(self.point[node.expression])
+                else:
+                    value = mpmath.mpmathify(node.expression.evalf(self.digits + 5))
             elif isinstance(node, Sum):
-                terms = [precise(node.constant), *(precise(c) * known[a] for a, c in node.terms)]
+                terms = [precise(node.constant), *(precise(c) * values[a] for a, c in node.terms)]
                 value = mpmath.fsum(terms)
-                self._note(number, [abs(term) for term in terms if term])
+                sizes = [abs(term) for term in terms if term]
+                if sizes and min(sizes) < max(sizes) * mpmath.mpf(10) ** (10 - self.digits):
+                    self.absorbed.add(number)
             elif isinstance(node, Product):
-                value = mpmath.fprod(known[a] ** precise(exponent) for a, exponent in node.factors)
+                value = mpmath.fprod(values[a] ** precise(exponent) for a, exponent in node.factors)
             else:
-                value = self._called(number, node, [known[a] for a in node.arguments])
+                value = self._called(number, node, [values[a] for a in node.arguments])
             if not mpmath.isfinite(value) or isinstance(value, mpmath.mpc):
                 raise ValueError("no real value")
             if any(a in self.absorbed for a in arguments(node)):
                 self.absorbed.add(number)
-            known[number] = value
-        return known
-
-    def _note(self, number: int, sizes: Sequence[Any]) -> None:
-        if sizes and min(sizes) < max(sizes) * mpmath.mpf(10) ** (10 - self.digits):
-            self.absorbed.add(number)
+            values[number] = value
+        return values
 
     def _called(self, number: int, call: Call, values: Sequence[Any]) -> Any:
         function = call.template.func
@@ -368,20 +369,7 @@ class _Evaluation:
             self.functions[call.template] = sympy.lambdify(arguments, call.template, "mpmath")
         return self.functions[call.template](*values)
 
-    def _constant(self, expression: Expr) -> Any:
-        return mpmath.mpmathify(expression.evalf(self.digits + 5))
-
-
-def _dependent(graph: Graph, order: Sequence[int], chosen: Callable[[Call], bool]) -> set[int]:
-    """The nodes that are computed from a function of a kind."""
-    found: set[int] = set()
-    for number in order:
-        node = graph.nodes[number]
-        if (isinstance(node, Call) and chosen(node)) or any(a in found for a in arguments(node)):
-            found.add(number)
-    return found
-
 
 def precise(fraction: Fraction) -> Any:
-    """A fraction as a number of mpmath."""
+    """Return a fraction as a number of mpmath."""
     return mpmath.mpf(fraction.numerator) / fraction.denominator

@@ -264,7 +264,7 @@ def make(app: Any) -> None:
     makers = [
         *Path(__file__).parent.glob("*.py"),
         *(ROOT / "codegen/show").glob("notebook_*.py"),
-        ROOT / "codegen/symbolic/latex.py",
+        ROOT / "codegen/identifiers.py",
     ]
     gallery(hashlib.sha256(b"".join(path.read_bytes() for path in sorted(makers))).hexdigest())
     write(DOCS / "reference" / "commands.md", commands())

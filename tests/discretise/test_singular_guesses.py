@@ -12,7 +12,8 @@ from codegen import Control, controls, coordinate, states, time
 from codegen.discretise.model.phases import normalise
 from codegen.discretise.model.smoothness import singular_at_guess
 from codegen.discretise.transcribe import transcribe
-from codegen.emit.lower.control.text import notable
+from codegen.emit.differentiation import derivatives
+from codegen.emit.lower import lower
 from codegen.solving.results.output import notes
 
 x, y = states("x y")
@@ -101,7 +102,8 @@ def test_values_at_the_ends_count_whatever_the_method(method):
         end={q: 1, r: 6, dq: 1, dr: 0},
         steps=4,
     )
-    assert dict(notable(transcribe(normalise(orbit), None, method)))["singular_at_guess"] == ()
+    program = transcribe(normalise(orbit), None, method)
+    assert lower(program, derivatives(program)).metadata.singular_at_guess == ()
 
 
 def test_note():

@@ -19,7 +19,7 @@ from jinja2 import meta
 from codegen import identifiers
 from codegen.emit import rendering
 from codegen.emit.lower.module import ControlModule, Origin, SimulateModule
-from codegen.emit.lower.particles.module import ConnectModule, ParticlesModule
+from codegen.emit.lower.particles import ConnectModule, ParticlesModule
 from codegen.errors import FileError
 from codegen.runtime.record import Task
 from codegen.solving.compiler import build

@@ -15,7 +15,7 @@ from codegen.runtime.search import point
 from codegen.runtime.special import polygamma, sinc_derivative
 from codegen.solving.compiler import build
 from codegen.symbolic.checks import checked
-from codegen.symbolic.special_functions import sinc_derivative as exact_sinc_derivative
+from codegen.symbolic.functions import sinc_derivative as exact_sinc_derivative
 
 _y, _k = sympy.symbols("y k")
 

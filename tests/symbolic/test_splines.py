@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, RectBivariateSplin
 
 from codegen import Table
 from codegen.problem.symbols import states
-from codegen.symbolic.table_functions import member, numbers_of, tables_of
+from codegen.symbolic.functions import numbers_of, table_function, tables_of
 from codegen.symbolic.tables import TableData
 from codegen.symbolic.zeros import identically_zero
 
@@ -32,7 +32,7 @@ def files(folder):
 
 
 def derivative(table: Table, order: tuple[int, ...], at: tuple[np.ndarray, ...]) -> np.ndarray:
-    return np.asarray(member(table.data, order)._imp_(*at), dtype=float)
+    return np.asarray(table_function(table.data, order)._imp_(*at), dtype=float)
 
 
 AT = np.linspace(-0.4, 3.9, 60), np.linspace(-1.3, 2.5, 60)

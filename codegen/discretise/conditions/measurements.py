@@ -18,12 +18,12 @@ from codegen.discretise.model.definitions import Model, Observed
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, entry_of
 from codegen.discretise.program import Names, SampleElement
 from codegen.errors import ExpressionError, TableError
+from codegen.identifiers import in_latex
 from codegen.problem.problem import Control
 from codegen.problem.symbols import ControlInput, FreeParameter, Time
 from codegen.problem.tables import Measurements
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.latex import in_latex
-from codegen.symbolic.measurements import LOSSES, require_within
+from codegen.symbolic.tables import LOSSES, require_within
 
 _LISTED = 6
 """Files that a module names in its docstring."""

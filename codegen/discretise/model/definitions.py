@@ -9,7 +9,7 @@ import sympy
 
 from codegen.discretise.model.relations import short, text
 from codegen.drawing import Item
-from codegen.symbolic.measurements import MeasurementData
+from codegen.symbolic.tables import MeasurementData
 
 
 @dataclass(frozen=True)

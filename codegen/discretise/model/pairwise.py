@@ -17,7 +17,7 @@ from codegen.problem.particles import Connect, Pairwise, Particle, ParticleQuant
 from codegen.problem.problem import Simulate
 from codegen.problem.symbols import Parameter, Quantity
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.terms import Invariants
 
 FRACTION = Symbol("fraction", real=True)

@@ -24,7 +24,7 @@ from codegen.problem.symbols import (
     Time,
     Velocity,
 )
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 
 _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
     "lagrangian": (*MOVING, Time, *STATIC),

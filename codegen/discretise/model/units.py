@@ -18,8 +18,8 @@ import sympy
 
 from codegen.discretise.model.relations import Entry
 from codegen.errors import UnitError, clause
+from codegen.identifiers import written_unit
 from codegen.problem.symbols import Coordinate, Delayed, EndValue, Quantity, Time, Velocity
-from codegen.symbolic.latex import written_unit
 
 _EQUAL = 1e-9
 """Factors between units that differ from one by less are one; pint rounds."""

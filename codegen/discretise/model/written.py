@@ -25,7 +25,7 @@ from codegen.problem.symbols import (
     time,
 )
 from codegen.problem.tables import guess_entries
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import TableData
 
 

@@ -7,7 +7,7 @@ from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, StepDerivatives
 from codegen.emit.lower.control.module import lower_control
 from codegen.emit.lower.module import Module
-from codegen.emit.lower.particles.module import lower_connect, lower_particles
+from codegen.emit.lower.particles import lower_connect, lower_particles
 from codegen.emit.lower.simulate import lower_step
 from codegen.emit.pairwise_derivatives import PairDerivatives
 
@@ -17,7 +17,7 @@ def lower(
     derivatives: ControlDerivatives | StepDerivatives | PairDerivatives,
     by_data: ControlSensitivities | None = None,
 ) -> Module:
-    """Write a program and its derivatives as strings; with derivatives `by_data` the module makes sensitivities."""
+    """Return a program and its derivatives as a module of strings; derivatives `by_data` add sensitivities."""
     if isinstance(program, PairwiseProgram):
         assert isinstance(derivatives, PairDerivatives)
         return (lower_connect if program.model.connects else lower_particles)(program, derivatives)

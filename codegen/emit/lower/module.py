@@ -1,4 +1,4 @@
-"""What rendering needs: a generated module as strings, tuples and numbers, nothing symbolic."""
+"""A generated module as strings, tuples and numbers: the input of rendering, with nothing symbolic."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def arguments_of(model: Model | PairwiseModel) -> tuple[Argument, ...]:
 
 
 def record_fields(model: Model | PairwiseModel) -> dict[str, Any]:
-    """What records of all tasks say of a model."""
+    """Fields that the records of all tasks have in common."""
     return {
         "problem": model.name, "title": model.title, "inputs": "", "steps": model.steps, "unused": model.unused,
         "parameters": {p.name: value for p, value in zip(model.parameters, model.defaults, strict=True)},
@@ -36,9 +36,9 @@ def record_fields(model: Model | PairwiseModel) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a generated module comes from: source, the place and command that make it again, hash, versions.
+    """The origin of a generated module: source, place and command of the build, digest of the inputs, versions.
 
-    `reads` has a line for each further file that it was made from.
+    `reads` has a line for each data file that the problem reads.
     """
 
     source: str
@@ -51,10 +51,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class Module:
-    """A generated module before rendering; `template` names the file that lays it out.
+    """A generated module before rendering; `template` is the name of its template.
 
-    `metadata` is the record of the module, whose `inputs` are those of the `Origin`. `constants` are sizes, index
-    arrays and names; `sizes` are those on which it depends what loops say.
+    `metadata` is the record of the module; its `inputs` come from the `Origin`. `constants` are sizes, index arrays and
+    names. `sizes` are the sizes by which the loops are specialised.
     """
 
     template: str
@@ -71,7 +71,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Choice:
-    """A function that calls one of several kernels: the first whose condition holds, else the last one."""
+    """A function that calls the kernel of the first branch whose condition holds, or else the last kernel."""
 
     name: str
     summary: str
@@ -82,11 +82,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class SensitivityText:
-    """Functions of a module that makes sensitivities; code, and what it reads.
+    """Functions of a module with sensitivities, as code; the `..._inputs` read the symbols in this code.
 
-    `rates` are assignments to derivatives by the quantities; those of `following` hold unless the quantity with the
-    name is given by itself. `pins`, `bounds` (one group, if any move) and `durations` are directional derivatives;
-    `momenta` reads those of momenta. `fields` are those of the record `DataDerivatives` with their code.
+    `rates` are assignments to derivatives by the quantities. An entry of `following` has the name of a quantity and
+    assignments that hold unless this quantity is prescribed. `pins`, `bounds` (at most one group) and `durations` are
+    directional derivatives; `momenta` reads the derivatives of momenta. `fields` are the fields of the record
+    `DataDerivatives` with their code.
     """
 
     rate_inputs: tuple[Line, ...]
@@ -104,59 +105,98 @@ class SensitivityText:
 
 
 @dataclass(frozen=True)
-class ControlModule(Module):
-    """A module that solves an optimal-control problem.
+class BoundaryText:
+    """Boundary values as code in the arguments and in `inputs`, and an example of how to replace one of them."""
 
-    `structure` and `features` are fields of the records `Structure` and `ControlProblem` with their code.
-    `boundary_values` is code in the arguments and in `boundary_inputs`. `data_arguments` are those that take other
-    numbers for tables and measurements, where there are any, each with what is said of it; `grid_code` makes a grid
-    with them. Guesses, pinned values and bounds are assignments to views of the unknowns; their `..._inputs` read what
-    they depend on. `node_times` is code of the times at nodes. The duration is the argument `duration_arguments` with
-    its default, or code of the unknowns where it is free; `grid_duration` is what the grid divides into steps. Where
-    there are inner times, `inner_times` has one group of them, and `inner_values` is what stands among the parameters
-    for them. `bound_lines` has one group where there are inequalities, and `coupling_kinds` one, of kernels, where
-    bodies are coupled. Where there are several phases, `phase_durations` has one group (inputs, code for each phase),
-    `choices` select kernels, `of_each_phase` says whose steps are given, and `fractions` of what intervals last.
-    `sensitivities` are there on request. `positions`, `momenta`, `controls` and `multipliers` are code that reads the
-    solution.
+    values: tuple[Line, ...]
+    inputs: tuple[Line, ...]
+    example: str
+
+
+@dataclass(frozen=True)
+class DurationText:
+    """The duration as code.
+
+    A fixed duration is one of the `arguments`, with a default; a free one is code of the unknowns. `grid` is the length
+    that the grid divides into steps, and `node_times` the times at nodes. With several phases, `of_phases` has one
+    group: inputs, and the duration of each phase. `each_phase` and `fractions` are words of docstrings.
     """
 
-    structure: tuple[tuple[str, str], ...]
-    features: tuple[tuple[str, str], ...]
-    boundary_values: tuple[Line, ...]
-    boundary_inputs: tuple[Line, ...]
-    inner_times: tuple[str, ...]
-    inner_values: tuple[Line, ...]
-    boundary_example: str
-    data_arguments: tuple[tuple[str, str], ...]
-    grid_code: str
-    duration_arguments: tuple[str, ...]
-    default_durations: tuple[str, ...]
-    grid_duration: str
-    duration_inputs: tuple[Line, ...]
-    duration: str
-    guess_inputs: tuple[Line, ...]
-    guess_lines: tuple[Line, ...]
-    shared_guess_inputs: tuple[Line, ...]
-    common_guess: tuple[Line, ...]
-    own_guess: tuple[Line, ...]
-    guess_result: str
-    pin_inputs: tuple[Line, ...]
-    pinned_values: tuple[Line, ...]
-    bound_inputs: tuple[Line, ...]
-    bound_views: tuple[Line, ...]
-    bound_lines: tuple[tuple[Line, ...], ...]
-    coupling_kinds: tuple[tuple[str, ...], ...]
+    arguments: tuple[str, ...]
+    defaults: tuple[str, ...]
+    grid: str
+    inputs: tuple[Line, ...]
+    code: str
+    of_phases: tuple[tuple[tuple[Line, ...], tuple[str, ...]], ...]
     node_times: str
-    phase_durations: tuple[tuple[tuple[Line, ...], tuple[str, ...]], ...]
-    choices: tuple[Choice, ...]
-    of_each_phase: str
+    each_phase: str
     fractions: str
+
+
+@dataclass(frozen=True)
+class GuessText:
+    """The initial guess as assignments to views of the unknowns; the inputs read the symbols in them."""
+
+    inputs: tuple[Line, ...]
+    lines: tuple[Line, ...]
+    shared_inputs: tuple[Line, ...]
+    common: tuple[Line, ...]
+    own: tuple[Line, ...]
+    result: str
+
+
+@dataclass(frozen=True)
+class PinText:
+    """Prescribed end values as assignments to views of the unknowns."""
+
+    inputs: tuple[Line, ...]
+    values: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
+class BoundText:
+    """Bounds of unknowns as assignments to views; `lines` has one group, or none without inequalities."""
+
+    inputs: tuple[Line, ...] = ()
+    views: tuple[Line, ...] = ()
+    lines: tuple[tuple[Line, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class SolutionText:
+    """Code that reads a solution: positions, momenta, controls and multipliers out of the unknowns."""
+
     positions: str
     momenta: str
     controls: str
     multipliers: str
-    control_sites: str
+
+
+@dataclass(frozen=True)
+class ControlModule(Module):
+    """A module that solves an optimal-control problem.
+
+    `structure` and `features` are fields of the records `Structure` and `ControlProblem` with their code.
+    `data_arguments` are the arguments that replace tables and measurements, each with its description; `grid_code`
+    makes a grid with them. With conditions at inner times, `inner_times` has one group of times, and `inner_values`
+    are the parameters of these conditions. `coupling_kinds` has one group of kernels where bodies are coupled.
+    With several phases, `choices` select kernels. `sensitivities` has at most one entry.
+    """
+
+    structure: tuple[tuple[str, str], ...]
+    features: tuple[tuple[str, str], ...]
+    boundary: BoundaryText
+    inner_times: tuple[tuple[str, ...], ...]
+    inner_values: tuple[Line, ...]
+    data_arguments: tuple[tuple[str, str], ...]
+    grid_code: str
+    duration: DurationText
+    guess: GuessText
+    pins: PinText
+    bounds: BoundText
+    solution: SolutionText
+    coupling_kinds: tuple[tuple[str, ...], ...]
+    choices: tuple[Choice, ...]
     sensitivities: tuple[SensitivityText, ...] = ()
 
 
@@ -164,12 +204,11 @@ class ControlModule(Module):
 class SimulateModule(Module):
     """A module that solves an initial value problem.
 
-    `public` are names for users, and `record` the fields of the StepProblem with their code. Where all steps are made
-    by one loop, `explicit_sizes` holds the numbers of a state, of stages, of the parts of a step and of the lengths of
-    each, as code.
-    `duration` and `start_values` are code in the arguments; `table_arguments` has the name of the argument that takes
-    other numbers for tables, where there are any; `start` is the initial state (q, p) as code that reads
-    the arguments and the targets of `start_values`, whose comments are the names of the prescribed quantities.
+    `public` are the public names, and `record` the fields of the StepProblem with their code. For explicit steps in one
+    loop, `explicit_sizes` has the code of four numbers: states, stages, parts of a step, lengths of each part.
+    `duration` and `start_values` are code in the arguments. `table_arguments` has the name of the argument that
+    replaces tables, if any. `start` is the initial state (q, p) as code of the arguments and of the targets of
+    `start_values`, whose comments are the names of the prescribed quantities.
     """
 
     public: tuple[str, ...]
@@ -181,4 +220,3 @@ class SimulateModule(Module):
     start: tuple[Line, ...]
     start_example: str
     state_names: str
-    coordinates: int

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 from typing import Any
 
 import sympy
@@ -17,21 +16,14 @@ from codegen.symbolic.tables import ORDERS
 
 _SHORT_DENOMINATORS = 64
 _STEEP = 16
+"""Numbers in exponents from which on factorisation takes too long."""
 _READABLE = 1000
-"""Operations up to which an expression is written in a description."""
-
-
-_NUMPY_NAMES = dict(
-    zip(
-        "asin acos atan asinh acosh atanh atan2".split(),
-        "arcsin arccos arctan arcsinh arccosh arctanh arctan2".split(),
-        strict=True,
-    )
-)
+"""Operations up to which a description shows an expression."""
+_NUMPY_NAMES = {f"a{name}": f"arc{name}" for name in "sin cos tan sinh cosh tanh tan2".split()}
 
 
 class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untyped
-    """Prints with `math.` functions; integer and half-integer powers as products that numba unrolls."""
+    """Print with `math.` functions; integer and half-integer powers are products that numba unrolls."""
 
     module = "math"
 
@@ -48,7 +40,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return _decimal(expr)
 
     def parenthesize(self, item: Any, level: int, strict: bool = False) -> str:
-        """A fraction has parentheses of its own."""
+        """Print in parentheses; a fraction has its own."""
         text = str(super().parenthesize(item, level, strict))
         return text[1:-1] if text.startswith("((") and isinstance(item, sympy.Rational) else text
 
@@ -59,7 +51,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return _decimal(expr)
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:
-        """Negative powers are quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
+        """Print negative powers as quotients: numba raises an error at 0.0**(-2), where 1/0.0**2 is infinite."""
         base, exponent = expr.base, expr.exp
         if base == sympy.E:
             return f"{self.module}.exp({self._print(exponent)})"
@@ -71,7 +63,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return str(super()._print_Pow(expr, rational=rational))
 
     def _print_Piecewise(self, expr: Any) -> str:
-        """Where no condition holds there is no number, which sympy writes as None."""
+        """Print NaN if no condition holds, where sympy writes None."""
         text = str(super()._print_Piecewise(expr))
         return text.removesuffix("None)") + "math.nan)" if text.endswith(" else None)") else text
 
@@ -85,28 +77,20 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
         return f"abs({self._print(expr.args[0])})"
 
     def _print_x_minus_log1p(self, expr: Any) -> str:
-        return f"x_minus_log1p({self._print(expr.args[0])}, {self._print(expr.args[1])})"
+        return f"{type(expr).__name__}({self._print(expr.args[0])}, {self._print(expr.args[1])})"
 
-    def _print_log1p_minus_ratio(self, expr: Any) -> str:
-        return f"log1p_minus_ratio({self._print(expr.args[0])}, {self._print(expr.args[1])})"
-
-    def _print_lgamma(self, expr: Any) -> str:
-        return self._of_floats("math.lgamma", expr)
+    _print_log1p_minus_ratio = _print_x_minus_log1p
 
     def _print_gamma(self, expr: Any) -> str:
-        return self._of_floats("math.gamma", expr)
+        return self._of_floats(f"math.{type(expr).__name__}", expr)
 
-    def _print_erf(self, expr: Any) -> str:
-        return self._of_floats("math.erf", expr)
-
-    def _print_erfc(self, expr: Any) -> str:
-        return self._of_floats("math.erfc", expr)
+    _print_lgamma = _print_erf = _print_erfc = _print_gamma
 
     def _print_OrderedBase(self, expr: Any) -> str:
         return self._of_floats(expr.stem, expr, f"{expr.order}, ")
 
     def _of_floats(self, function: str, expr: Any, before: str = "") -> str:
-        """A function that knows no arrays."""
+        """Print a function of numbers, which takes no arrays."""
         return f"{function}({before}{self._print(expr.args[0])})"
 
     def _print_Pi(self, expr: Any) -> str:
@@ -117,7 +101,7 @@ class ScalarPrinter(PythonCodePrinter):  # type: ignore[misc]  # sympy is untype
 
 
 def _decimal(number: sympy.Number) -> str:
-    """A number in double precision; ExpressionError where that has neither its size nor its smallness."""
+    """Return a number in double precision; ExpressionError if the number overflows or underflows."""
     try:
         value = number.p / number.q if number.is_Rational else float(number)
     except OverflowError:
@@ -131,7 +115,7 @@ def _decimal(number: sympy.Number) -> str:
 
 
 class ArrayPrinter(ScalarPrinter):
-    """Prints with `np.` functions, for expressions whose symbols are arrays."""
+    """Print with `np.` functions, for expressions whose symbols are arrays."""
 
     module = "np"
 
@@ -150,7 +134,7 @@ class ArrayPrinter(ScalarPrinter):
         return super()._of_floats(f"np.vectorize({function})", expr, before)
 
     def _print_TableBase(self, expr: Any) -> str:
-        """Guesses alone have tables in code of arrays; all bodies have the same ones."""
+        """Print a look-up along arrays: only guesses have tables in array code, and all bodies have the same tables."""
         number, at = ORDERS[len(expr.args)].index(expr.order), ", ".join(map(self._print, expr.args))
         return f"along({expr.table.shape.lookup}_values, grid.parameters[0], {number}, {at})"
 
@@ -159,16 +143,13 @@ class ArrayPrinter(ScalarPrinter):
         return f"np.array([{', '.join(values)}])[{body}]"
 
     def _print_Min(self, expr: Any) -> str:
-        return self._nested("np.minimum", expr.args)
-
-    def _print_Max(self, expr: Any) -> str:
-        return self._nested("np.maximum", expr.args)
-
-    def _nested(self, function: str, arguments: tuple[Any, ...]) -> str:
-        text = str(self._print(arguments[0]))
-        for argument in arguments[1:]:
+        function = "np.minimum" if isinstance(expr, sympy.Min) else "np.maximum"
+        text = str(self._print(expr.args[0]))
+        for argument in expr.args[1:]:
             text = f"{function}({text}, {self._print(argument)})"
         return text
+
+    _print_Max = _print_Min
 
 
 for _name in "sin cos tan sinh cosh tanh exp log asin acos atan asinh acosh atanh atan2 log1p expm1".split():
@@ -176,80 +157,69 @@ for _name in "sin cos tan sinh cosh tanh exp log asin acos atan asinh acosh atan
 
 
 def stabilised(expression: sympy.Expr) -> sympy.Expr:
-    """Rewrite what loses digits as it is written: log(1 + x) and exp(x) - 1; drop Dirac deltas of kinks.
+    """Rewrite log(1 + x) and exp(x) - 1, which lose digits, and drop Dirac deltas of kinks.
 
-    A second derivative of |x|, Min or Max holds deltas that no quadrature sees; they are zero almost everywhere. Steps
-    themselves, whose first derivative is a delta, are refused in the author's expressions.
+    A second derivative of |x|, Min or Max holds deltas. They are zero almost everywhere, and no quadrature sees them.
+    Steps, whose first derivative is a delta, are refused in the author's expressions. Exponentials of steep arguments
+    such as 1000 x are masked: for sympy's factorisation exp(1000 x) is a polynomial of degree 1000, which takes
+    minutes.
     """
     if expression.has(sympy.DiracDelta):
         expression = expression.replace(sympy.DiracDelta, lambda *_: sympy.S.Zero)
-    if expression.has(sympy.log, sympy.exp):
-        expression = _with_steep_exponentials(expression, _without_cancellation)
-    return expression
+    if not expression.has(sympy.log, sympy.exp):
+        return expression
+    steep = {
+        e.args[0]
+        for e in expression.atoms(sympy.exp)
+        if any(max(abs(r.p), r.q) > _STEEP for r in e.args[0].atoms(sympy.Rational))
+    }
+    names = {argument: sympy.Dummy(real=True) for argument in sorted(steep, key=sympy.default_sort_key)}
+    expression = expression.xreplace({sympy.exp(argument): sympy.exp(name) for argument, name in names.items()})
+    expression = optimize(expression, [log1p_opt])
+    # Factors may hide exp(x) - 1, as in y exp(x) - y, but only in sums that vanish with all exponents. To factor the
+    # others would take most of a build.
+    if any(_vanishes_with_exponents(part) for part in expression.atoms(sympy.Add) if part.has(sympy.exp)):
+        expression = optimize(expression, [expm1_opt])
+    else:
+        expression = expm1_opt.cheapest(expression, expression.replace(expm1_opt.query, expm1_opt.value))
+    return expression.xreplace({name: argument for argument, name in names.items()})
+
+
+def _vanishes_with_exponents(total: sympy.Expr) -> bool:
+    """Return True if a sum is zero, at one point, where all its exponentials are one."""
+    ones = dict.fromkeys(total.atoms(sympy.exp), sympy.S.One)
+    symbols = sorted(total.free_symbols, key=sympy.default_sort_key)
+    point = {symbol: 0.5 + (0.6180339887 * index) % 1.0 for index, symbol in enumerate(symbols, start=1)}
+    terms = [expressions.rounded_at(term.xreplace(ones), point) for term in total.args]
+    finite = [term for term in terms if term is not None]
+    return len(finite) < len(terms) or abs(sum(finite)) <= 1e-9 * sum(map(abs, finite))
 
 
 def with_decimal_roots(expression: sympy.Expr) -> sympy.Expr:
-    """Replace roots of numbers, as the coefficients of Gauss methods have them, by decimals that join other factors."""
+    """Replace roots of numbers, as in the coefficients of Gauss methods, by decimals that join other factors."""
     roots = [
         p for p in expression.atoms(sympy.Pow) if p.base.is_Rational and p.exp.is_Rational and not p.exp.is_Integer
     ]
     return expression.xreplace({root: sympy.N(root, 30) for root in roots}) if roots else expression
 
 
-def _without_cancellation(expression: sympy.Expr) -> sympy.Expr:
-    """Rewrite log(1 + x) and exp(x) - 1, also where factors hide it, as in y exp(x) - y.
-
-    Only sums that vanish with all exponents can hide it; to factor the others would take most of a build.
-    """
-    expression = optimize(expression, [log1p_opt])
-    if any(_vanishes_with_exponents(part) for part in expression.atoms(sympy.Add) if part.has(sympy.exp)):
-        return optimize(expression, [expm1_opt])
-    return expm1_opt.cheapest(expression, expression.replace(expm1_opt.query, expm1_opt.value))
-
-
-def _vanishes_with_exponents(total: sympy.Expr) -> bool:
-    """Whether a sum is zero, as far as one point can tell, where all its exponentials are one."""
-    ones = dict.fromkeys(total.atoms(sympy.exp), sympy.S.One)
-    symbols = sorted(total.free_symbols, key=sympy.default_sort_key)
-    point = {symbol: 0.5 + (0.6180339887 * index) % 1.0 for index, symbol in enumerate(symbols, start=1)}
-    terms = [expressions.rounded_at(term.xreplace(ones), point) for term in total.args]
-    known = [term for term in terms if term is not None]
-    return len(known) < len(terms) or abs(sum(known)) <= 1e-9 * sum(map(abs, known))
-
-
-def _with_steep_exponentials(expression: sympy.Expr, rewrite: Callable[[sympy.Expr], sympy.Expr]) -> sympy.Expr:
-    """Rewrite with symbols in place of arguments such as 1000 x of exponentials.
-
-    To sympy's factorisation exp(1000 x) is a polynomial of degree 1000, which takes minutes.
-    """
-    arguments = {e.args[0] for e in expression.atoms(sympy.exp) if _is_steep(e.args[0])}
-    names = {argument: sympy.Dummy(real=True) for argument in sorted(arguments, key=sympy.default_sort_key)}
-    masked = expression.xreplace({sympy.exp(argument): sympy.exp(name) for argument, name in names.items()})
-    return rewrite(masked).xreplace({name: argument for argument, name in names.items()})
-
-
-def _is_steep(argument: sympy.Expr) -> bool:
-    """Whether a number in an exponent is large, or a fraction of large numbers."""
-    return any(max(abs(r.p), r.q) > _STEEP for r in argument.atoms(sympy.Rational))
-
-
 def scalar_code(expression: sympy.Expr) -> str:
-    """Code of an expression of scalars."""
+    """Return code of an expression of scalars."""
     return _without_needless_brackets(ScalarPrinter().doprint(expression))
 
 
 def array_code(expression: sympy.Expr) -> str:
-    """Code of an expression whose symbols may be arrays of the same length."""
+    """Return code of an expression whose symbols may be arrays of the same length."""
     return _without_needless_brackets(ArrayPrinter().doprint(expression))
 
 
 def _without_needless_brackets(code: str) -> str:
-    """Write 0.5*x where sympy, which takes a decimal for a fraction, writes (0.5)*x."""
+    """Return code with 0.5*x in place of (0.5)*x: sympy takes a decimal for a fraction."""
     return re.sub(r"(?<![\w\]])\((\d+\.\d+)\)(?!\*\*)", r"\1", code)
 
 
 def readable(value: sympy.Expr) -> str:
-    """An expression as a description has it, or what it is where nobody could read it."""
+    """Return an expression for a description, or its size if it is too long to be read."""
     if expressions.longer_than(_READABLE, [value]):
         return f"an expression of more than {_READABLE} operations"
     return str(sympy.sstr(value))

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import sympy
-from sympy import Expr, Symbol
+from sympy import Symbol
 
-from codegen.discretise.model.definitions import Model
 from codegen.discretise.program import StepProgram
 from codegen.emit.differentiation import StepDerivatives
 from codegen.emit.lower.kernels import KERNEL, VALUE, Kernel, Line, Output, kernel, needed
 from codegen.emit.lower.module import SimulateModule, arguments_of, record_fields
 from codegen.emit.lower.printer import readable, scalar_code
 from codegen.emit.lower.tables import (
-    Input,
     described_tables,
     inputs_kernel,
     range_constants,
     ranged_inputs,
-    table_arguments,
     table_constants,
     table_kernels,
     table_records,
@@ -27,49 +24,73 @@ from codegen.emit.lower.tables import (
 from codegen.runtime.record import Form, Method, SimulationRecord, StepSolver, phrase
 from codegen.symbolic.checks import longer_than
 from codegen.symbolic.derivatives import values_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.graph import StraightLine
-from codegen.symbolic.table_functions import tables_of
 from codegen.symbolic.tables import TableData
 
 _LONG = 1000
 """Operations from which on common parts of the equations are found on a graph of their values."""
-
-
 _ARGUMENTS = ("state", "t", "lengths", "parameters")
 """The arguments that every kernel of a step has."""
 
 
 def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateModule:
-    """Write every kernel of an initial value problem as strings."""
-    model, tables = program.model, tables_of(program.model)
-    ranged = ranged_inputs(tables, len(model.parameters), [value for _, value in program.equations])
-    kernels = (
-        *(_implicit_kernels(program, derivatives) if program.unknowns else (_explicit_kernel(program),)),
-        _equations_kernel(program),
+    """Return every kernel of an initial value problem as strings."""
+    model, tables, codes = program.model, tables_of(program.model), _codes(program)
+    equations = [value for _, value in program.equations]
+    ranged = ranged_inputs(tables, len(model.parameters), equations)
+    inside = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
+    inside |= {symbol: code for symbol, code in codes.items() if symbol not in inside}
+    names, values = zip(*program.equations, strict=True)
+    straight = values_of(values) if longer_than(_LONG, values) else StraightLine(values=values)
+    kernels = [
+        *_step_kernels(program, derivatives),
         kernel(
-            "energy", "The Hamiltonian at `state` (STATE,).",
-            ("state", "t", "parameters"), _codes(program), (), program.energy,
+            "step_equations",
+            "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
+            ("state", "interval", *_ARGUMENTS[1:], "residual"), inside,
+            [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)],
+            decorators=KERNEL, straight_line=straight.assignments,
+        ),
+        kernel(
+            "energy", "The Hamiltonian at `state` (STATE,).", ("state", "t", "parameters"), codes, (), program.energy,
             decorators=VALUE, straight_line=needed(program.state_assignments, (program.energy,)),
         ),
-        *((_inputs_kernel(program, ranged),) if ranged else ()),
-    )  # fmt: skip
-    quantity = program.start_values[0].quantity
+    ]  # fmt: skip
+    if ranged:
+        arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
+        kernels.append(inputs_kernel("step_inputs", "in a step", arguments, inside, ranged, equations, entry, KERNEL))
+    solver = _solver(program, derivatives)
+    of_steps = ("predict", "residual", "jacobian", "complete") if program.unknowns and not program.fractions else ()
+    every = ("energy", "initial_state", "make_grid", "metadata", "path_residual", "problem", "solve", "step")
+    fields = {"metadata": "metadata", "state": "STATE", "stages": "STAGES"}
+    fields |= {"equations": "step_equations", "energy": "energy"}
+    if program.unknowns:
+        fields |= {
+            "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual",
+            "jacobian": "step_jacobian", "complete": "complete_step",
+            "is_linear": repr(solver is not StepSolver.NEWTON), "is_constant": repr(solver is StepSolver.CONSTANT),
+        }  # fmt: skip
+    else:
+        fields |= {"explicit": "explicit_step", **({} if ranged else {"all_steps": "all_steps"})}
+    fields |= {"fractions": "FRACTIONS"} if program.fractions else {}
+    fields |= {"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}
+    fields |= {"tables": "TABLES"} if tables else {}
+    sizes = f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}"
     return SimulateModule(
         template="simulate.py.j2",
         name=model.name,
         title=model.title,
         description=tuple(_description(program, kernels, described_tables(tables))),
-        metadata=_metadata(program, derivatives, kernels, tables),
+        metadata=_record(program, derivatives, kernels, tables),
         constants=(*_constants(program), *table_constants(tables), *range_constants(ranged)),
         kernels=(*table_kernels(tables, len(model.parameters)), *kernels),
         sizes=(),
-        public=_public(program, bool(ranged)),
-        record=_record(program, derivatives, tables=bool(tables), ranged=bool(ranged)),
-        explicit_sizes=()
-        if program.unknowns or ranged
-        else (f"STATE, STAGES, {len(program.fractions) or 1}, {len(program.lengths)}",),
+        public=tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ())))),
+        record=tuple(fields.items()),
+        explicit_sizes=() if program.unknowns or ranged else (sizes,),
         arguments=arguments_of(model),
-        table_arguments=table_arguments(tables),
+        table_arguments=("tables",) if tables else (),
         steps=model.steps,
         duration=scalar_code(model.duration),
         start_values=tuple(
@@ -78,14 +99,13 @@ def lower_step(program: StepProgram, derivatives: StepDerivatives) -> SimulateMo
         start=tuple(
             Line(unknown.name, scalar_code(value)) for unknown, value in zip(program.state, program.start, strict=True)
         ),
-        start_example=f'{{"{quantity}": 0.5}}',
+        start_example=f'{{"{program.start_values[0].quantity}": 0.5}}',
         state_names=", ".join(unknown.name for unknown in program.state),
-        coordinates=len(model.coordinates),
     )
 
 
 def _codes(program: StepProgram) -> dict[Symbol, str]:
-    """The code that reads each symbol inside a kernel."""
+    """Return the code that reads each symbol inside a kernel."""
     codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(program.unknowns)}
     codes |= {symbol: f"state[{i}]" for i, symbol in enumerate(program.left_symbols)}
     codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(program.model.parameters)}
@@ -97,25 +117,23 @@ def _interval(program: StepProgram) -> tuple[Symbol, ...]:
     return (*program.stage_symbols, *program.right_symbols)
 
 
-def _interval_outputs(program: StepProgram) -> list[Output]:
-    return [Output(f"interval[{i}]", symbol, symbol.name) for i, symbol in enumerate(_interval(program))]
-
-
-def _explicit_kernel(program: StepProgram) -> Kernel:
-    return kernel(
-        "explicit_step",
-        "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, from `state` (STATE,).",
-        (*_ARGUMENTS, "interval"), _codes(program), _interval_outputs(program), None, program.before, KERNEL,
-    )  # fmt: skip
-
-
-def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tuple[Kernel, ...]:
-    codes, arguments, size = _codes(program), _ARGUMENTS, len(program.unknowns)
-    names = [symbol.name for symbol in program.unknowns]
+def _step_kernels(program: StepProgram, derivatives: StepDerivatives) -> list[Kernel]:
+    """Return the kernel of an explicit step, or those of Newton's method for an implicit one."""
+    codes, names = _codes(program), [symbol.name for symbol in program.unknowns]
+    interval = [Output(f"interval[{i}]", symbol, symbol.name) for i, symbol in enumerate(_interval(program))]
+    if not program.unknowns:
+        return [
+            kernel(
+                "explicit_step",
+                "Fill `interval` (STAGES + STATE,) with inner stages and the state at the right node, "
+                "from `state` (STATE,).",
+                (*_ARGUMENTS, "interval"), codes, interval, None, program.before, KERNEL,
+            )
+        ]  # fmt: skip
     guess = [Output(f"unknowns[{i}]", value, names[i]) for i, value in enumerate(program.guess)]
     residual = [Output(f"residual[{i}]", value, "") for i, value in enumerate(derivatives.residual)]
     entries = [
-        Output(f"jacobian[{i * size + j}]", entry, f"by {names[j]}")
+        Output(f"jacobian[{i * len(names) + j}]", entry, f"by {names[j]}")
         for i, row in enumerate(derivatives.jacobian)
         for j, entry in enumerate(row)
     ]
@@ -123,66 +141,37 @@ def _implicit_kernels(program: StepProgram, derivatives: StepDerivatives) -> tup
     written = (*program.before, *derivatives.assignments)
     of_residual = needed(written, derivatives.residual)
     of_both = needed(written, (*derivatives.residual, *(entry.value for entry in entries)))
-    # A program for long expressions holds all that is common to them.
-    straight = bool(derivatives.assignments)
-    return (
+    # A straight-line program of long expressions has all their common parts.
+    is_straight = bool(derivatives.assignments)
+    return [
         kernel(
             "predict_step", f"Where to start solving from `state` (STATE,) for `unknowns` (UNKNOWNS,): {listed}.",
-            (*arguments, "unknowns"), codes, guess,
+            (*_ARGUMENTS, "unknowns"), codes, guess,
             decorators=KERNEL, straight_line=needed(program.state_assignments, program.guess),
         ),
         kernel(
             "step_residual", f"What must vanish, `residual` (UNKNOWNS,), as a function of {listed}.",
-            ("unknowns", *arguments, "residual"), codes, residual, None,
-            () if straight else of_residual, KERNEL, straight_line=of_residual if straight else (),
+            ("unknowns", *_ARGUMENTS, "residual"), codes, residual, None,
+            () if is_straight else of_residual, KERNEL, straight_line=of_residual if is_straight else (),
         ),
         kernel(
             "step_jacobian", f"Residual, and its `jacobian` (UNKNOWNS UNKNOWNS,) by {listed}.",
-            ("unknowns", *arguments, "residual", "jacobian"), codes, [*residual, *entries], None,
-            () if straight else of_both, KERNEL, straight_line=of_both if straight else (),
+            ("unknowns", *_ARGUMENTS, "residual", "jacobian"), codes, [*residual, *entries], None,
+            () if is_straight else of_both, KERNEL, straight_line=of_both if is_straight else (),
         ),
         kernel(
             "complete_step",
             f"Fill `interval` (STAGES + STATE,): inner stages, and the state at the right node, given {listed}.",
-            ("unknowns", *arguments, "interval"), codes, _interval_outputs(program), None,
-            (*program.before, *program.after), KERNEL,
+            ("unknowns", *_ARGUMENTS, "interval"), codes, interval, None, (*program.before, *program.after), KERNEL,
         ),
-    )  # fmt: skip
-
-
-def _equations_kernel(program: StepProgram) -> Kernel:
-    codes = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
-    codes |= {symbol: code for symbol, code in _codes(program).items() if symbol not in codes}
-    names, values = zip(*program.equations, strict=True)
-    straight = StraightLine(values=values)
-    if longer_than(_LONG, values):
-        straight = values_of(values)
-    outputs = [Output(f"residual[{i}]", value, names[i]) for i, value in enumerate(straight.values)]
-    return kernel(
-        "step_equations",
-        "The scheme's equations as they stand above, `residual` (STAGES + STATE,); a step makes them vanish.",
-        ("state", "interval", *_ARGUMENTS[1:], "residual"), codes, outputs, decorators=KERNEL,
-        straight_line=straight.assignments,
-    )  # fmt: skip
-
-
-def _inputs_kernel(program: StepProgram, ranged: Sequence[Input]) -> Kernel:
-    """What tells with which inputs a step reads tables."""
-    codes = {symbol: f"interval[{i}]" for i, symbol in enumerate(_interval(program))}
-    codes |= {symbol: code for symbol, code in _codes(program).items() if symbol not in codes}
-    read = [value for _, value in program.equations]
-    arguments, entry = ("state", "interval", *_ARGUMENTS[1:]), "inputs[2*{0} + {1}]"
-    return inputs_kernel("step_inputs", "in a step", arguments, codes, ranged, read, entry, KERNEL)
+    ]  # fmt: skip
 
 
 def _constants(program: StepProgram) -> list[Line]:
     stages = ", ".join(symbol.name for symbol in program.stage_symbols) or "none"
+    meanings = "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state))
     lines = [
-        Line(
-            "STATE",
-            str(len(program.state)),
-            "; ".join(f"{i}: {phrase(u.meaning)}" for i, u in enumerate(program.state)),
-        ),
+        Line("STATE", str(len(program.state)), meanings),
         Line("STAGES", str(len(program.stage_symbols)), f"values inside a step: {stages}"),
     ]
     if program.unknowns:
@@ -190,81 +179,18 @@ def _constants(program: StepProgram) -> list[Line]:
         lines.append(Line("UNKNOWNS", str(len(program.unknowns)), f"what a step solves for numerically: {names}"))
     if program.fractions:
         rows = [f"[{', '.join(scalar_code(sympy.N(f, 20)) for f in row)}]" for row in program.fractions]
-        lines += [
-            Line(
-                "FRACTIONS",
-                f"np.array([{', '.join(rows)}])",
-                "lengths of the steps of the base scheme that make up one step, relative to it",
-            ),
-        ]
+        meaning = "lengths of the steps of the base scheme that make up one step, relative to it"
+        lines.append(Line("FRACTIONS", f"np.array([{', '.join(rows)}])", meaning))
     return lines
 
 
 def _solver(program: StepProgram, derivatives: StepDerivatives) -> StepSolver:
-    """How a step is solved."""
+    """Return the method that solves a step."""
     if not program.unknowns:
         return StepSolver.EXPLICIT
     if not program.linear:
         return StepSolver.NEWTON
     return StepSolver.CONSTANT if derivatives.constant and not program.fractions else StepSolver.LINEAR
-
-
-def _public(program: StepProgram, ranged: bool) -> tuple[str, ...]:
-    """Names for users of the module."""
-    of_steps = ("predict", "residual", "jacobian", "complete") if program.unknowns and not program.fractions else ()
-    every = ("energy", "initial_state", "make_grid", "metadata", "path_residual", "problem", "solve", "step")
-    return tuple(sorted((*every, *of_steps, *(("first_outside",) if ranged else ()))))
-
-
-def _record(
-    program: StepProgram, derivatives: StepDerivatives, *, tables: bool, ranged: bool
-) -> tuple[tuple[str, str], ...]:
-    """The fields of the StepProblem with their code."""
-    solver = _solver(program, derivatives)
-    of_explicit = {"explicit": "explicit_step", **({} if ranged else {"all_steps": "all_steps"})}
-    of_implicit = {
-        "unknowns": "UNKNOWNS", "predict": "predict_step", "residual": "step_residual", "jacobian": "step_jacobian",
-        "complete": "complete_step", "is_linear": repr(solver is not StepSolver.NEWTON),
-        "is_constant": repr(solver is StepSolver.CONSTANT),
-    }  # fmt: skip
-    return tuple(
-        {
-            **{"metadata": "metadata", "state": "STATE", "stages": "STAGES"},
-            **{"equations": "step_equations", "energy": "energy"},
-            **(of_implicit if program.unknowns else of_explicit),
-            **({"fractions": "FRACTIONS"} if program.fractions else {}),
-            **({"inputs": "step_inputs", "ranges": "RANGES", "range_names": "RANGE_NAMES"} if ranged else {}),
-            **({"tables": "TABLES"} if tables else {}),
-        }.items()
-    )
-
-
-def _left_out(program: StepProgram, derivatives: StepDerivatives) -> list[str]:
-    model = program.model
-    solver = _solver(program, derivatives)
-    out = []
-    if solver == "explicit":
-        out.append(f"Newton's method: the scheme is explicit for this {model.form.capitalize()}")
-    if solver in ("linear", "constant"):
-        out.append("Newton's iteration: the equations of a step are linear, one linear solve is exact")
-    if solver == "constant":
-        out.append("factorisation in every step: the matrix depends on parameters and h only")
-    if len(program.unknowns) == 1:
-        out.append("linear algebra: a step has one unknown")
-    eliminated = [s.name for s in _interval(program) if s not in program.unknowns]
-    if program.unknowns and eliminated:
-        out.append(f"{', '.join(eliminated)} among the unknowns: explicit, given {_listed(program.unknowns)}")
-    cyclic = [str(q) for q in model.coordinates if not any(e.has(q) for e in (model.function, *model.force))]
-    if cyclic:
-        out.append(f"derivatives of the {model.form.capitalize()} by {', '.join(cyclic)}: cyclic")
-    idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=True) if f == 0]
-    if len(idle) == len(model.coordinates):
-        out.append("forces: there are none")
-    elif idle:
-        out.append(f"forces on {', '.join(idle)}: there are none")
-    if not any(e.has(model.time) for e in (model.function, *model.force)):
-        out.append("time in the kernels: nothing depends on it explicitly")
-    return out
 
 
 def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequence[str]) -> list[str]:
@@ -280,24 +206,51 @@ def _description(program: StepProgram, kernels: Sequence[Kernel], tables: Sequen
     if program.method == "variational":
         lines += ["", "where each p_k = -D1 Ld - f- and p_k1 = D2 Ld + f+ (position-momentum form)."]
     if program.unknowns:
-        lines += ["", f"These are solved for {_listed(program.unknowns)}; the rest is explicit."]
+        names = ", ".join(symbol.name for symbol in program.unknowns)
+        lines += ["", f"These are solved for {names}; the rest is explicit."]
     if program.velocities:
         lines += ["", "Velocities of the step are unknowns in place of positions, so that no digits cancel:", ""]
-        lines += [f"    {v} = ({after} - {before})/{_divisor(time)}" for v, after, before, time in program.velocities]
+        for velocity, after, before, time in program.velocities:
+            divisor = sympy.sstr(time) if time.is_Symbol else f"({sympy.sstr(time)})"
+            lines.append(f"    {velocity} = ({after} - {before})/{divisor}")
     lines += ["", "Tables:", "", *(f"    {line}" for line in tables)] if tables else []
     lines += ["", "Operations of one evaluation, before and after common subexpressions are shared:", ""]
-    lines += [f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels]
-    return lines
+    return [*lines, *(f"    {k.name}: {k.operations_before} -> {k.operations_after}" for k in kernels)]
 
 
-def _divisor(time: Expr) -> str:
-    return sympy.sstr(time) if time.is_Symbol else f"({sympy.sstr(time)})"
+def _left_out(program: StepProgram, solver: StepSolver) -> list[str]:
+    """Return the features that the module lacks, each with the reason."""
+    model = program.model
+    out = []
+    if solver is StepSolver.EXPLICIT:
+        out.append(f"Newton's method: the scheme is explicit for this {model.form.capitalize()}")
+    if solver in (StepSolver.LINEAR, StepSolver.CONSTANT):
+        out.append("Newton's iteration: the equations of a step are linear, one linear solve is exact")
+    if solver is StepSolver.CONSTANT:
+        out.append("factorisation in every step: the matrix depends on parameters and h only")
+    if len(program.unknowns) == 1:
+        out.append("linear algebra: a step has one unknown")
+    eliminated = [s.name for s in _interval(program) if s not in program.unknowns]
+    if program.unknowns and eliminated:
+        names = ", ".join(symbol.name for symbol in program.unknowns)
+        out.append(f"{', '.join(eliminated)} among the unknowns: explicit, given {names}")
+    cyclic = [str(q) for q in model.coordinates if not any(e.has(q) for e in (model.function, *model.force))]
+    if cyclic:
+        out.append(f"derivatives of the {model.form.capitalize()} by {', '.join(cyclic)}: cyclic")
+    idle = [str(q) for q, f in zip(model.coordinates, model.force, strict=True) if f == 0]
+    if len(idle) == len(model.coordinates):
+        out.append("forces: there are none")
+    elif idle:
+        out.append(f"forces on {', '.join(idle)}: there are none")
+    if not any(e.has(model.time) for e in (model.function, *model.force)):
+        out.append("time in the kernels: nothing depends on it explicitly")
+    return out
 
 
-def _metadata(
+def _record(
     program: StepProgram, derivatives: StepDerivatives, kernels: Sequence[Kernel], tables: Sequence[TableData]
 ) -> SimulationRecord:
-    model = program.model
+    model, solver = program.model, _solver(program, derivatives)
     return SimulationRecord(
         **record_fields(model),
         method=Method(program.method),
@@ -310,21 +263,12 @@ def _metadata(
         units=dict(model.units),
         tables=table_records(tables),
         operations={k.name: (k.operations_before, k.operations_after) for k in kernels},
-        left_out=tuple(_left_out(program, derivatives)),
+        left_out=tuple(_left_out(program, solver)),
         parts=len(program.fractions),
-        solver=_solver(program, derivatives),
+        solver=solver,
         momenta=tuple(u.name for u in program.state[len(model.coordinates) :]),
         node=tuple(u.name for u in program.state),
         stages=tuple(s.name for s in program.stage_symbols),
         unknowns=tuple(s.name for s in program.unknowns),
-        conservative=_is_conservative(model),
+        conservative=not any(model.force) and not model.function.has(model.time),
     )
-
-
-def _is_conservative(model: Model) -> bool:
-    """Whether nothing drives or damps the motion, as far as forms tell: no force, and nothing depends on time."""
-    return not any(model.force) and not model.function.has(model.time)
-
-
-def _listed(symbols: Sequence[Symbol]) -> str:
-    return ", ".join(symbol.name for symbol in symbols)

@@ -1,7 +1,7 @@
-"""Text of a module -> the same text, once its derivatives agree with an independent differentiation.
+"""Verification of a module's text: its derivatives agree with an independent differentiation.
 
-What the text says is executed by the interpreter and compared with the program's expressions, evaluated as they stand;
-nothing is shared with the stages that made it but the expressions themselves.
+The interpreter executes the text, and the results are compared with the program's expressions, which are evaluated
+unchanged. The comparison shares only these expressions with the stages that made the text.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.execution import Text, verify_tables
 from codegen.emit.verify.kernels import verify_control, verify_particles, verify_step
 from codegen.emit.verify.shares import verify_couplings
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 
 
 def verify(program: ControlProgram | StepProgram | PairwiseProgram, text: str) -> None:
-    """Raise VerificationError, naming the entry, where a kernel is not what its program says."""
+    """Raise VerificationError, with the name of the entry, if a kernel differs from its program."""
     tables = () if isinstance(program, PairwiseProgram) else tables_of(program.model)
     parts = Text(text, tables)
     verify_tables(

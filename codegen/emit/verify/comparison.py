@@ -1,24 +1,23 @@
-"""Emitted values against exact ones: what differs by more than rounding is looked at again with many digits.
+"""Comparison of emitted values with exact ones: arithmetics, the points of comparison, and the second opinion.
 
-Functions of complex arrays that continue real ones, so that complex steps differentiate them exactly. With a tiny
-imaginary part, f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables to estimate
-derivatives of real functions, SIAM Review 40). What has branches chooses them by real parts; outside the real domain of
-a function the result is NaN, as it is in machine code.
+Complex steps differentiate functions of complex arrays that continue real ones. With a tiny imaginary part,
+f(x + i d) = f(x) + i d f'(x) to all digits (Squire and Trapp, 1998, Using complex variables to estimate derivatives of
+real functions, SIAM Review 40). Real parts decide branches. Outside the real domain of a function the result is NaN, as
+in machine code.
 
-The second opinion: where values in machine numbers differ, both are computed with many digits. Kernels are executed
-with numbers that carry the size of the terms that they are made of, so that rounding of the coefficients in the text,
-which is all that may differ, is told from an error. References are differences with 400 digits of the expressions
-themselves.
+Where values in machine numbers differ, the second opinion computes both with many digits. Kernels are executed with
+numbers that carry the size of their terms. This separates an error from rounding of the coefficients in the text, which
+is the only permitted difference. References are differences, with 400 digits, of the expressions themselves.
 
-Where emitted kernels are compared with what they stand for: near the guess, and at random points.
-
-Near the guess means what a solver meets first: the module's own guess with default parameters, its own steps, and
-unknowns moved by parts of their sizes; multipliers, of which there is no guess, are drawn at random.
+Points of comparison are near the guess, and random. Near the guess are the points that a solver meets first: the
+module's own guess with default parameters and steps, and unknowns moved by fractions of their sizes. Multipliers have
+no guess and are random.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any, Protocol
 
 import mpmath
@@ -28,18 +27,18 @@ from sympy import Symbol
 from codegen.discretise.interval import LENGTHS, STEP
 from codegen.emit.verify.execution import Arithmetic
 from codegen.errors import VerificationError
-from codegen.symbolic.special_functions import STEMS, by_name
+from codegen.symbolic.functions import STEMS, by_name
 
 DIGITS = 400
 _INCREMENTS = ("1e-35", "1e-40")
 Exact = Callable[[Mapping[Symbol, Any]], Any]
-"""A value of numbers with many digits."""
+"""A function of numbers with many digits."""
 TOLERANCE = 1e-11
-"""Of the size of the terms that a value is made of; coefficients in a text have 17 digits."""
+"""Relative to the size of a value's terms; coefficients in a text have 17 digits."""
 
 
 class Sized:
-    """A number and the size of the terms that it is made of: the first-order bound of its rounding, without epsilon."""
+    """A number and the size of its terms: the first-order bound of its rounding error divided by epsilon."""
 
     __slots__ = ("size", "value")
 
@@ -76,18 +75,18 @@ class Sized:
 
 
 def sized(value: Any) -> Sized:
-    """A number as one with a size."""
+    """Return a number with a size."""
     return value if isinstance(value, Sized) else Sized(value)
 
 
 def _applied(function: Any, *arguments: Any) -> Sized:
-    """A function of sized numbers; the size of the result includes its change when arguments change by their sizes."""
-    given = [sized(argument) for argument in arguments]
-    values = [argument.value for argument in given]
+    """Return a function of sized numbers; its size includes the effect of changes of the arguments by their sizes."""
+    operands = [sized(argument) for argument in arguments]
+    values = [argument.value for argument in operands]
     value, size, little = function(*values), mpmath.mpf(0), mpmath.mpf(10) ** -30
     if not isinstance(value, mpmath.mpf) or not mpmath.isfinite(value):
         raise ValueError("no real value")
-    for index, argument in enumerate(given):
+    for index, argument in enumerate(operands):
         moved = [*values[:index], argument.value + little * argument.size, *values[index + 1 :]]
         size += abs(mpmath.re(function(*moved)) - value) / little
     return Sized(value, abs(value) + size)
@@ -97,7 +96,7 @@ def _real(value: Any) -> Any:
     return value.value if isinstance(value, Sized) else value
 
 
-def _only(value: Any) -> Any:
+def _required_real(value: Any) -> Any:
     if not isinstance(value, mpmath.mpf):
         raise ValueError("no real value")
     return value
@@ -116,8 +115,8 @@ SIZED = Arithmetic(
 )
 EXACT = Arithmetic(
     number=mpmath.mpf,
-    function=lambda name: lambda *x: _only(by_name(name)(*x)),
-    power=lambda b, e: _only(b**e),
+    function=lambda name: lambda *x: _required_real(by_name(name)(*x)),
+    power=lambda b, e: _required_real(b**e),
     maximum=max,
     minimum=min,
     absolute=abs,
@@ -128,29 +127,29 @@ EXACT = Arithmetic(
 
 
 def difference(value: Exact, point: Mapping[Symbol, float], by: Sequence[Symbol]) -> tuple[Any, Any]:
-    """A value, or its first or second derivative by one or two symbols, at a point, and the error of it."""
+    """Return a value, or its derivative by one or two symbols, at a point, and the error of the result."""
     exact = {symbol: mpmath.mpf(float(number)) for symbol, number in point.items()}
-    far, near = (_difference(value, exact, by, mpmath.mpf(increment)) for increment in _INCREMENTS)
-    # A derivative may be lost beside terms that are far larger.
+
+    def quotient(increment: Any) -> Any:
+        steps = {symbol: increment * (abs(exact[symbol]) or 1) for symbol in by}
+
+        def at(*moved: Symbol) -> Any:
+            values = dict(exact)
+            for symbol in moved:
+                values[symbol] += steps[symbol]
+            return value(values)
+
+        if not by:
+            return at()
+        if len(by) == 1:
+            return (at(by[0]) - at()) / steps[by[0]]
+        a, b = by
+        return (at(a, b) - at(a) - at(b) + at()) / (steps[a] * steps[b])
+
+    far, near = (quotient(mpmath.mpf(increment)) for increment in _INCREMENTS)
+    # A derivative may be lost in the rounding of far larger terms.
     smallest = mpmath.mpf(_INCREMENTS[1]) ** len(by)
     return near, abs(far - near) + abs(value(exact)) * mpmath.mpf(10) ** (5 - DIGITS) / smallest
-
-
-def _difference(value: Exact, point: Mapping[Symbol, Any], by: Sequence[Symbol], increment: Any) -> Any:
-    steps = {symbol: increment * (abs(point[symbol]) or 1) for symbol in by}
-
-    def at(*moved: Symbol) -> Any:
-        values = dict(point)
-        for symbol in moved:
-            values[symbol] += steps[symbol]
-        return value(values)
-
-    if not by:
-        return at()
-    if len(by) == 1:
-        return (at(by[0]) - at()) / steps[by[0]]
-    a, b = by
-    return (at(a, b) - at(a) - at(b) + at()) / (steps[a] * steps[b])
 
 
 Array = Any
@@ -158,7 +157,7 @@ Function = Callable[..., Array]
 
 
 def power(base: Array, exponent: Array) -> Array:
-    """The power; NaN where a negative number has an exponent that is not whole."""
+    """Return the power; NaN for a negative base with an exponent that is no integer."""
     if isinstance(exponent, int):
         return np.asarray(base) ** exponent
     exponent = np.asarray(exponent)
@@ -170,32 +169,32 @@ def power(base: Array, exponent: Array) -> Array:
 
 
 def maximum(*values: Array) -> Array:
-    """The value with the largest real part."""
+    """Return the value with the largest real part."""
     return _chosen(values, lambda a, b: a.real >= b.real)
 
 
 def minimum(*values: Array) -> Array:
-    """The value with the smallest real part."""
+    """Return the value with the smallest real part."""
     return _chosen(values, lambda a, b: a.real <= b.real)
 
 
 def absolute(value: Array) -> Array:
-    """The value or its negative, whose real part is positive."""
+    """Return the value or its negative, whichever has a positive real part."""
     return value * sign(value)
 
 
 def sign(value: Array) -> Array:
-    """The sign of the real part."""
+    """Return the sign of the real part."""
     return np.sign(np.asarray(value).real)
 
 
 def where(condition: Array, one: Array, other: Array) -> Array:
-    """One value where a condition holds, else the other."""
+    """Return one value where a condition holds, else the other."""
     return np.where(condition, one, other)
 
 
 def named(name: str) -> Function:
-    """The function of one variable (atan2: two) that `math` or `mpmath` knows by a name."""
+    """Return the function of one variable (atan2: two) with a name of `math` or `mpmath`."""
     if name in _INSIDE:
         function, inside = _INSIDE[name]
         return lambda x: np.where(inside(np.asarray(x).real), function(_complex(x)), np.nan)
@@ -205,7 +204,7 @@ def named(name: str) -> Function:
 
 
 def _extended(number: Any) -> Any:
-    """A number of mpmath with the digits of an extended one; beyond its range it is zero or infinite."""
+    """Return a number of mpmath in extended precision; beyond the range it is zero or infinite."""
     size = abs(number)
     if size < _SMALLEST or not size < 1 / _SMALLEST:
         return np.longdouble(0) if size < 1 else np.longdouble(mpmath.sign(number)) * np.inf
@@ -218,14 +217,14 @@ CONTINUED: dict[str, Function] = {
     "gammaln": lambda x: named("lgamma")(x),
     **{stem: (lambda order, x, stem=stem: named(f"{stem}_{order}")(x)) for stem in STEMS},
 }
-"""Functions for lambdify that numpy does not continue, by the names that it prints."""
+"""Functions for lambdify that numpy has not for complex arrays, by their printed names."""
 
 
 def _chosen(values: Sequence[Array], better: Callable[[Array, Array], Array]) -> Array:
-    found = np.asarray(values[0])
+    best = np.asarray(values[0])
     for value in map(np.asarray, values[1:]):
-        found = np.where(better(found, value), found, value)
-    return found
+        best = np.where(better(best, value), best, value)
+    return best
 
 
 def _complex(value: Array) -> Array:
@@ -240,29 +239,26 @@ def _arctangent(y: Array, x: Array) -> Array:
 
 
 def _by_digits(function: Callable[[Any], Any]) -> Function:
-    """A function that numpy does not continue: its value and derivative with 30 digits, one number after the other."""
+    """Return the continuation of a function by its value and derivative with 30 digits, number by number."""
 
     def continued(x: Array) -> Array:
         values = _complex(x)
-        found = np.empty(values.shape, values.dtype)
-        known: dict[Any, tuple[Any, Any]] = {}
+        results = np.empty(values.shape, values.dtype)
         for index, value in np.ndenumerate(values):
-            if value.real not in known:
-                known[value.real] = _value_and_slope(function, value.real)
-            height, slope = known[value.real]
-            found[index] = height + 1j * (slope * value.imag)
-        return found
+            height, slope = value_and_slope(value.real)
+            results[index] = height + 1j * (slope * value.imag)
+        return results
+
+    @cache
+    def value_and_slope(at: Any) -> tuple[Any, Any]:
+        with mpmath.workdps(30):
+            try:
+                point = mpmath.mpf(str(at))
+                return _extended(function(point)), _extended(mpmath.diff(function, point))
+            except (TypeError, ValueError, ArithmeticError):
+                return np.nan, np.nan
 
     return continued
-
-
-def _value_and_slope(function: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
-    with mpmath.workdps(30):
-        try:
-            point = mpmath.mpf(str(at))
-            return _extended(function(point)), _extended(mpmath.diff(function, point))
-        except (TypeError, ValueError, ArithmeticError):
-            return np.nan, np.nan
 
 
 _INSIDE: dict[str, tuple[Function, Function]] = {
@@ -283,17 +279,17 @@ _ENTIRE: dict[str, Function] = {
 
 _RELATIVE = 1e-9
 _ROUNDING = 100.0
-"""A difference counts if it is that many times as large as the change from extended to double precision."""
+"""Least ratio of a difference that counts to the change from extended to double precision."""
 _OPINIONS = 12
 
 Evaluate = Callable[[Any], tuple[Any, Any]]
 """Emitted and exact values, arrays (points, entries), in a complex type of numpy."""
 Opinion = Callable[[int, int], tuple[Sized, Any, Any]]
-"""Of an entry at a point: what the text says with many digits, what is right, and how surely."""
+"""Emitted value with many digits, right value, and its error, of an entry at a point."""
 
 
 def complex_numbers(kind: Any) -> Arithmetic:
-    """Arithmetic of complex arrays of a precision."""
+    """Return the arithmetic of complex arrays of a precision."""
     real = np.longdouble if kind is np.clongdouble else np.float64
     return Arithmetic(
         number=lambda digits: real(digits),
@@ -309,16 +305,16 @@ def complex_numbers(kind: Any) -> Arithmetic:
 
 
 def step_of(kind: Any) -> Any:
-    """The imaginary step of a precision: products of two are nothing beside 1, and a small slope is not lost."""
+    """Return the imaginary step of a precision: its square is negligible beside 1, and small slopes are not lost."""
     limits = np.finfo(kind)
     return limits.tiny ** limits.dtype.type(0.25)
 
 
 def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
-    """Raise VerificationError for an entry that is wrong at some point; `names` say what the entries are.
+    """Raise VerificationError for an entry that is wrong at some point; `names` are the names of the entries.
 
-    Where values differ, those that differ at most points are judged first, each where it differs most. A point without
-    a value says nothing.
+    Entries that differ at most points are judged first, each at the point of the largest difference. A point without a
+    value decides nothing.
     """
     with np.errstate(all="ignore"):
         emitted, exact = evaluate(np.clongdouble)
@@ -332,45 +328,41 @@ def judge(names: Sequence[str], evaluate: Evaluate, opinion: Opinion) -> None:
         relative = np.nan_to_num(abs(emitted - exact) / size, nan=1.0)
     for entry in sorted(np.flatnonzero(odd.any(axis=0)), key=lambda e: -odd[:, e].sum())[:_OPINIONS]:
         for point in sorted(np.flatnonzero(odd[:, entry]), key=lambda p: -relative[p, entry])[:2]:
-            _require_right(names[int(entry)], int(entry), int(point), opinion)
-
-
-def _require_right(name: str, entry: int, point: int, opinion: Opinion) -> None:
-    try:
-        with mpmath.workdps(DIGITS):
-            found, exact, error = opinion(entry, point)
-            differs = not abs(found.value - exact) <= TOLERANCE * found.size + 10 * error
-            said, right = mpmath.nstr(found.value, 8), mpmath.nstr(exact, 8)
-    except (ValueError, TypeError, ArithmeticError):  # no value there with more digits
-        return
-    if differs:
-        raise VerificationError(
-            f"the emitted code gives {said} for {name}, where {right} is right",
-            "this is a defect of codegen, and nothing was written; please report it with the problem file",
-        )
+            try:
+                with mpmath.workdps(DIGITS):
+                    value, right, error = opinion(int(entry), int(point))
+                    differs = not abs(value.value - right) <= TOLERANCE * value.size + 10 * error
+                    numbers = mpmath.nstr(value.value, 8), mpmath.nstr(right, 8)
+            except (ValueError, TypeError, ArithmeticError):  # no value at the point with more digits
+                continue
+            if differs:
+                raise VerificationError(
+                    f"the emitted code gives {numbers[0]} for {names[int(entry)]}, where {numbers[1]} is right",
+                    "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                )
 
 
 class Evaluated(Protocol):
     """Expressions that can be evaluated in an arithmetic."""
 
-    def evaluate(self, given: Mapping[Symbol, Any], arithmetic: Arithmetic, /) -> list[Any]:
-        """Their values, given those of symbols."""
+    def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic, /) -> list[Any]:
+        """Return the values of the expressions at values of their symbols."""
         ...
 
 
 Values = dict[Symbol, Any]
-"""Of each symbol its values at some points, shape (points,)."""
+"""The values of each symbol at some points, shape (points,)."""
 _MOVED = (0.004, 0.03, 0.2, 0.5)
-"""Never by nothing, nor to where an interval begins: kinks often lie at the very guess, and have no derivative."""
+"""Displacements from the guess: kinks, which have no derivative, often lie at the guess itself."""
 _BESIDE = 0.0137
 _KEPT = 5
 """Points of each set at which kernels are compared."""
 _STEPS = 24
-"""At most; a guess on more intervals shows no more."""
+"""Largest number of steps; a guess on more intervals shows nothing new."""
 
 
 def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], count: int, seed: int) -> Values:
-    """Numbers about 1, then of magnitudes 1e-3 to 1e3; parameters about their defaults, lengths of steps shorter."""
+    """Return numbers about 1, then of magnitudes 1e-3 to 1e3; parameters about defaults, lengths of steps about 1/4."""
     generator = np.random.default_rng(seed)
     wide = np.arange(count) % 3 == 2
     values: Values = {}
@@ -387,7 +379,7 @@ def random_points(symbols: Sequence[Symbol], defaults: Mapping[Symbol, float], c
 
 
 class GuessedPoints:
-    """Points near the guess that a module of a control problem makes for itself."""
+    """Points near the initial guess of a control module."""
 
     def __init__(self, module: Mapping[str, Any], steps: int, least: int = 1) -> None:
         self.module = module
@@ -400,7 +392,7 @@ class GuessedPoints:
         self.generator = np.random.default_rng(3)
 
     def on_intervals(self, local: Sequence[Symbol], others: Sequence[Symbol], within: tuple[float, float]) -> Values:
-        """Values on three intervals between two parts of the chain; `others` are what the parameters hold."""
+        """Return values on three intervals between two fractions of the chain; `others` are the parameters' symbols."""
         count = self.grid.steps
         first, last = int(within[0] * count), max(int(within[0] * count), round(within[1] * count) - 1)
         intervals = sorted({first, (first + last) // 2, last})
@@ -410,7 +402,7 @@ class GuessedPoints:
         return values | {_TIME: t, STEP: np.full(t.size, self.grid.h)}
 
     def at_node(self, last: bool, local: Sequence[Symbol], others: Sequence[Symbol]) -> Values:
-        """Values at the first or the last node."""
+        """Return values at the first or the last node."""
         row = self.grid.steps * self.module["STRIDE"] if last else 0
         values = self._moved([row for _ in _MOVED], local, others)
         t = np.full(len(_MOVED), self.grid.steps * self.grid.h if last else 0.0)
@@ -435,30 +427,30 @@ class GuessedPoints:
         return values
 
     def _size(self, offset: int) -> float:
-        """The largest value of an unknown along the guess, or 1."""
+        """Return the largest absolute value of an unknown along the guess, or 1."""
         stride = self.module["STRIDE"]
         size = float(np.abs(self.unknowns[offset % stride :: stride]).max(initial=0.0))
         return size if 0.0 < size < np.inf else 1.0
 
 
 _TIME = Symbol("t")
-"""Stands for the time of the model, whatever it is called."""
+"""The time of the model, whatever its name."""
 
 
 def with_time(values: Values, time: Symbol) -> Values:
-    """The values with the model's own symbol for time."""
+    """Return the values with the model's own symbol for time."""
     return {time if symbol is _TIME else symbol: value for symbol, value in values.items()}
 
 
 def finite_points(tape: Evaluated, candidates: Sequence[Values]) -> tuple[Values, int]:
-    """The first points of each set at which all expressions of a tape have values, and how many there are."""
-    found: list[tuple[Values, Any]] = []
+    """Return the first points of each set at which all expressions of a tape have values, and their number."""
+    kept: list[tuple[Values, Any]] = []
     for values in candidates:
-        given = {symbol: array.astype(np.clongdouble) for symbol, array in values.items()}
+        complex_values = {symbol: array.astype(np.clongdouble) for symbol, array in values.items()}
         with np.errstate(all="ignore"):
-            results = tape.evaluate(given, complex_numbers(np.clongdouble))
+            results = tape.evaluate(complex_values, complex_numbers(np.clongdouble))
         size = len(next(iter(values.values())))
         finite = np.logical_and.reduce([np.isfinite(np.broadcast_to(array, size)) for array in results])
-        found.append((values, np.flatnonzero(finite)[:_KEPT]))
-    count = sum(len(indices) for _, indices in found)
-    return {s: np.concatenate([values[s][indices] for values, indices in found]) for s in candidates[0]}, count
+        kept.append((values, np.flatnonzero(finite)[:_KEPT]))
+    count = sum(len(indices) for _, indices in kept)
+    return {s: np.concatenate([values[s][indices] for values, indices in kept]) for s in candidates[0]}, count

@@ -1,7 +1,7 @@
-"""Generated text executed by the interpreter: parts of a module as they stand, and kernels in any arithmetic.
+"""Generated text executed by the interpreter: parts of a module unchanged, and kernels in any arithmetic.
 
-Sympy expressions as they stand, evaluated operation by operation in any arithmetic, with equal parts only once. Nothing
-here is shared with differentiation, with the search for common parts, or with printing.
+Sympy expressions are evaluated operation by operation in any arithmetic, equal parts only once. This code shares
+nothing with differentiation, with the search for common parts, or with printing.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from importlib import resources
 from types import CodeType, SimpleNamespace
 from typing import Any
@@ -22,14 +22,13 @@ from sympy import Basic, Expr, Symbol
 
 from codegen.errors import VerificationError
 from codegen.runtime.kernels import with_counts
-from codegen.symbolic.special_functions import STEMS
-from codegen.symbolic.table_functions import TableBase
+from codegen.symbolic.functions import STEMS, TableBase
 from codegen.symbolic.tables import ORDERS, TableData, derivative
 
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """What a tape is evaluated with: `number` of a string of digits, `function` by the name it has in `math`."""
+    """The operations of a tape: `number` of a string of digits, `function` by its name in `math`, and so on."""
 
     number: Callable[[str], Any]
     function: Callable[[str], Callable[..., Any]]
@@ -43,15 +42,13 @@ class Arithmetic:
 
 
 class Tape:
-    """The parts of some expressions, each after those that it is made of."""
+    """The parts of some expressions, each after its own parts."""
 
     def __init__(self, expressions: Sequence[Expr]) -> None:
         self.indices: dict[Basic, int] = {}
         self.parts: list[tuple[Basic, tuple[int, ...]]] = []
-        self.results = [self._placed(sympy.sympify(e)) for e in expressions]
-
-    def _placed(self, root: Basic) -> int:
-        waiting = [root]
+        roots = [sympy.sympify(e) for e in expressions]
+        waiting = roots[::-1]
         while waiting:
             part = waiting[-1]
             missing = [] if part in self.indices else [a for a in part.args if a not in self.indices]
@@ -62,17 +59,18 @@ class Tape:
             if part not in self.indices:
                 self.indices[part] = len(self.parts)
                 self.parts.append((part, tuple(self.indices[a] for a in part.args)))
-        return self.indices[root]
+        self.results = [self.indices[root] for root in roots]
 
     def evaluate(self, values: Mapping[Symbol, Any], arithmetic: Arithmetic) -> list[Any]:
-        """The values of the expressions, given those of their symbols."""
-        known: list[Any] = []
+        """Return the values of the expressions at values of their symbols."""
+        results: list[Any] = []
         for part, indices in self.parts:
-            known.append(_value(part, [known[index] for index in indices], values, arithmetic))
-        return [known[index] for index in self.results]
+            results.append(_value(part, [results[index] for index in indices], values, arithmetic))
+        return [results[index] for index in self.results]
 
 
-def _value(part: Basic, given: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:
+def _value(part: Basic, operands: list[Any], values: Mapping[Symbol, Any], a: Arithmetic) -> Any:
+    """Return the value of an expression from the values of its arguments."""
     if part.is_Symbol:
         return values[part]
     if part.is_Rational:
@@ -80,35 +78,33 @@ def _value(part: Basic, given: list[Any], values: Mapping[Symbol, Any], a: Arith
     if part.is_Number or isinstance(part, sympy.NumberSymbol):
         return a.number(str(part.evalf(130)))
     if part.is_Add:
-        return reduce(operator.add, given)
+        return reduce(operator.add, operands)
     if part.is_Mul:
-        return reduce(operator.mul, given)
+        return reduce(operator.mul, operands)
     if part.is_Pow:
         exponent = part.exp
         if exponent.is_Integer:
-            return a.power(given[0], int(exponent))
-        return a.function("sqrt")(given[0]) if exponent == sympy.S.Half else a.power(*given)
+            return a.power(operands[0], int(exponent))
+        return a.function("sqrt")(operands[0]) if exponent == sympy.S.Half else a.power(*operands)
     if isinstance(part, sympy.Piecewise):
-        return reduce(lambda rest, pair: a.where(pair[1], pair[0], rest), reversed(given), a.number("nan"))
+        return reduce(lambda rest, pair: a.where(pair[1], pair[0], rest), reversed(operands), a.number("nan"))
     if isinstance(part, sympy.functions.elementary.piecewise.ExprCondPair):
-        return tuple(given)
+        return tuple(operands)
     if part.is_Boolean or part.is_Relational:
         if part.is_Relational:
-            return _RELATIONS[part.rel_op](*map(a.real, given))
+            return _RELATIONS[part.rel_op](*map(a.real, operands))
         if isinstance(part, sympy.Not):
-            return given[0] == False  # noqa: E712  # arrays are negated one by one
+            return operands[0] == False  # noqa: E712  # arrays are negated one by one
         if isinstance(part, (sympy.And, sympy.Or)):
-            return reduce(operator.and_ if isinstance(part, sympy.And) else operator.or_, given)
+            return reduce(operator.and_ if isinstance(part, sympy.And) else operator.or_, operands)
         return bool(part)
     if isinstance(part, TableBase):
-        return derivative(part.table, part.order, given, a.real)
+        return derivative(part.table, part.order, operands, a.real)
     name = type(part).__name__
-    own = {"Abs": a.absolute, "Max": a.maximum, "Min": a.minimum, "sign": a.sign}
-    if name in own:
-        return own[name](*given)
+    functions = {"Abs": a.absolute, "Max": a.maximum, "Min": a.minimum, "sign": a.sign}
     if name == "Heaviside":
-        return (a.sign(given[0]) + 1) / 2
-    return a.function(name)(*given)
+        return (a.sign(operands[0]) + 1) / 2
+    return functions[name](*operands) if name in functions else a.function(name)(*operands)
 
 
 _RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
@@ -118,9 +114,9 @@ _RELATIONS: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class Text:
-    """The text of a module, of which parts are executed without compiling them to machine code.
+    """The text of a module, whose parts are executed without compilation to machine code.
 
-    Functions that look `tables` up have those themselves in their indices when kernels are executed.
+    When kernels are executed, the look-ups of `tables` evaluate the tables themselves.
     """
 
     def __init__(self, text: str, tables: Sequence[TableData] = ()) -> None:
@@ -142,10 +138,10 @@ class Text:
                 self._parts |= {part.id: node for part in named}
 
     def _import(self, node: ast.ImportFrom) -> None:
-        """Take in the functions that kernels import from the runtime, as if they were the text's own."""
+        """Add the functions that kernels import from the runtime to the parts of the text."""
         module = str(node.module)
-        own = "codegen.runtime.arithmetic", "codegen.runtime.particles.", "codegen.runtime.tabulated"
-        if not module.startswith(own):
+        included = "codegen.runtime.arithmetic", "codegen.runtime.particles.", "codegen.runtime.tabulated"
+        if not module.startswith(included):
             self._imports += [node] if module not in ("numba", "codegen.runtime.kernels") else []
             return
         *folders, name = module.split(".")[1:]
@@ -159,21 +155,28 @@ class Text:
                     self._parts.setdefault(target.id, part)
 
     def defines(self, name: str) -> bool:
-        """Whether a function, class or constant has the name."""
+        """Return True if the text defines a function, class or constant of this name."""
         return name in self._parts
 
     def interpreted(self, *names: str) -> dict[str, Any]:
-        """Those of the names that the module defines, and what they need, with numba's decorators doing nothing."""
-        namespace: dict[str, Any] = {"njit": _undecorated, "prange": range, "__name__": "emitted"}
+        """Execute the named parts and those that they need, without numba's decorators; return the namespace."""
+
+        def undecorated(**_: Any) -> Callable[[Any], Any]:
+            return lambda function: function
+
+        def interpreted_loop(loop: Any) -> Callable[[Any], Any]:
+            return lambda function: loop(function, is_interpreted=True)
+
+        namespace: dict[str, Any] = {"njit": undecorated, "prange": range, "__name__": "emitted"}
         namespace |= dict.fromkeys(("Kernel", "Value", "Contracted"), _with_counts)
-        namespace |= {"_interpreted": _interpreted, "carray": _carray}
+        namespace |= {"_interpreted": interpreted_loop, "carray": _carray}
         body = [*self._imports, *ast.parse("Loop = _interpreted(globals().get('Loop'))").body, *self._needed(names)]
         exec(compile(ast.Module(body=body, type_ignores=[]), "<emitted>", "exec"), namespace)
         namespace["math"] = _QuietMath()  # which the functions read when they are called
         return namespace
 
     def kernels(self, names: Sequence[str], arithmetic: Arithmetic) -> dict[str, Callable[..., Any]]:
-        """Some functions, and what they call, in another arithmetic than that of floating-point numbers."""
+        """Return some functions, with those that they call, in another arithmetic than floating-point numbers."""
         key = tuple(names)
         if key not in self._codes:
             needed = self._needed(names, {*STEMS, *self._tables})
@@ -182,30 +185,31 @@ class Text:
             module = ast.fix_missing_locations(ast.Module(body=body, type_ignores=[]))
             self._codes[key] = compile(module, "<kernels>", "exec")
         namespace = _namespace(arithmetic)
-        namespace |= {name: _looked_up(table, arithmetic) for name, table in self._tables.items()}
+        for name, table in self._tables.items():
+            namespace[name] = partial(_lookup, table, arithmetic)
         exec(self._codes[key], namespace)
         return {name: namespace[name] for name in names if name in self._parts}
 
     def _needed(self, names: Iterable[str], replaced: Collection[str] = ()) -> list[ast.stmt]:
-        """The parts with these names and those that they read, in the order of the text, without what is replaced."""
-        waiting, found = list(names), set[str]()
+        """Return the named parts and those that they read, in the order of the text, without `replaced` names."""
+        waiting, needed = list(names), set[str]()
         while waiting:
             name = waiting.pop()
-            if name in self._parts and name not in found and name not in replaced:
-                found.add(name)
+            if name in self._parts and name not in needed and name not in replaced:
+                needed.add(name)
                 if name not in self._reads:
                     self._reads[name] = _read(self._parts[name])
                 waiting += self._reads[name]
-        return list(dict.fromkeys(node for name, node in self._parts.items() if name in found))
+        return list(dict.fromkeys(node for name, node in self._parts.items() if name in needed))
 
 
-def _looked_up(table: TableData, a: Arithmetic) -> Callable[..., Any]:
-    orders = ORDERS[len(table.shape.inputs)]
-    return lambda parameters, *at: tuple(derivative(table, order, at, a.real) for order in orders)
+def _lookup(table: TableData, a: Arithmetic, parameters: Any, *at: Any) -> tuple[Any, ...]:
+    """Return all derivatives of a table at a point, as an emitted look-up does."""
+    return tuple(derivative(table, order, at, a.real) for order in ORDERS[len(table.shape.inputs)])
 
 
 def _read(part: ast.stmt) -> set[str]:
-    """The names that a part reads and does not give a value to itself."""
+    """Return the names that a part reads and does not assign."""
     names = [node for node in ast.walk(part) if isinstance(node, ast.Name)]
     own = {node.arg for node in ast.walk(part) if isinstance(node, ast.arg)}
     own |= {node.id for node in names if isinstance(node.ctx, ast.Store)}
@@ -216,23 +220,17 @@ class _QuietMath:
     """The functions of `math` with NaN and infinity where Python's raise errors, as machine code has them."""
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(math, name)
-        return _quiet(found) if callable(found) else found
+        attribute = getattr(math, name)
+        if not callable(attribute):
+            return attribute
 
+        def called(*arguments: float) -> Any:
+            try:
+                return np.float64(attribute(*arguments))
+            except (ValueError, OverflowError):
+                return np.float64(np.nan)
 
-def _quiet(function: Callable[..., float]) -> Callable[..., Any]:
-    def called(*arguments: float) -> Any:
-        try:
-            return np.float64(function(*arguments))
-        except (ValueError, OverflowError):
-            return np.float64(np.nan)
-
-    return called
-
-
-def _interpreted(loop: Any) -> Callable[[Any], Any]:
-    """Return what marks a loop over intervals, which then runs by the interpreter."""
-    return lambda function: loop(function, is_interpreted=True)
+        return called
 
 
 def _carray(pointer: Any, shape: Any) -> Any:
@@ -245,18 +243,14 @@ def _carray(pointer: Any, shape: Any) -> Any:
 
 
 def _with_counts(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A kernel that Python calls without the numbers of particles and of columns."""
+    """Return a kernel that is called without the numbers of particles and of columns."""
     code = function.__code__
     names = code.co_varnames[: code.co_argcount]
     return lambda *values: function(*with_counts(names, values))
 
 
-def _undecorated(*_arguments: Any, **_options: Any) -> Callable[[Any], Any]:
-    return lambda function: function
-
-
 class _Functions:
-    """Stands for the module `math`, or `np`, of a text."""
+    """The module `math` of a text, in some arithmetic."""
 
     def __init__(self, arithmetic: Arithmetic) -> None:
         self._arithmetic = arithmetic
@@ -268,10 +262,10 @@ class _Functions:
 
 
 class _Rewritten(ast.NodeTransformer):
-    """Powers, choices and comparisons as calls, which operators of Python do not express for arrays."""
+    """Rewrites powers, choices and comparisons as calls, since the operators of Python do not fit arrays."""
 
     def function(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        """The function itself, without decorators; what has been rewritten once stays as it is."""
+        """Return the rewritten function without decorators."""
         visited = self.visit(node)
         assert isinstance(visited, ast.FunctionDef)
         visited.decorator_list = []
@@ -306,6 +300,8 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
 
 
 def _namespace(a: Arithmetic) -> dict[str, Any]:
+    """Return the names that rewritten kernels call."""
+
     def compared(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         return lambda one, other: operation(a.real(one), a.real(other))
 
@@ -338,16 +334,18 @@ _TOLERANCE = 1e-9
 
 
 def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
-    """Execute each look-up, whose numbers stand from `first` on; VerificationError names a derivative that is wrong."""
+    """Execute each look-up, with numbers from index `first` on; VerificationError names a wrong derivative."""
     if not tables:
         return
     module = text.interpreted("TABLES", *(table.shape.lookup for table in tables))
     numbers = np.concatenate([np.full(first, np.nan), *module["TABLES"].values()])
     for table in tables:
-        orders = ORDERS[len(table.shape.sizes)]
-        for point in _points(table):
-            found = module[table.shape.lookup](numbers, *point)
-            for order, value in zip(orders, found, strict=True):
+        generator = np.random.default_rng(11)
+        for _ in range(_POINTS):
+            # Points inside the table's range, and beyond it by a tenth of its width.
+            point = [float(axis[0] + generator.uniform(-0.1, 1.1) * np.ptp(axis)) for axis in table.axes]
+            values = module[table.shape.lookup](numbers, *point)
+            for order, value in zip(ORDERS[len(table.shape.sizes)], values, strict=True):
                 right = float(derivative(table, order, point, lambda x: x))
                 if not abs(value - right) <= _TOLERANCE * _size(table, order):
                     raise VerificationError(
@@ -357,15 +355,8 @@ def verify_tables(tables: Sequence[TableData], first: int, text: Text) -> None:
                     )
 
 
-def _points(table: TableData) -> Iterator[list[float]]:
-    """Points inside the table's range, and beyond it by a tenth of that."""
-    generator = np.random.default_rng(11)
-    for _ in range(_POINTS):
-        yield [float(axis[0] + generator.uniform(-0.1, 1.1) * np.ptp(axis)) for axis in table.axes]
-
-
 def _size(table: TableData, order: Sequence[int]) -> float:
-    """How large a derivative is, by values and slopes and the widths of cells."""
+    """Return the scale of a derivative, from values, slopes and the widths of cells."""
     size = float(np.abs(table.heights).max()) * max(1.0, *(float(np.ptp(axis)) for axis in table.axes))
     for axis, o in zip(table.axes, order, strict=True):
         size /= float(np.diff(axis).min(initial=1.0)) ** o

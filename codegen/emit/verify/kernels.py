@@ -1,16 +1,14 @@
-"""The kernels of a control problem: intervals of all kinds, both ends, and the controls' block.
+"""Verification of the kernels of all three tasks against the expressions of the program.
 
-The kernels of a simulation: the scheme's equations, what is left of them for Newton's method, and the energy.
-
-The loops over particles and pairs: H, its derivatives and products with them, against the author's two terms.
-
-What is right is the sum of both terms over a few particles, evaluated as it stands: its first derivatives by complex
-steps, its second ones as differences of these in extended precision.
+Of a control problem these are the kernels of intervals of all kinds, samples, both ends, and the controls' block. Of a
+simulation they are the scheme's equations, the reduced equations for Newton's method, and the energy. Of particles
+they are the loops for H, its derivatives and products: the reference is the sum of the author's two terms over a few
+particles. Its first derivatives are complex steps, its second ones differences of these in extended precision.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,8 +20,8 @@ from codegen.discretise.interval import STEP
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import data_of
+from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.control.phases import named_elements
 from codegen.emit.verify.comparison import (
     EXACT,
     SIZED,
@@ -43,6 +41,7 @@ from codegen.emit.verify.execution import Arithmetic, Tape, Text
 from codegen.emit.verify.shares import Share, ShareComparison, columns_of, mixed_shares, pattern_of
 from codegen.errors import VerificationError
 from codegen.symbolic.checks import rounded_at
+from codegen.symbolic.graph import Assignment
 
 _DRAWN = 30
 _ROUNDING = 1e-8
@@ -50,20 +49,19 @@ _READ = (
     *("make_grid", "initial_guess", "read_shared", "STRIDE", "BODIES", "SHARED"),
     *(f"{share}HESSIAN_{side}" for share in ("", "START_", "END_") for side in ("ROWS", "COLUMNS")),
 )
-"""What is executed of a module as it stands."""
+"""Parts of a module that are executed unchanged."""
 
 
 def verify_control(program: ControlProgram, text: Text) -> None:
-    """Compare every kernel with its share of the Lagrangian; VerificationError names an entry that is wrong."""
+    """Compare every kernel with its share of the Lagrangian; VerificationError names a wrong entry."""
     guessed = guessed_points(program, text)
-    module = guessed.module
-    intervals = list(_intervals(program, module, guessed))
+    intervals = list(_intervals(program, guessed))
     block = [_control_block(program, *intervals[0])] if text.defines("control_hessian") else []
-    samples = list(_samples(program, intervals))
-    ends = list(_ends(program, module, guessed))
+    samples = [_sample(program, *intervals[0])] if program.sample is not None else []
+    ends = list(_ends(program, guessed))
     mixed = _mixed(program, text, intervals, samples, ends) if text.defines("QUANTITIES") else []
+    others = [*parameters(program), program.model.time, STEP, *(program.sample.symbols if program.sample else ())]
     for share, near in (*intervals, *block, *samples, *ends, *mixed):
-        others = [*parameters(program), program.model.time, STEP, *(program.sample.symbols if program.sample else ())]
         symbols = list(dict.fromkeys([*share.unknowns, *others]))
         drawn = random_points(symbols, program.model.default_values, _DRAWN, seed=5)
         ShareComparison(share, text, [with_time(near, program.model.time), drawn]).verify()
@@ -72,44 +70,41 @@ def verify_control(program: ControlProgram, text: Text) -> None:
 
 
 def guessed_points(program: ControlProgram, text: Text) -> GuessedPoints:
-    """Points near the guess that the text of a module makes."""
+    """Return points near the guess of a module."""
     return GuessedPoints(text.interpreted(*_READ), program.model.steps, len(program.inner.times) + 1)
 
 
-def _intervals(
-    program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPoints
-) -> Iterator[tuple[Share, Values]]:
+def _intervals(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
+    """Yield the share of each kind of interval; with inner times, also of intervals that begin at no inner time."""
     others, time = parameters(program), program.model.time
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
     def calling(begins_at: int) -> Any:
-        """Call a kernel of an interval that begins at the inner time of this number, or at none."""
+        """Return the call of a kernel of an interval that begins at the inner time of this number, or at none (-1)."""
         times = inner_time_symbols(program)
 
         def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
             moved = {s: values[time] + 2 * abs(i - begins_at) * values[STEP] for i, s in enumerate(times)}
-            given = [moved[s] if s in moved else values[s] for s in others]
-            return kernel([values[s] for s in local], values[time], values[STEP], given, filled)
+            vector = [moved[s] if s in moved else values[s] for s in others]
+            return kernel([values[s] for s in local], values[time], values[STEP], vector, filled)
 
         return call
 
-    pattern = _pattern(module, "")
     kinds = list(zip(named_elements(program), program.interval_elements, [0] * len(program.interval_elements)))
     if program.inner.times:
         kinds += [((stem, f"{where} that begins at no inner time"), share, -1) for (stem, where), share, _ in kinds]
     for (stem, where), element, begins_at in kinds:
-        call = calling(begins_at)
         share = Share(
             name="an interval" + where,
             scalar=element.element.xreplace(inner_numbers(program, begins_at)),
             beside=element.cost,
             unknowns=program.element_symbols,
             indices=tuple(range(len(program.element_symbols))),
-            pattern=pattern,
+            pattern=_pattern(guessed.module, ""),
             gradient=f"{stem}_gradient",
             hessian=f"{stem}_hessian",
-            call_gradient=call,
-            call_hessian=call,
+            call_gradient=calling(begins_at),
+            call_hessian=calling(begins_at),
         )
         yield share, guessed.on_intervals(local, others, part_of_chain(program, stem))
 
@@ -121,44 +116,41 @@ def _mixed(
     samples: Sequence[tuple[Share, Values]],
     ends: Sequence[tuple[Share, Values]],
 ) -> list[tuple[Share, Values]]:
-    """The shares with derivatives by data in place of those by unknowns, where the text has sensitivities."""
-    found, count = [], len(program.interval_elements)
+    """Return the shares with derivatives by data in place of derivatives by unknowns."""
+    mixed, count = [], len(program.interval_elements)
     for number, (share, near) in enumerate((*intervals, *samples)):
         columns = columns_of(program, -1 if count <= number < len(intervals) else 0)
         kernel = share.gradient.removesuffix("gradient") + "mixed"
-        found += [(one, near) for one in mixed_shares(share, kernel, pattern_of(text), columns)]
+        mixed += [(one, near) for one in mixed_shares(share, kernel, pattern_of(text), columns)]
     for (share, near), name in zip(ends, ("start", "end"), strict=True):
-        columns = columns_of(program, -1)
-        first = len(data_of(program))
+        columns, first = columns_of(program, -1), len(data_of(program))
         columns |= {first + i: s for i, s in enumerate(share.unknowns) if i not in share.indices}
         pattern = pattern_of(text, f"{name.upper()}_")
-        found += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
-    return found
+        mixed += [(one, near) for one in mixed_shares(share, f"{name}_mixed", pattern, columns)]
+    return mixed
 
 
 def inner_time_symbols(program: ControlProgram) -> tuple[Symbol, ...]:
-    """The parameters that are inner times."""
+    """Return the parameters that are inner times."""
     return program.inner.parameters[: len(program.inner.times)]
 
 
 def inner_numbers(program: ControlProgram, number: int) -> dict[Symbol, Expr]:
-    """What an interval that begins at the inner time of this number, or at none (-1), reads of its left node."""
+    """Return the left node's numbers of an interval that begins at the inner time of this number, or at none (-1)."""
     count, inner = len(program.inner.times), program.inner
     of_times = inner.parameters[count:]
     return {s: of_times[i * count + number] if number >= 0 else S.Zero for i, s in enumerate(inner.symbols)}
 
 
-def _samples(program: ControlProgram, intervals: Sequence[tuple[Share, Values]]) -> Iterator[tuple[Share, Values]]:
-    """What a sample adds to the share of an interval, with values that may have been measured."""
-    if program.sample is None:
-        return
-    (share, near), sample = intervals[0], program.sample
-    others, time, own = parameters(program), program.model.time, sample.symbols
+def _sample(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
+    """Return the share of a sample, with random measured values."""
+    assert program.sample is not None, "there are samples"
+    others, time, sample = parameters(program), program.model.time, program.sample
     local = program.element_symbols[: len(program.element_symbols) - len(program.shared)]
 
     def call(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
-        # A sample stands behind the parameters, and its middle, which kernels do not read, before all else.
-        row = [*(values[s] for s in others), None, *(values[s] for s in own)]
+        # A sample follows the parameters. It begins with its middle, which kernels do not read.
+        row = [*(values[s] for s in others), None, *(values[s] for s in sample.symbols)]
         return kernel([values[s] for s in local], values[time], values[STEP], row, len(others), filled)
 
     measured = replace(
@@ -166,21 +158,21 @@ def _samples(program: ControlProgram, intervals: Sequence[tuple[Share, Values]])
         hessian="sample_hessian", call_gradient=call, call_hessian=call, returned="the losses of",
     )  # fmt: skip
     generator, count = np.random.default_rng(7), len(next(iter(near.values())))
-    yield measured, near | {symbol: generator.uniform(0.1, 0.9, count) for symbol in own}
+    return measured, near | {symbol: generator.uniform(0.1, 0.9, count) for symbol in sample.symbols}
 
 
 def _verify_values(program: ControlProgram, text: Text, share: Share, near: Values) -> None:
-    """Compare what the motion has at a sample, on which no derivative depends, with the expressions themselves."""
+    """Compare the observed values at a sample, on which no derivative depends, with their expressions."""
     assert program.sample is not None, "there are samples"
     tape, numbers = Tape(program.sample.observed), complex_numbers(np.complex128)
-    given = {symbol: values.astype(complex) for symbol, values in near.items()}
+    points = {symbol: values.astype(complex) for symbol, values in near.items()}
     emitted: list[Any] = [0.0] * len(program.sample.observed)
     with np.errstate(all="ignore"):
-        exact = tape.evaluate(given, numbers)
-        share.call_gradient(text.kernels(("sample_values",), numbers)["sample_values"], given, emitted)
-    for observed, found, right in zip(program.model.observed, emitted, exact, strict=True):
+        exact = tape.evaluate(points, numbers)
+        share.call_gradient(text.kernels(("sample_values",), numbers)["sample_values"], points, emitted)
+    for observed, value, right in zip(program.model.observed, emitted, exact, strict=True):
         finite = np.isfinite(right)
-        if not np.allclose(np.where(finite, found, 0.0), np.where(finite, right, 0.0), rtol=_ROUNDING, atol=_ROUNDING):
+        if not np.allclose(np.where(finite, value, 0.0), np.where(finite, right, 0.0), rtol=_ROUNDING, atol=_ROUNDING):
             raise VerificationError(
                 f"the emitted code gives another value than the expression that {observed.name} measures",
                 "this is a defect of codegen, and nothing was written; please report it with the problem file",
@@ -188,7 +180,7 @@ def _verify_values(program: ControlProgram, text: Text, share: Share, near: Valu
 
 
 def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple[Share, Values]:
-    """The same with the kernel of the controls' block, whose lower triangle is filled by row and column."""
+    """Return the share with the kernel of the controls' block, which fills a lower triangle by row and column."""
     others, size = parameters(program), len(program.control_symbols)
     first = len(program.left_symbols) + len(program.interval_symbols)
     pairs = [(row, column) for row in range(size) for column in range(row + 1)]
@@ -210,7 +202,7 @@ def _control_block(program: ControlProgram, share: Share, near: Values) -> tuple
 
 
 def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
-    """Where intervals of a kind lie, in parts of the whole chain."""
+    """Return the begin and end of a kind of intervals, as fractions of the whole chain."""
     if not program.phases:
         return 0.0, 1.0
     kind, number = stem.split("_")
@@ -218,7 +210,8 @@ def part_of_chain(program: ControlProgram, stem: str) -> tuple[float, float]:
     return begin / len(program.phases), (begin + (kind == "phase")) / len(program.phases)
 
 
-def _ends(program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
+def _ends(program: ControlProgram, guessed: GuessedPoints) -> Iterator[tuple[Share, Values]]:
+    """Yield the shares of both ends."""
     others, time = parameters(program), program.model.time
     for name, end, node in (
         ("start", program.start, program.left_symbols),
@@ -235,7 +228,7 @@ def _ends(program: ControlProgram, module: Mapping[str, Any], guessed: GuessedPo
             beside=end.cost,
             unknowns=unknowns,
             indices=tuple(index for index in range(len(unknowns)) if index not in pinned),
-            pattern=_pattern(module, f"{name.upper()}_"),
+            pattern=_pattern(guessed.module, f"{name.upper()}_"),
             gradient=f"{name}_gradient",
             hessian=f"{name}_hessian",
             call_gradient=call,
@@ -249,15 +242,10 @@ def _pattern(module: Mapping[str, Any], prefix: str) -> tuple[tuple[int, int], .
     return tuple((int(r), int(c)) for r, c in zip(rows, columns, strict=True))
 
 
-_DRAWN_STEPS = 30
-Assignment = tuple[Symbol, Expr]
-
-
 def verify_step(program: StepProgram, text: Text) -> None:
-    """Compare every kernel with what the program says; VerificationError names a value that is wrong."""
-    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+    """Compare every kernel with the program; VerificationError names a wrong value."""
     interval = [*program.stage_symbols, *program.right_symbols]
-    kernels = _Kernels(program, text, base)
+    kernels = _StepKernels(program, text)
     written, values = zip(*program.equations, strict=True)
     kernels.compare("step_equations", interval, (), list(values), [f"the equation {name}" for name in written])
     kernels.compare("energy", [], program.state_assignments, [program.energy], ["the energy"])
@@ -273,25 +261,25 @@ def verify_step(program: StepProgram, text: Text) -> None:
 
 
 class _Values:
-    """Expressions that read assignments, evaluated as they stand."""
+    """Expressions that read assignments, evaluated unchanged."""
 
     def __init__(self, assignments: Sequence[Assignment], values: Sequence[Expr]) -> None:
         self.names = [symbol for symbol, _ in assignments]
         self.tapes = [Tape([value]) for _, value in assignments]
         self.tape = Tape(values)
 
-    def evaluate(self, given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
-        known = dict(given)
+    def evaluate(self, values: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        assigned = dict(values)
         for symbol, tape in zip(self.names, self.tapes, strict=True):
-            known[symbol] = tape.evaluate(known, numbers)[0]
-        return self.tape.evaluate(known, numbers)
+            assigned[symbol] = tape.evaluate(assigned, numbers)[0]
+        return self.tape.evaluate(assigned, numbers)
 
 
-class _Kernels:
-    """Calls kernels of a step, at points where the program's expressions have values."""
+class _StepKernels:
+    """Calls the kernels of a step, at points where the program's expressions have values."""
 
-    def __init__(self, program: StepProgram, text: Text, base: Sequence[Symbol]) -> None:
-        self.program, self.text, self.base = program, text, base
+    def __init__(self, program: StepProgram, text: Text) -> None:
+        self.program, self.text = program, text
 
     def compare(
         self,
@@ -301,25 +289,36 @@ class _Kernels:
         values: Sequence[Expr],
         names: Sequence[str],
     ) -> None:
-        """A kernel that fills values, given those of some symbols beside the state, time, length and parameters."""
+        """Compare a kernel that fills values; it reads symbols `inside` a step, state, time, lengths and parameters."""
         if not values:
             return
         read = _Values(assignments, values)
         points, count = self._points(inside, read)
 
-        def filled(given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
-            return self._filled(name, self.text.kernels((name,), numbers)[name], given, inside, len(values))
+        def filled(at: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+            kernel = self.text.kernels((name,), numbers)[name]
+            state, time, lengths, parameters = self._arguments(at)
+            within, results = [at[symbol] for symbol in inside], [0] * len(values)
+            if name == "energy":
+                return [kernel(state, time, parameters)]
+            if name == "step_equations":
+                kernel(state, within, time, lengths, parameters, results)
+            elif name == "explicit_step":
+                kernel(state, time, lengths, parameters, results)
+            else:
+                kernel(within, state, time, lengths, parameters, results)
+            return results
 
         def evaluate(kind: Any) -> tuple[Any, Any]:
-            given = {symbol: array.astype(kind) for symbol, array in points.items()}
+            at = {symbol: array.astype(kind) for symbol, array in points.items()}
             numbers = complex_numbers(kind)
-            return _columns(filled(given, numbers), count), _columns(read.evaluate(given, numbers), count)
+            return _columns(filled(at, numbers), count), _columns(read.evaluate(at, numbers), count)
 
         def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
             at = {symbol: float(array[point]) for symbol, array in points.items()}
-            exact, error = difference(lambda given: read.evaluate(given, EXACT)[entry], at, [])
-            found = filled({symbol: Sized(value) for symbol, value in at.items()}, SIZED)[entry]
-            return sized(found), exact, error
+            exact, error = difference(lambda numbers: read.evaluate(numbers, EXACT)[entry], at, [])
+            value = filled({symbol: Sized(number) for symbol, number in at.items()}, SIZED)[entry]
+            return sized(value), exact, error
 
         if count:
             judge(names, evaluate, opinion)
@@ -327,86 +326,68 @@ class _Kernels:
     def compare_slopes(
         self, unknowns: Sequence[Symbol], before: Sequence[Assignment], residual: Sequence[Expr], names: Sequence[str]
     ) -> None:
-        """The Jacobian of the residual, and the residual that its kernel fills as well."""
+        """Compare the Jacobian of the residual, and the residual that its kernel fills as well."""
         read, size = _Values(before, residual), len(unknowns)
         points, count = self._points(unknowns, read)
 
-        def filled(given: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
+        def filled(at: Mapping[Symbol, Any], numbers: Arithmetic) -> list[Any]:
             kernel = self.text.kernels(("step_jacobian",), numbers)["step_jacobian"]
-            beside: list[Any] = [0] * size
+            heights: list[Any] = [0] * size
             matrix: list[Any] = [0] * size**2
-            kernel([given[y] for y in unknowns], *self._arguments(given), beside, matrix)
-            return [*beside, *matrix]
+            kernel([at[y] for y in unknowns], *self._arguments(at), heights, matrix)
+            return [*heights, *matrix]
 
         def evaluate(kind: Any) -> tuple[Any, Any]:
             step, numbers = step_of(kind), complex_numbers(kind)
-            given = {symbol: array.astype(kind)[:, None] for symbol, array in points.items()}
-            moved = dict(given)
+            at = {symbol: array.astype(kind)[:, None] for symbol, array in points.items()}
+            moved = dict(at)
             for index, y in enumerate(unknowns):
-                moved[y] = np.tile(given[y], (1, size))
+                moved[y] = np.tile(at[y], (1, size))
                 moved[y][:, index] += 1j * step
             exact = [np.broadcast_to(np.asarray(value, kind), (count, size)) for value in read.evaluate(moved, numbers)]
             heights = np.stack([value[:, 0].real for value in exact], axis=1)
             slopes = np.concatenate([value.imag / step for value in exact], axis=1)
-            emitted = [np.asarray(value).reshape(-1) for value in filled(given, numbers)]
+            emitted = [np.asarray(value).reshape(-1) for value in filled(at, numbers)]
             return _columns(emitted, count), np.concatenate([heights, slopes], axis=1)
 
         def opinion(entry: int, point: int) -> tuple[Sized, Any, Any]:
             at = {symbol: float(array[point]) for symbol, array in points.items()}
             row, by = (entry, []) if entry < size else ((entry - size) // size, [unknowns[(entry - size) % size]])
-            exact, error = difference(lambda given: read.evaluate(given, EXACT)[row], at, by)
-            found = filled({symbol: Sized(value) for symbol, value in at.items()}, SIZED)[entry]
-            return sized(found), exact, error
+            exact, error = difference(lambda numbers: read.evaluate(numbers, EXACT)[row], at, by)
+            value = filled({symbol: Sized(number) for symbol, number in at.items()}, SIZED)[entry]
+            return sized(value), exact, error
 
         if count:
             slopes = [f"the derivative of {name} by {y}" for name in names for y in unknowns]
             judge([*names, *slopes], evaluate, opinion)
 
-    def _filled(
-        self, name: str, kernel: Callable[..., Any], given: Mapping[Symbol, Any], inside: Sequence[Symbol], size: int
-    ) -> list[Any]:
-        state, time, length, parameters = self._arguments(given)
-        within, filled = [given[symbol] for symbol in inside], [0] * size
-        if name == "energy":
-            return [kernel(state, time, parameters)]
-        if name == "step_equations":
-            kernel(state, within, time, length, parameters, filled)
-        elif name == "explicit_step":
-            kernel(state, time, length, parameters, filled)
-        else:
-            kernel(within, state, time, length, parameters, filled)
-        return filled
-
-    def _arguments(self, given: Mapping[Symbol, Any]) -> tuple[list[Any], Any, list[Any], list[Any]]:
+    def _arguments(self, at: Mapping[Symbol, Any]) -> tuple[list[Any], Any, list[Any], list[Any]]:
         program = self.program
         return (
-            [given[symbol] for symbol in program.left_symbols],
-            given[program.model.time],
-            [given[h] for h in program.lengths],
-            [given[symbol] for symbol in program.model.parameters],
+            [at[symbol] for symbol in program.left_symbols],
+            at[program.model.time],
+            [at[h] for h in program.lengths],
+            [at[symbol] for symbol in program.model.parameters],
         )
 
     def _points(self, inside: Sequence[Symbol], read: _Values) -> tuple[Values, int]:
-        defaults = self.program.model.default_values
-        symbols = list(dict.fromkeys([*self.base, *inside]))
-        drawn = random_points(symbols, defaults, _DRAWN_STEPS, seed=5)
-        return finite_points(read, [drawn | self._near_start(symbols), drawn])
-
-    def _near_start(self, symbols: Sequence[Symbol]) -> Values:
-        """States near the initial one, with the steps and parameters that a solution has by default."""
+        """Return states near the initial one, with default steps and parameters, and random points."""
         program, generator = self.program, np.random.default_rng(6)
-        values = dict(program.model.default_values)
+        defaults = program.model.default_values
+        arguments = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+        symbols = list(dict.fromkeys([*arguments, *inside]))
+        drawn = random_points(symbols, defaults, _DRAWN, seed=5)
+        values = dict(defaults)
         values |= {v.symbol: rounded_at(v.value, values) or 0.0 for v in program.start_values}
         state = dict(zip(program.left_symbols, (rounded_at(e, values) or 0.0 for e in program.start), strict=True))
         state |= dict(zip(program.right_symbols, list(state.values()), strict=True))
         length = (rounded_at(program.model.duration, values) or 1.0) / program.model.steps
-        near = {symbol: np.full(_DRAWN_STEPS, number) for symbol, number in values.items()}
+        near = {symbol: np.full(_DRAWN, number) for symbol, number in values.items()}
         for symbol, number in state.items():
-            near[symbol] = number + 0.1 * (abs(number) or 1.0) * generator.uniform(-1.0, 1.0, _DRAWN_STEPS)
-        near |= {h: np.full(_DRAWN_STEPS, length) for h in program.lengths} | {
-            program.model.time: np.zeros(_DRAWN_STEPS)
-        }
-        return {symbol: array for symbol, array in near.items() if symbol in symbols}
+            near[symbol] = number + 0.1 * (abs(number) or 1.0) * generator.uniform(-1.0, 1.0, _DRAWN)
+        near |= {h: np.full(_DRAWN, length) for h in program.lengths} | {program.model.time: np.zeros(_DRAWN)}
+        near = {symbol: array for symbol, array in near.items() if symbol in symbols}
+        return finite_points(read, [drawn | near, drawn])
 
 
 def _columns(values: Sequence[Any], count: int) -> Any:
@@ -415,10 +396,10 @@ def _columns(values: Sequence[Any], count: int) -> Any:
 
 _PARTICLES = 3
 _SCALES = (0.6, 0.05)
-"""How far particles are from the origin, and how large their momenta."""
+"""Distances of particles from the origin, and sizes of their momenta."""
 _DIFFERENCE = 1e-7
 _FIRST, _SECOND = 1e-9, 1e-7
-"""Parts of an array's largest entry by which values, and second derivatives from differences, may be wrong."""
+"""Tolerances of values, and of second derivatives from differences, relative to an array's largest entry."""
 _DIRECTIONS = 2
 _LOOPS = ("hamiltonian", "hamiltonian_gradient", "slope", "velocity", "hamiltonian_hessian", "hessian_products")
 _MATRIX = "momentum_matrix"
@@ -426,32 +407,42 @@ Array = Any
 
 
 def verify_particles(program: PairwiseProgram, text: Text) -> None:
-    """Compare every loop with the author's terms; VerificationError names a value that is wrong."""
+    """Compare every loop with the author's terms; VerificationError names a wrong value."""
     model, generator = program.model, np.random.default_rng(5)
-    exact, module = _Exact(model), text.interpreted(*_LOOPS, _MATRIX)
+    exact, module = _Hamiltonian(model), text.interpreted(*_LOOPS, _MATRIX)
     for scale in _SCALES:
         size = (2, _PARTICLES, len(model.coordinates))
         state = scale * generator.uniform(-1.0, 1.0, size) / np.sqrt(size[-1])
         own = generator.uniform(0.5, 1.5, (_PARTICLES, len(model.own)))
         parameters = np.array(model.defaults) * generator.uniform(0.9, 1.1, len(model.defaults))
         with np.errstate(all="ignore"):
-            for quantity, emitted, right, part in _compared(module, exact, (state, own, parameters)):
-                _require_equal(quantity, np.asarray(emitted), np.asarray(right, float), part)
+            for quantity, value, reference, tolerance in _compared(module, exact, (state, own, parameters)):
+                emitted, right = np.asarray(value), np.asarray(reference, float)
+                if not np.all(np.isfinite(right)):  # the terms have no value there
+                    continue
+                odd = ~(abs(emitted - right) <= tolerance * abs(right).max(initial=0.0))
+                if odd.any():
+                    index = tuple(int(i) for i in np.argwhere(odd)[0])
+                    raise VerificationError(
+                        f"the emitted code gives {float(emitted[index]):.8g} for {quantity}{list(index) or ''}, where "
+                        f"{float(right[index]):.8g} is right",
+                        "this is a defect of codegen, and nothing was written; please report it with the problem file",
+                    )
 
 
 def _compared(
-    module: dict[str, Any], exact: _Exact, given: tuple[Array, Array, Array]
+    module: dict[str, Any], exact: _Hamiltonian, arguments: tuple[Array, Array, Array]
 ) -> Iterator[tuple[str, Array, Array, float]]:
-    """Name of a quantity, its emitted and its right value, and the part by which they may differ."""
-    energy, gradient, hessian = exact.at(*given)
-    state = given[0]
+    """Yield the name of a quantity, its emitted and its right value, and the relative tolerance."""
+    energy, gradient, hessian = exact.at(*arguments)
+    state = arguments[0]
 
     def filled(name: str, shape: Sequence[int], *beside: Array) -> Array:
         array = np.zeros(shape)
-        module[name](*given, *beside, array)
+        module[name](*arguments, *beside, array)
         return array
 
-    yield "the energy H", module["hamiltonian"](*given), energy, _FIRST
+    yield "the energy H", module["hamiltonian"](*arguments), energy, _FIRST
     for name, right in (("hamiltonian_gradient", gradient), ("slope", gradient[0]), ("velocity", gradient[1])):
         if name in module:
             yield f"{name} of H", filled(name, right.shape), right, _FIRST
@@ -459,32 +450,15 @@ def _compared(
         yield "hamiltonian_hessian", filled("hamiltonian_hessian", hessian.shape), hessian, _SECOND
     if "hessian_products" in module:
         directions = np.random.default_rng(6).normal(size=(state.size, _DIRECTIONS))
-        yield (
-            "hessian_products",
-            filled("hessian_products", directions.shape, directions),
-            hessian.astype(float) @ directions,
-            _SECOND,
-        )
+        products = filled("hessian_products", directions.shape, directions)
+        yield "hessian_products", products, hessian.astype(float) @ directions, _SECOND
     if _MATRIX in module:
         size, half = state.shape[2], state.size // 2
         yield _MATRIX, filled(_MATRIX, (_PARTICLES, _PARTICLES)), hessian[half::size, half::size], _SECOND
 
 
-def _require_equal(quantity: str, emitted: Array, right: Array, part: float) -> None:
-    if not np.all(np.isfinite(right)):  # the terms have no value there
-        return
-    odd = ~(abs(emitted - right) <= part * abs(right).max(initial=0.0))
-    if odd.any():
-        index = tuple(int(i) for i in np.argwhere(odd)[0])
-        raise VerificationError(
-            f"the emitted code gives {float(emitted[index]):.8g} for {quantity}{list(index) or ''}, where "
-            f"{float(right[index]):.8g} is right",
-            "this is a defect of codegen, and nothing was written; please report it with the problem file",
-        )
-
-
-class _Exact:
-    """H of a few particles, as the author wrote its terms, and its derivatives."""
+class _Hamiltonian:
+    """H of a few particles, by the author's terms, and its derivatives."""
 
     def __init__(self, model: PairwiseModel) -> None:
         self.model = model
@@ -492,7 +466,7 @@ class _Exact:
         self.numbers, self.step = complex_numbers(np.clongdouble), step_of(np.clongdouble)
 
     def at(self, state: Array, own: Array, parameters: Array) -> tuple[Array, Array, Array]:
-        """H, its gradient (2, n, d) and its Hessian by the flat state."""
+        """Return H, its gradient (2, n, d) and its Hessian by the flat state."""
         size = state.size
         flat = state.reshape(-1).astype(np.clongdouble)
         # Rows: the state itself, then moved ahead and back along each of its entries; columns: complex steps.
@@ -504,16 +478,17 @@ class _Exact:
         common: dict[Symbol, Any] = dict(zip(model.parameters, parameters.astype(np.clongdouble), strict=True))
         values = np.zeros(states.shape[:2], np.clongdouble)
         for i in range(_PARTICLES):
-            here = common | self._symbols(model.first, states, own, i)
-            values = values + self.alone.evaluate(here, self.numbers)[0]
+            first = common | self._symbols(model.first, states, own, i)
+            values = values + self.alone.evaluate(first, self.numbers)[0]
             for j in range(i):
-                both = here | self._symbols(model.second, states, own, j)
+                both = first | self._symbols(model.second, states, own, j)
                 values = values + self.both.evaluate(both, self.numbers)[0]
         slopes = values.imag / self.step
         hessian = (slopes[1 : size + 1] - slopes[size + 1 :]) / (2 * length)
         return values[0, 0].real, slopes[0].reshape(state.shape), hessian
 
     def _symbols(self, symbols: Any, states: Array, own: Array, particle: int) -> dict[Symbol, Any]:
+        """Return the values of the symbols of one particle."""
         moving = [states[:, :, part, particle, k] for part in range(2) for k in range(states.shape[-1])]
         values = dict(zip(symbols.moving, moving, strict=True))
         return values | dict(zip(symbols.own, own[particle].astype(np.clongdouble), strict=True))

@@ -1,7 +1,7 @@
 """Shares of the Lagrangian: emitted gradient and Hessian against complex steps.
 
-The gradient is compared with complex steps of the expression as it stands, and the Hessian with complex steps of the
-emitted gradient, which by then is known to be right.
+The gradient is compared with complex steps of the unchanged expression. The Hessian is compared with complex steps of
+the emitted gradient, once this is verified.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from codegen.emit.verify.comparison import (
 from codegen.emit.verify.execution import Tape, Text
 
 Call = Callable[[Callable[..., Any], Mapping[Symbol, Any], list[Any]], Any]
-"""Calls a kernel with values of symbols and a list to fill."""
+"""A function that calls a kernel with values of symbols and a list to fill."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """A scalar, what the kernel of its gradient returns beside it, and the two kernels as they are called.
+    """A scalar, the value that the kernel of its gradient returns, and the calls of the two kernels.
 
-    `returned` says what is beside. `indices` are those of the unknowns whose derivatives are emitted; `pattern` has
-    pairs of unknowns. Second derivatives are looked at of all `pairs` of these, unless some are given.
+    `beside` is the returned value and `returned` its name. `indices` are those of the unknowns whose derivatives are
+    emitted; `pattern` has pairs of unknowns. Second derivatives are compared for `pairs` of indices, by default all.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Share:
 
 
 class ShareComparison:
-    """One share at those of the points where it has a value."""
+    """The comparison of one share, at the points where it has a value."""
 
     def __init__(self, share: Share, text: Text, candidates: Sequence[Values]) -> None:
         self.share, self.text = share, text
@@ -72,7 +72,7 @@ class ShareComparison:
         self._sized: dict[tuple[str, int], tuple[list[Any], Any]] = {}
 
     def verify(self) -> None:
-        """Raise VerificationError for an entry that is wrong; what is beside comes first, the Hessian last."""
+        """Raise VerificationError for a wrong entry: first of the returned value, then gradient, then Hessian."""
         if not self.count:
             return
         share = self.share
@@ -87,12 +87,9 @@ class ShareComparison:
         judge(names, lambda kind: self._evaluated(kind)[order], lambda e, p: self._opinion(order, by(e), p))
 
     def _evaluated(self, kind: Any) -> tuple[Any, ...]:
-        """Emitted and exact values of what is beside, of the gradient, and of the Hessian; (points, entries)."""
-        if kind not in self._evaluations:
-            self._evaluations[kind] = self._evaluate(kind)
-        return self._evaluations[kind]
-
-    def _evaluate(self, kind: Any) -> tuple[Any, ...]:
+        """Return emitted and exact values of the returned value, the gradient, and the Hessian; (points, entries)."""
+        if kind in self._evaluations:
+            return self._evaluations[kind]
         share, numbers, step = self.share, complex_numbers(kind), step_of(kind)
         size, chosen = len(share.unknowns), list(share.indices)
         shape = self.count, size
@@ -113,43 +110,41 @@ class ShareComparison:
         for (row, column), value in zip(share.pattern, entries, strict=True):
             hessian[:, row, column] += np.broadcast_to(np.asarray(value).real.reshape(-1), self.count)
         rows, below = [row for row, _ in self.pairs], [column for _, column in self.pairs]
-        return (
+        self._evaluations[kind] = (
             (np.broadcast_to(np.asarray(returned, kind), shape)[:, :1].real, beside[:, :1].real),
             (columns[:, chosen, 0].real, scalar.imag[:, chosen] / step),
             (hessian[:, rows, below], (columns.imag / step)[:, rows, below]),
         )
+        return self._evaluations[kind]
 
     def _opinion(self, order: int, by: list[int], point: int) -> tuple[Sized, Any, Any]:
         at = {symbol: float(array[point]) for symbol, array in self.points.items()}
         index = 0 if order else 1
         names = [self.share.unknowns[i] for i in by]
         exact, error = difference(lambda values: self.tape.evaluate(values, EXACT)[index], at, names)
-        return self._with_digits(order, by, point, at), exact, error
-
-    def _with_digits(self, order: int, by: list[int], point: int, at: Mapping[Symbol, float]) -> Sized:
         share = self.share
         if order == 2 and tuple(by) not in share.pattern:
-            return Sized(0)
+            return Sized(0), exact, error
         name, call = (share.hessian, share.call_hessian) if order == 2 else (share.gradient, share.call_gradient)
         if (name, point) not in self._sized:
             filled: list[Any] = [Sized(0)] * (len(share.pattern) if order == 2 else len(share.unknowns))
-            given = {symbol: Sized(value) for symbol, value in at.items()}
-            returned = call(self.text.kernels((name,), SIZED)[name], given, filled)
+            sized_values = {symbol: Sized(value) for symbol, value in at.items()}
+            returned = call(self.text.kernels((name,), SIZED)[name], sized_values, filled)
             self._sized[name, point] = filled, returned
         filled, returned = self._sized[name, point]
         if order == 2:
             entries = [value for value, pair in zip(filled, share.pattern, strict=True) if pair == tuple(by)]
-            return reduce(Sized.__add__, entries, Sized(0))
+            return reduce(Sized.__add__, entries, Sized(0)), exact, error
         value: Any = filled[by[0]] if order else returned
-        return sized(value)
+        return sized(value), exact, error
 
 
 Columns = dict[int, Symbol]
-"""Data by the index of the column in which kernels write derivatives by them."""
+"""Data by the index of the column in which kernels write the derivatives."""
 
 
 def columns_of(program: ControlProgram, begins_at: int = 0) -> Columns:
-    """Data of intervals that begin at the inner time of this number, or at none (-1)."""
+    """Return the data of intervals that begin at the inner time of this number, or at none (-1)."""
     inner, data = program.inner, data_of(program)
     first, count = len(data) - len(inner.symbols), len(inner.times)
     columns = {i: datum for i, datum in enumerate(data[:first]) if datum not in inner.parameters}
@@ -160,10 +155,10 @@ def columns_of(program: ControlProgram, begins_at: int = 0) -> Columns:
 
 
 def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], columns: Columns) -> list[Share]:
-    """Two shares in place of one: its slopes by data, and the mixed derivatives of its gradient by unknowns and data.
+    """Return two shares in place of one: its slopes by data, and the mixed derivatives by unknowns and data.
 
-    `kernel` fills both, the latter by a `pattern` of unknowns and columns. What is not among the share's indices is
-    pinned, and counts as data.
+    `kernel` fills both, the latter by a `pattern` of unknowns and columns. Unknowns that are not among the share's
+    indices are pinned, and count as data.
     """
     data = [datum for datum in columns.values() if datum not in share.unknowns]
     unknowns = (*share.unknowns, *data)
@@ -174,14 +169,16 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
     def call_slopes(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> Any:
         slopes: list[Any] = [0] * width
         mixed: list[Any] = [0] * len(pairs)
-        share.call_gradient(lambda *given: called(*given[:-1], slopes, mixed), values, [])
+        share.call_gradient(lambda *arguments: called(*arguments[:-1], slopes, mixed), values, [])
         for column, index in indices.items():
             filled[index] = slopes[column] + filled[index]
         return 0
 
     def call_mixed(called: Callable[..., Any], values: Mapping[Symbol, Any], filled: list[Any]) -> None:
         slopes: list[Any] = [0] * width
-        share.call_gradient(lambda *given: called(*given[:-1], slopes, given[-1]), values, filled)
+        mixed: list[Any] = [0] * len(pairs)
+        share.call_gradient(lambda *arguments: called(*arguments[:-1], slopes, arguments[-1]), values, mixed)
+        filled[:] = [value for value, (_, column) in zip(mixed, pairs, strict=True) if column in indices]
 
     of_slopes = replace(
         share, beside=S.Zero, unknowns=unknowns, indices=tuple(indices.values()), pattern=(), pairs=(), gradient=kernel,
@@ -190,24 +187,13 @@ def mixed_shares(share: Share, kernel: str, pattern: Iterable[tuple[int, int]], 
     every = tuple((row, index) for row in share.indices for index in indices.values() if index not in share.indices)
     of_mixed = replace(
         share, unknowns=unknowns, pattern=tuple((row, indices[column]) for row, column in pairs if column in indices),
-        pairs=every, hessian=kernel, call_hessian=_picked(call_mixed, [column in indices for _, column in pairs]),
+        pairs=every, hessian=kernel, call_hessian=call_mixed,
     )  # fmt: skip
     return [of_slopes, of_mixed]
 
 
-def _picked(call: Callable[..., Any], is_wanted: list[bool]) -> Callable[..., Any]:
-    """A call that fills only what is wanted."""
-
-    def called(kernel: Any, values: Mapping[Symbol, Any], filled: list[Any]) -> None:
-        every: list[Any] = [0] * len(is_wanted)
-        call(kernel, values, every)
-        filled[:] = [value for value, wanted in zip(every, is_wanted, strict=True) if wanted]
-
-    return called
-
-
 def pattern_of(text: Text, prefix: str = "") -> tuple[tuple[int, int], ...]:
-    """Unknowns and columns of the mixed derivatives of intervals, or of an end."""
+    """Return unknowns and columns of the mixed derivatives of intervals, or of an end."""
     names = f"{prefix}MIXED_ROWS", f"{prefix}MIXED_COLUMNS"
     module = text.interpreted(*names)
     return tuple((int(row), int(column)) for row, column in zip(*(module[name] for name in names), strict=True))
@@ -219,7 +205,7 @@ _KERNEL, _MIXED = "coupling_term", "coupling_mixed"
 
 
 def verify_couplings(program: ControlProgram, text: Text) -> None:
-    """Compare every condition between bodies with the terms that the tables name; VerificationError names an entry."""
+    """Compare every condition between bodies with its terms in the tables; VerificationError names a wrong entry."""
     if not program.couplings:
         return
     module = text.interpreted(*_TABLES)
@@ -234,11 +220,11 @@ def verify_couplings(program: ControlProgram, text: Text) -> None:
 
 
 def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, Sequence[int]]]) -> tuple[Share, Share]:
-    """The share with slopes by data in place of those by unknowns, and with mixed derivatives by both."""
+    """Return the share with slopes by data in place of unknowns, and the share with mixed derivatives."""
     every, others, size = shared_symbols(program), parameters(program), len(share.unknowns)
     data = {column: s for column, s in columns_of(program, -1).items() if s in others}
-    places = dict(zip(data, range(size, size + len(data)), strict=True))
-    pattern = tuple((row, place) for row in range(size) for place in places.values())
+    local = dict(zip(data, range(size, size + len(data)), strict=True))
+    pattern = tuple((row, index) for row in range(size) for index in local.values())
     entry = {pair: i for i, pair in enumerate(pattern)}
 
     def call(kernel: Any, values: Mapping[Symbol, Any], slopes: list[Any], mixed: list[Any]) -> int:
@@ -247,16 +233,16 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
             inputs, beside = [values[every[index]] for index in indices], [values[s] for s in others]
             kernel(kind, inputs, beside, by_data, by_both)
             for column, value in by_data.items():
-                slopes[places[column]] = value + slopes[places[column]]
+                slopes[local[column]] = value + slopes[local[column]]
             for (a, column), value in by_both.items():
-                i = entry[share.unknowns.index(every[indices[a]]), places[column]]
+                i = entry[share.unknowns.index(every[indices[a]]), local[column]]
                 mixed[i] = value + mixed[i]
         return 0
 
     common = replace(share, unknowns=(*share.unknowns, *data.values()), hessian=_MIXED)
     return (
         replace(
-            common, beside=S.Zero, indices=tuple(places.values()), pattern=(), pairs=(), gradient=_MIXED,
+            common, beside=S.Zero, indices=tuple(local.values()), pattern=(), pairs=(), gradient=_MIXED,
             call_gradient=lambda kernel, values, filled: call(kernel, values, filled, [0] * len(pattern)),
         ),
         replace(
@@ -267,7 +253,7 @@ def _by_data(program: ControlProgram, share: Share, terms: Sequence[tuple[int, S
 
 
 def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[int, Sequence[int]]]) -> Share:
-    """A condition as a scalar of the shared unknowns that it reads, or that its terms read."""
+    """Return a condition as a scalar of the shared unknowns in it or in its terms."""
     every, others = shared_symbols(program), parameters(program)
     named = {index for _, indices in terms for index in indices}
     read = [index for index, symbol in enumerate(every) if index in named or coupling.expression.has(symbol)]
@@ -312,7 +298,7 @@ def _share(program: ControlProgram, coupling: Coupling, terms: Sequence[tuple[in
 
 
 def shared_symbols(program: ControlProgram) -> list[Symbol]:
-    """A symbol for every shared unknown: of each body in turn, then of the whole problem."""
+    """Return a symbol for every shared unknown: of each body in turn, then of the whole problem."""
     symbols = [Symbol(f"_shared_{index}", real=True) for index in range(program.bodies * program.own)]
     for symbol, body, j in program.coupling_symbols:
         symbols[body * program.own + j] = symbol

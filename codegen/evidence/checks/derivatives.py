@@ -48,7 +48,7 @@ from codegen.evidence.checks.flat_vector import (
 )
 from codegen.runtime.stepping.steps import part_of_step
 from codegen.solving.results.estimates import plain
-from codegen.symbolic.table_functions import numbers_of
+from codegen.symbolic.functions import numbers_of
 from codegen.symbolic.zeros import identically_zero
 
 _SHORTER = (1.0, 0.1, 0.01, 1e-3)

@@ -18,14 +18,14 @@ from sympy import Symbol
 
 from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram, IntervalElement, Unknown
+from codegen.emit.lower.control.kernels import named_elements
 from codegen.emit.lower.control.layout import parameters
-from codegen.emit.lower.control.phases import named_elements
 from codegen.emit.verify.comparison import Values, with_time
 from codegen.emit.verify.kernels import part_of_chain
 from codegen.evidence.checks.base import Context
 from codegen.evidence.checks.evaluation import Point
 from codegen.runtime.record import Meaning
-from codegen.symbolic.table_functions import numbers_of
+from codegen.symbolic.functions import numbers_of
 
 Indices = NDArray[np.int64]
 

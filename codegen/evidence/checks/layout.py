@@ -24,7 +24,7 @@ from codegen.evidence.checks.evaluation import NoPointError, random_points
 from codegen.evidence.checks.flat_vector import FlatVector, few_steps, kernel_stems, other_symbols, parameter_vector
 from codegen.runtime.record import Record
 from codegen.runtime.search.grid import free_unknowns
-from codegen.symbolic.table_functions import numbers_of
+from codegen.symbolic.functions import numbers_of
 
 _STEPS = 2
 

@@ -29,7 +29,7 @@ from codegen.solving.interfaces import Vector
 from codegen.solving.results.control import control_result
 from codegen.solving.results.result import Result, Run
 from codegen.solving.results.segments import put_together, segments_of
-from codegen.symbolic.special_functions import NUMPY
+from codegen.symbolic.functions import NUMPY
 
 
 def free_values(module: Any, solution: Any) -> NDArray[np.float64]:

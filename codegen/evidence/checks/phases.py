@@ -25,7 +25,7 @@ from codegen.evidence.checks.flat_vector import FlatVector, other_symbols
 from codegen.evidence.checks.motion import free_values
 from codegen.runtime.record import Kind
 from codegen.symbolic import checks as expressions
-from codegen.symbolic.special_functions import NUMPY
+from codegen.symbolic.functions import NUMPY
 
 
 def phase_contexts(context: Context) -> list[tuple[str, Context]]:

@@ -25,7 +25,7 @@ from codegen.evidence.checks.evaluation import (
 )
 from codegen.evidence.checks.flat_vector import other_symbols, parameter_vector, pattern_of
 from codegen.solving.results.estimates import plain
-from codegen.symbolic.table_functions import tables_of
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import ORDERS, TableData
 
 _POINTS = 40

@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from codegen import identifiers
 from codegen.show.figures.picture import letter_size, letters_across
 from codegen.solving.results.result import Result
-from codegen.symbolic import latex
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -54,15 +54,15 @@ def body_map() -> Any:
 def label(name: str) -> str:
     """A symbol's name as mathematics: phi1 becomes a Greek letter with an index."""
     parts = re.sub(r"(?<=[A-Za-z])(\d+)$", r"_\1", name).split("_")
-    letters = [_letter(part) for part in parts if part] or [latex.word(name)]
+    letters = [_letter(part) for part in parts if part] or [identifiers.word(name)]
     return "$" + letters[0] + ("_{" + ",".join(letters[1:]) + "}" if len(letters) > 1 else "") + "$"
 
 
 def _letter(name: str) -> str:
     rest = name[1:]
-    if name.startswith("d") and rest and not rest.isdigit() and not latex.word(rest).startswith(r"\mathrm"):
-        return rf"\dot{{{latex.word(rest)}}}"
-    return latex.word(name)
+    if name.startswith("d") and rest and not rest.isdigit() and not identifiers.word(rest).startswith(r"\mathrm"):
+        return rf"\dot{{{identifiers.word(rest)}}}"
+    return identifiers.word(name)
 
 
 def relation(text: str, longest: int = 46) -> str:

@@ -1,168 +1,280 @@
-"""Conditions that tie bodies together -> a few kernels, one for each kind of term, and tables of their instances.
+"""The kernels of a control problem: intervals, both ends, samples, inputs of tables, and conditions between bodies.
 
-Code does not grow with the number of bodies (see `codegen.symbolic.terms`).
-
-Measurements of a module as strings: the kernels of one sample, the numbers, and what is said of them.
+Conditions between bodies have one kernel for each kind of term, and tables of their instances: code does not grow with
+the number of bodies (see `codegen.symbolic.terms`). Measurements are constants of the module.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import sympy
 from sympy import Symbol, sstr
 
+from codegen.discretise.interval import STEP
 from codegen.discretise.program import ControlProgram
-from codegen.emit.differentiation import ControlDerivatives
+from codegen.emit.differentiation import ControlDerivatives, ElementDerivatives
 from codegen.emit.lower.control.layout import integers, parameters
 from codegen.emit.lower.kernels import INNER, Kernel, Line, Output, kernel
+from codegen.emit.lower.module import Choice
+from codegen.emit.lower.tables import Input, inputs_kernel
 from codegen.runtime.record import ObservationRecord
-from codegen.symbolic.measurements import MeasurementData
+from codegen.symbolic.functions import tables_of
 from codegen.symbolic.tables import TableData
 from codegen.symbolic.terms import Instance, Kind, sorted_terms
 
 
-@dataclass(frozen=True)
-class Couplings:
-    """Kernels (value, slopes, curvatures of a kind of term) and the tables that say where terms occur."""
-
-    kernels: tuple[Kernel, ...]
-    constants: tuple[Line, ...]
-
-
-def lower_couplings(program: ControlProgram) -> Couplings:
-    """Find the kinds of terms, and write them and the tables of their instances."""
-    if not program.couplings:
-        return Couplings((), ())
-    kinds, instances = sorted_terms([c.expression for c in program.couplings], _indices(program))
-    kernels = tuple(_kernel(program, i, kind) for i, kind in enumerate(kinds))
-    return Couplings(kernels, tuple(_tables(instances)))
+def named_elements(program: ControlProgram) -> list[tuple[str, str]]:
+    """Return the stem of the kernels' names for each kind of interval, in order, and words for these intervals."""
+    if program.sample:
+        return [("motion", ", without its samples")]
+    if not program.phases:
+        return [("interval", "")]
+    named = []
+    for number, phase in enumerate(program.phases, start=1):
+        if phase.switch is not None:
+            named.append((f"switch_{number - 1}", f", first in phase {number}"))
+        named.append((f"phase_{number}", f", {'' if phase.switch is None else 'later '}in phase {number}"))
+    return named
 
 
-def term_kinds(program: ControlProgram) -> tuple[Kind, ...]:
-    """The kinds of terms in the conditions."""
-    return sorted_terms([c.expression for c in program.couplings], _indices(program))[0] if program.couplings else ()
-
-
-def _indices(program: ControlProgram) -> dict[Symbol, int]:
-    """Index of every shared unknown, of every body and of the whole problem, among those that no node owns."""
-    indices = {symbol: body * program.own + j for symbol, body, j in program.coupling_symbols}
-    first = program.bodies * program.own
-    return indices | {symbol: first + j for j, symbol in enumerate(program.shared_symbols[program.own :])}
-
-
-def _kernel(program: ControlProgram, number: int, kind: Kind) -> Kernel:
-    term, read = kind.expression, kind.arguments
-    codes = {symbol: f"values[{i}]" for i, symbol in enumerate(read)}
-    codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(parameters(program))}
-    slopes = [Output(f"slopes[{i}]", sympy.diff(term, a), f"by {a}") for i, a in enumerate(read)]
-    curvatures = [
-        Output(f"curvatures[{i * len(read) + j}]", sympy.diff(term, a, b), f"by {a} and {b}")
-        for i, a in enumerate(read)
-        for j, b in enumerate(read)
-    ]
-    detail = "with its first and second derivatives" if read else "which depends on no unknown"
-    summary = f"{sympy.sstr(term)}, {detail}."
-    arguments = ("values", "parameters", "slopes", "curvatures")
-    return kernel(f"coupling_{number}", summary, arguments, codes, [*slopes, *curvatures], term, decorators=INNER)
-
-
-def _tables(instances: Sequence[Instance]) -> list[Line]:
-    width = max(1, *(len(instance.indices) for instance in instances))
-    rows = [[*instance.indices, *[0] * (width - len(instance.indices))] for instance in instances]
-    return [
-        Line("COUPLING_KINDS", integers([i.kind for i in instances]), "kind of every term of the conditions"),
-        Line("COUPLING_ROWS", integers([i.row for i in instances]), "condition to which it belongs"),
-        Line("COUPLING_COUNTS", integers([len(i.indices) for i in instances]), "how many shared unknowns it reads"),
-        Line("COUPLING_INDICES", f"np.array({rows}, dtype=np.int64)", "and which"),
-    ]
-
-
-def sample_kernels(
-    program: ControlProgram, derivatives: ControlDerivatives, codes: Mapping[Symbol, str]
-) -> tuple[Kernel, ...]:
-    """What the motion has at a sample, gradient and Hessian of what that adds to its interval; none without samples."""
-    found = derivatives.sample
-    if program.sample is None or found is None:
+def choices(program: ControlProgram, has_sensitivities: bool) -> tuple[Choice, ...]:
+    """Return the functions that choose the kernel of an interval by its time; a phase begins at a whole number."""
+    if not program.phases:
         return ()
-    places = (f"parameters[sample + {number}]" for number, _ in enumerate(program.sample.symbols, start=1))
-    codes = {**codes, **dict(zip(program.sample.symbols, places, strict=True))}
-    index = {(row, column): j for j, (row, column, _) in enumerate(derivatives.element.hessian)}
+    kinds = [
+        ("gradient", "Gradient (ELEMENT + SHARED,) of an interval's share l of the Lagrangian; returns Cd."),
+        ("hessian", "Hessian (HESSIAN_ROWS.size,), lower triangle, of an interval's share l of the Lagrangian."),
+    ]
+    shares = [part for share in program.interval_elements for part in (share.element, share.cost)]
+    if any(table.shape.outside == "error" for table in tables_of(shares, program.start, program.end)):
+        kinds.append(("inputs", "Least and greatest `inputs` (RANGED, 2) with which tables are read on an interval."))
+    if has_sensitivities:
+        kinds.append(
+            ("mixed", "Derivatives of an interval's share l: `slopes` (DATA,) by data, `mixed` by unknowns and data.")
+        )
+    stems = [stem for stem, _ in named_elements(program)]
+    conditions = []
+    for stem in stems[:-1]:  # the interval lies before the end of those with this kernel; 1e-12 is for rounding
+        kind, number = stem.split("_")
+        conditions.append(f"t < {number} {'+' if kind == 'switch' else '-'} 1e-12")
+    functions = []
+    for kind, summary in kinds:
+        names = [f"{stem}_{kind}" for stem in stems]
+        arguments = ("unknowns", "t", "h", "parameters", *(("slopes",) if kind == "mixed" else ()), kind)
+        branches = tuple(zip(conditions, names, strict=False))
+        functions.append(Choice(f"interval_{kind}", summary, arguments, branches, names[-1]))
+    return tuple(functions)
+
+
+def symbol_codes(program: ControlProgram, unknowns: Sequence[Symbol]) -> dict[Symbol, str]:
+    """Return the code that reads each symbol inside a kernel; shared unknowns stand behind the parameters."""
+    codes = {symbol: f"unknowns[{i}]" for i, symbol in enumerate(unknowns)}
+    codes |= {symbol: f"parameters[{i}]" for i, symbol in enumerate(parameters(program))}
+    codes[program.model.time] = "t"
+    codes[STEP] = "h"
+    first, count = len(program.model.parameters) + len(program.boundary_values), len(program.inner.times)
+    inner = {s: f"inner_number(parameters, {first}, {count}, {i}, t, h)" for i, s in enumerate(program.inner.symbols)}
+    return codes | inner
+
+
+def sample_codes(program: ControlProgram) -> dict[Symbol, str]:
+    """Return the code that reads each symbol inside a kernel of a sample."""
+    assert program.sample is not None, "there are samples"
+    numbers = {symbol: f"parameters[sample + {i}]" for i, symbol in enumerate(program.sample.symbols, start=1)}
+    return {**symbol_codes(program, program.element_symbols), **numbers}
+
+
+def share_kernels(program: ControlProgram, derivatives: ControlDerivatives) -> tuple[Kernel, ...]:
+    """Return the gradient and the Hessian of the shares of intervals, samples and both ends."""
+    kernels, arguments, share = list[Kernel](), ("unknowns", "t", "h", "parameters"), "an interval's share l"
+    for (stem, where), element in zip(named_elements(program), derivatives.elements, strict=True):
+        codes, unknowns = symbol_codes(program, element.unknowns), element.unknowns
+        gradient = [
+            Output(f"gradient[{i}]", value, f"dl/d{symbol}")
+            for i, (symbol, value) in enumerate(zip(unknowns, element.gradient, strict=True))
+        ]
+        hessian = [
+            Output(f"hessian[{j}]", value, f"d2l/d{unknowns[row]} d{unknowns[column]}")
+            for j, (row, column, value) in enumerate(element.hessian)
+        ]
+        kernels += [
+            kernel(
+                f"{stem}_gradient",
+                f"Gradient (ELEMENT + SHARED,) of {share} at `unknowns` (ELEMENT,){where}; returns Cd.",
+                (*arguments, "gradient"), codes, gradient, element.cost,
+                decorators=INNER, straight_line=element.gradient_assignments,
+            ),
+            kernel(
+                f"{stem}_hessian",
+                f"Hessian (HESSIAN_ROWS.size,), lower triangle, of {share} of the Lagrangian{where}.",
+                (*arguments, "hessian"), codes, hessian,
+                decorators=INNER, straight_line=element.hessian_assignments,
+            ),
+        ]  # fmt: skip
+    if program.sample is not None and derivatives.sample is not None:
+        kernels += _sample_kernels(program, derivatives.sample, derivatives.element)
+    is_curved = bool(derivatives.start.hessian or derivatives.end.hessian)
+    for name, end, ended in (("start", program.start, derivatives.start), ("end", program.end, derivatives.end)):
+        codes, unknowns = symbol_codes(program, ended.unknowns), ended.unknowns
+        pinned = {i for i, _ in end.pins}
+        gradient = [
+            Output(f"gradient[{i}]", value, f"by {symbol}", "+=")
+            for i, (symbol, value) in enumerate(zip(unknowns, ended.gradient, strict=True))
+            if value != 0 and i not in pinned
+        ]
+        kernels.append(
+            kernel(
+                f"{name}_gradient",
+                f"Add the gradient (NODE + SHARED,) of the {name}'s own share, at `unknowns` (NODE,); "
+                "returns its cost.",
+                ("unknowns", "t", "parameters", "gradient"), codes, gradient, ended.cost,
+                decorators=INNER, straight_line=ended.gradient_assignments,
+            )
+        )  # fmt: skip
+        if is_curved:
+            hessian = [
+                Output(f"hessian[{j}]", value, f"{unknowns[row]}, {unknowns[column]}")
+                for j, (row, column, value) in enumerate(ended.hessian)
+            ]
+            summary = f"Hessian ({name.upper()}_HESSIAN_ROWS.size,), lower triangle, of the {name}'s own share."
+            kernels.append(
+                kernel(
+                    f"{name}_hessian", summary, ("unknowns", "t", "parameters", "hessian"), codes, hessian,
+                    decorators=INNER, straight_line=ended.hessian_assignments,
+                )
+            )  # fmt: skip
+    return tuple(kernels)
+
+
+def _sample_kernels(program: ControlProgram, sample: ElementDerivatives, element: ElementDerivatives) -> list[Kernel]:
+    """Return the observed values at a sample, and the gradient and Hessian of its losses, in the interval's pattern."""
+    assert program.sample is not None, "there are samples"
+    codes, unknowns = sample_codes(program), sample.unknowns
+    index = {(row, column): j for j, (row, column, _) in enumerate(element.hessian)}
     gradient = [
         Output(f"gradient[{i}]", value, f"by {symbol}", "+=")
-        for i, (symbol, value) in enumerate(zip(found.unknowns, found.gradient, strict=True))
+        for i, (symbol, value) in enumerate(zip(unknowns, sample.gradient, strict=True))
         if value != 0
     ]
     observed = zip(program.sample.observed, program.model.observed, strict=True)
     values = [Output(f"values[{i}]", value, f"{o.name} measures it") for i, (value, o) in enumerate(observed)]
     hessian = [
-        Output(f"hessian[{index[row, column]}]", value, f"by {found.unknowns[row]}, {found.unknowns[column]}", "+=")
-        for row, column, value in found.hessian
+        Output(f"hessian[{index[row, column]}]", value, f"by {unknowns[row]}, {unknowns[column]}", "+=")
+        for row, column, value in sample.hessian
     ]
     arguments, at = ("unknowns", "t", "h", "parameters", "sample"), "that stands at `sample` among the `parameters`"
-    return (
+    return [
         kernel(
             "sample_values", f"What the motion has, `values` (m,), at the time of a sample {at}.",
             (*arguments, "values"), codes, values, decorators=INNER,
         ),
         kernel(
             "sample_gradient", f"Add the gradient of the losses of a sample {at}; returns them.",
-            (*arguments, "gradient"), codes, gradient, found.cost,
-            decorators=INNER, straight_line=found.gradient_assignments,
+            (*arguments, "gradient"), codes, gradient, sample.cost,
+            decorators=INNER, straight_line=sample.gradient_assignments,
         ),
         kernel(
             "sample_hessian", f"Add the Hessian, lower triangle, of the losses of a sample {at}.",
             (*arguments, "hessian"), codes, hessian,
-            decorators=INNER, straight_line=found.hessian_assignments,
+            decorators=INNER, straight_line=sample.hessian_assignments,
         ),
-    )  # fmt: skip
+    ]  # fmt: skip
 
 
-def sample_constants(program: ControlProgram, tables: Sequence[TableData]) -> tuple[Line, ...]:
-    """Where samples stand, how many numbers one has, and the measurements themselves."""
-    if program.sample is None:
+def inputs_kernels(program: ControlProgram, ranged: Sequence[Input]) -> tuple[Kernel, ...]:
+    """Return the inputs with which tables are read, on every kind of interval and at both ends, if any have a range."""
+    if not ranged:
         return ()
-    written = "".join(f"{_array(data)},\n" for data in program.model.measurements)
+    codes = symbol_codes(program, program.element_symbols)
+    stems = named_elements(program) if program.phases else [("interval", "")]
+    kernels = [
+        inputs_kernel(
+            f"{stem}_inputs", f"on an interval{where}", ("unknowns", "t", "h", "parameters"), codes, ranged,
+            (share.element, share.cost),
+        )
+        for (stem, where), share in zip(stems, program.interval_elements, strict=True)
+    ]  # fmt: skip
+    ends = (("start", program.start, program.left_symbols), ("end", program.end, program.right_symbols))
+    for name, end, node in ends:
+        codes = symbol_codes(program, (*node, *program.shared_symbols))
+        arguments, expressions = ("unknowns", "t", "parameters"), (end.element, end.cost)
+        kernels.append(inputs_kernel(f"{name}_inputs", f"at the {name}", arguments, codes, ranged, expressions))
+    return tuple(kernels)
+
+
+def coupling_terms(program: ControlProgram) -> tuple[tuple[Kind, ...], tuple[Instance, ...]]:
+    """Return the kinds of terms in the conditions between bodies, and their instances by indices of shared unknowns."""
+    if not program.couplings:
+        return (), ()
+    indices = {symbol: body * program.own + j for symbol, body, j in program.coupling_symbols}
+    first = program.bodies * program.own
+    indices |= {symbol: first + j for j, symbol in enumerate(program.shared_symbols[program.own :])}
+    return sorted_terms([coupling.expression for coupling in program.couplings], indices)
+
+
+def coupling_kernels(program: ControlProgram, kinds: Sequence[Kind]) -> tuple[Kernel, ...]:
+    """Return a kernel for each kind of term: value, slopes and curvatures."""
+    kernels = []
+    for number, kind in enumerate(kinds):
+        term, read = kind.expression, kind.arguments
+        slopes = [Output(f"slopes[{i}]", sympy.diff(term, a), f"by {a}") for i, a in enumerate(read)]
+        curvatures = [
+            Output(f"curvatures[{i * len(read) + j}]", sympy.diff(term, a, b), f"by {a} and {b}")
+            for i, a in enumerate(read)
+            for j, b in enumerate(read)
+        ]
+        detail = "with its first and second derivatives" if read else "which depends on no unknown"
+        arguments = ("values", "parameters", "slopes", "curvatures")
+        kernels.append(
+            kernel(
+                f"coupling_{number}", f"{sstr(term)}, {detail}.", arguments, term_codes(program, kind),
+                [*slopes, *curvatures], term, decorators=INNER,
+            )
+        )  # fmt: skip
+    return tuple(kernels)
+
+
+def term_codes(program: ControlProgram, kind: Kind) -> dict[Symbol, str]:
+    """Return the code that reads each symbol inside the kernel of a kind of term."""
+    codes = {symbol: f"values[{i}]" for i, symbol in enumerate(kind.arguments)}
+    return codes | {symbol: f"parameters[{i}]" for i, symbol in enumerate(parameters(program))}
+
+
+def coupling_constants(instances: Sequence[Instance]) -> tuple[Line, ...]:
+    """Return the tables of the terms of all conditions between bodies."""
+    if not instances:
+        return ()
+    width = max(1, *(len(instance.indices) for instance in instances))
+    rows = [[*instance.indices, *[0] * (width - len(instance.indices))] for instance in instances]
     return (
-        Line("FIRST_SAMPLE", str(first_sample(program, tables)), "parameters before those of samples"),
-        Line("SAMPLE", str(1 + len(program.sample.symbols)), "numbers of a sample: when and where, values, weights"),
-        Line("OBSERVATIONS", f"(\n{written})", "of each body rows of time, values, standard deviations"),
+        Line("COUPLING_KINDS", integers([i.kind for i in instances]), "kind of every term of the conditions"),
+        Line("COUPLING_ROWS", integers([i.row for i in instances]), "condition to which it belongs"),
+        Line("COUPLING_COUNTS", integers([len(i.indices) for i in instances]), "how many shared unknowns it reads"),
+        Line("COUPLING_INDICES", f"np.array({rows}, dtype=np.int64)", "and which"),
     )
 
 
-def first_sample(program: ControlProgram, tables: Sequence[TableData]) -> int:
-    """How many numbers stand before samples."""
-    return len(parameters(program)) + sum(table.shape.count for table in tables)
-
-
-def _array(data: MeasurementData) -> str:
-    text = ", ".join(repr(number) for row in data.rows for number in row).replace("nan", "np.nan")
-    lines = textwrap.wrap(text, 108, initial_indent=" " * 8, subsequent_indent=" " * 8, break_on_hyphens=False)
-    return "    np.array([\n" + "\n".join(lines) + f"\n    ]).reshape(-1, {data.layout.width})"
-
-
-def data_arguments(program: ControlProgram, tables: Sequence[TableData], grid_code: str) -> dict[str, Any]:
-    """The arguments that take other numbers for tables and measurements, and the code that makes a grid with them.
-
-    `grid_code` makes a grid without them.
-    """
-    arguments, code = [], grid_code
-    if tables:
-        meaning = "`tables` maps names of tables to other numbers in the order of TABLES, on as many breakpoints."
-        arguments.append(("tables", meaning))
-        code = f"with_tables({code}, tables)"
-    if program.sample:
-        meaning = "`observations` are other measurements, any number of them, in the order of OBSERVATIONS."
-        arguments.append(("observations", meaning))
-        code = f"with_observations({code}, observations)"
-    return {"data_arguments": tuple(arguments), "grid_code": code}
+def sample_constants(program: ControlProgram, tables: Sequence[TableData]) -> tuple[Line, ...]:
+    """Return the place of samples among the parameters, their length, and the measurements themselves."""
+    if program.sample is None:
+        return ()
+    first = len(parameters(program)) + sum(table.shape.count for table in tables)
+    observations = ""
+    for data in program.model.measurements:
+        text = ", ".join(repr(number) for row in data.rows for number in row).replace("nan", "np.nan")
+        lines = textwrap.wrap(text, 108, initial_indent=" " * 8, subsequent_indent=" " * 8, break_on_hyphens=False)
+        observations += "    np.array([\n" + "\n".join(lines) + f"\n    ]).reshape(-1, {data.layout.width}),\n"
+    return (
+        Line("FIRST_SAMPLE", str(first), "parameters before those of samples"),
+        Line("SAMPLE", str(1 + len(program.sample.symbols)), "numbers of a sample: when and where, values, weights"),
+        Line("OBSERVATIONS", f"(\n{observations})", "of each body rows of time, values, standard deviations"),
+    )
 
 
 def sample_record(program: ControlProgram) -> ObservationRecord | None:
-    """What a reader of other measurements, and of estimates, has to know."""
+    """Return the part of the record from which other measurements, and estimates, are read."""
     model = program.model
     if not model.measurements:
         return None

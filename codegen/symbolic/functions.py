@@ -1,11 +1,17 @@
-"""Functions beyond the elementary ones: rewritten in those that numba has, or evaluated by code of this package.
+"""Functions beyond the elementary ones, with exact derivatives of every order: special functions and tables.
 
-`rewritten` takes what an author wrote. Two families have a derivative of every order, which modules evaluate
-themselves: the derivatives of sin(x)/x, which have no quotient that fails at zero, and the polygamma functions.
+`rewritten` turns an author's expression into functions that numba has, or that this package evaluates. Two families
+have a derivative of every order, which modules evaluate themselves: the derivatives of sin(x)/x, without a quotient
+that fails at zero, and the polygamma functions.
+
+A table is an opaque function to sympy: equal arguments have equal values, and nothing else is assumed. Its numbers are
+looked up when an expression is evaluated. The look-ups in kernels are written in `codegen/emit/lower/kernels.py`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
 
@@ -15,6 +21,8 @@ import sympy
 from sympy import Expr
 
 from codegen.errors import ExpressionError
+from codegen.identifiers import in_latex
+from codegen.symbolic.tables import DEGREE, TableData, derivative
 
 STEMS = ("polygamma", "sinc_derivative")
 """The families; `codegen.runtime.special` has a function for each."""
@@ -29,7 +37,7 @@ class OrderedBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """The next member of the family."""
+        """Return the next member of the family."""
         return member(self.stem, self.order + 1)(self.args[0])
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -56,7 +64,7 @@ class gamma(sympy.Function):  # type: ignore[misc]
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Gamma times digamma."""
+        """Return gamma times digamma."""
         return self * member("polygamma", 0)(self.args[0])
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -73,7 +81,7 @@ class lgamma(sympy.Function):  # type: ignore[misc]
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Expr:
-        """Digamma."""
+        """Return digamma."""
         return member("polygamma", 0)(self.args[0])
 
     def _eval_evalf(self, precision: int) -> Any:
@@ -88,12 +96,12 @@ class lgamma(sympy.Function):  # type: ignore[misc]
 
 @cache
 def member(stem: str, order: int) -> Any:
-    """The function of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
+    """Return the member of a family with a number: `polygamma_0`, `sinc_derivative_2`, ..."""
     return type(sympy.Function)(f"{stem}_{order}", (OrderedBase,), {"stem": stem, "order": order})
 
 
 def by_name(name: str) -> Any:
-    """The function that mpmath evaluates under a name of `math`, or of a member of a family."""
+    """Return the function of mpmath for a name of `math`, or for a member of a family."""
     stem, _, order = name.rpartition("_")
     if stem in STEMS:
         return lambda x: value(stem, int(order), x)
@@ -105,16 +113,16 @@ def _sinc_of_arrays(order: int, x: Any) -> Any:
 
 
 NUMPY: list[Any] = [{"sinc_derivative": _sinc_of_arrays}, "scipy", "numpy"]
-"""Modules for lambdify that know all functions that can be printed."""
+"""Modules for lambdify with all printable functions."""
 
 
 def value(stem: str, order: int, x: Any) -> Any:
-    """A member of a family at a number of mpmath, to its digits."""
+    """Return a member of a family at a number of mpmath, to the digits of that number."""
     return mpmath.psi(order, x) if stem == "polygamma" else sinc_derivative(order, x)
 
 
 def sinc_derivative(order: int, x: Any) -> Any:
-    """The derivative of sin(x)/x: its series near zero, elsewhere from x s_n = sin(x + n pi/2) - n s_(n-1)."""
+    """Return the derivative of sin(x)/x: its series near zero, elsewhere x s_n = sin(x + n pi/2) - n s_(n-1)."""
     with mpmath.extradps(30 + 2 * order):
         x = mpmath.mpf(x)
         if abs(x) < 30:
@@ -126,13 +134,13 @@ def sinc_derivative(order: int, x: Any) -> Any:
 
 
 def _coefficient(k: int, order: int) -> Any:
-    """That of x^(2k + order % 2) in the derivative of sum_j (-1)^j x^(2j)/(2j + 1)!."""
+    """Return the coefficient of x^(2k + order % 2) in the derivative of sum_j (-1)^j x^(2j)/(2j + 1)!."""
     j = k + (order + 1) // 2
     return mpmath.mpf(-1) ** j / ((2 * j + 1) * mpmath.factorial(2 * j - order))
 
 
 def rewritten(expression: Expr, what: str) -> Expr:
-    """The expression in functions that can be printed; ExpressionError where a sum or integral has no closed form."""
+    """Return an expression in printable functions; ExpressionError if a sum or integral has no closed form."""
     for part in sorted(expression.atoms(sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative), key=str):
         if isinstance(part, sympy.Derivative) and not set(part.variables) <= part.expr.free_symbols:
             finding = f"{what} has {_short(part)}, which is zero: symbols depend on no other symbol"
@@ -148,7 +156,7 @@ def rewritten(expression: Expr, what: str) -> Expr:
 
 
 def refusal(part: Any, what: str) -> ExpressionError:
-    """What is said of a function that no generated module can evaluate."""
+    """Return the error of a function that no generated module can evaluate."""
     name = part.func.__name__
     remedy = _REMEDIES.get(name, "use elementary functions, erf, erfc, sinc, gamma, loggamma or polygamma")
     return ExpressionError(f"{what} uses {_short(part)}, which cannot be printed", remedy)
@@ -164,13 +172,13 @@ def _is_signed_root(part: Expr) -> bool:
 
 
 def _root_beside(sign: Expr, product: Expr) -> Expr | None:
-    """A factor |x|^r beside sign(x)."""
+    """Return a factor |x|^r beside sign(x), if any."""
     roots = (f for f in product.args if f.is_Pow and f.base == sympy.Abs(sign.args[0]) and f.exp.is_positive)
     return next(roots, None)
 
 
 def _signed_root(product: Expr) -> Expr:
-    """Sign(x) |x|^r is x |x|^(r - 1), which is continuous like it, and whose derivatives are without steps."""
+    """Return sign(x) |x|^r as x |x|^(r - 1), whose derivatives have no steps."""
     sign = next(s for s in product.args if isinstance(s, sympy.sign) and _root_beside(s, product) is not None)
     root = _root_beside(sign, product)
     assert root is not None
@@ -223,3 +231,88 @@ _REMEDIES = {
     "Mod": "use sin and cos of an angle instead of what it leaves",
     "LambertW": "make it a state or a control, with the equation that it solves as a path condition",
 }
+
+
+class TableBase(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+    """A table, or its derivative of an `order` by each of its inputs.
+
+    Printers of sympy ask for a base class by its name if that ends in Base.
+    """
+
+    is_real = True
+    table: TableData
+    order: tuple[int, ...] = ()
+
+    def fdiff(self, argindex: int = 1) -> Expr:
+        """Return the derivative by an input; beyond the degree of the polynomials it is zero."""
+        index = argindex - 1
+        if self.order[index] == DEGREE:
+            return sympy.S.Zero
+        order = tuple(o + (i == index) for i, o in enumerate(self.order))
+        return table_function(self.table, order)(*self.args)
+
+    def _eval_evalf(self, precision: int) -> Any:
+        at = [argument._to_mpmath(precision, allow_ints=False) for argument in self.args]
+        with mpmath.workprec(precision):
+            return sympy.Expr._from_mpmath(table_value(self.table, self.order, at), precision)
+
+    def _sympystr(self, printer: Any) -> str:
+        return f"{table_name(self.table, self.order)}({', '.join(map(printer._print, self.args))})"
+
+    def _pretty(self, printer: Any) -> Any:
+        return printer._print_Function(sympy.Function(table_name(self.table, self.order))(*self.args))
+
+    def _latex(self, printer: Any, exp: str | None = None) -> str:
+        by = [i for i, o in zip(self.table.shape.inputs, self.order, strict=True) for _ in range(o)]
+        below = f"_{{{','.join(map(in_latex, by))}}}" if by else ""
+        power = f"^{{{exp}}}" if exp else ""
+        arguments = ", ".join(map(printer._print, self.args))
+        return rf"{{{in_latex(self.table.shape.name)}}}{below}{power}\left({arguments}\right)"
+
+
+def table_value(table: TableData, order: tuple[int, ...], at: Iterable[Any]) -> Any:
+    """Return a derivative at numbers of mpmath or of Python, or at arrays, real or complex."""
+    return derivative(table, order, list(at), _real)
+
+
+def _real(number: Any) -> Any:
+    return number.real if hasattr(number, "real") else number
+
+
+def table_name(table: TableData, order: tuple[int, ...]) -> str:
+    """Return the name of a derivative in messages and descriptions: thrust, thrust_mach, thrust_mach_altitude."""
+    by = [name for name, o in zip(table.shape.inputs, order, strict=True) for _ in range(o)]
+    return "_".join((table.shape.name, *by))
+
+
+@cache
+def table_function(table: TableData, order: tuple[int, ...]) -> Any:
+    """Return the derivative of a table of an order, as a function; equal tables have the same function."""
+
+    def evaluated(*at: Any) -> Any:
+        return table_value(table, order, at)
+
+    # Functions of lambdify are found by the class, whose name no other function may have.
+    name = f"table_{table_name(table, (0,) * len(order))}_{'_'.join(map(str, order))}"
+    attributes = {"table": table, "order": order, "nargs": len(order), "_imp_": staticmethod(evaluated)}
+    return type(sympy.Function)(name, (TableBase,), attributes)
+
+
+def tables_of(*holders: Any) -> tuple[TableData, ...]:
+    """Return the tables in expressions, in the order of their names; the expressions may be nested in dataclasses."""
+    tables: dict[TableData, None] = {}
+    waiting = list(holders)
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, sympy.Basic):
+            tables |= dict.fromkeys(function.table for function in part.atoms(TableBase))
+        elif is_dataclass(part):
+            waiting += [getattr(part, field.name) for field in fields(part)]
+        elif isinstance(part, (tuple, list)):
+            waiting += part
+    return tuple(sorted(tables, key=lambda table: table.shape.name))
+
+
+def numbers_of(*holders: Any) -> tuple[float, ...]:
+    """Return the numbers of all tables in expressions, one table after the other, as modules keep them."""
+    return tuple(number for table in tables_of(*holders) for number in table.numbers)

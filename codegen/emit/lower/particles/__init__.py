@@ -1,1 +1,0 @@
-"""A pairwise Hamiltonian and its derivatives as loops over particles and pairs: `module` calls the others."""
