@@ -8,17 +8,15 @@ from dataclasses import dataclass, replace
 from sympy import Expr, S, Symbol
 
 from codegen.discretise.conditions.ends import End, Ends, pinned_at_zero, with_bounds
-from codegen.discretise.conditions.free_times import Clock, clock_of
-from codegen.discretise.conditions.inner_times import InnerTerms, inner_terms
+from codegen.discretise.conditions.inner_times import Clock, InnerTerms, clock_of, inner_terms
 from codegen.discretise.conditions.integral import end_share, integral_equations, interval_share, own_unknowns
 from codegen.discretise.conditions.linking import Shared
 from codegen.discretise.conditions.measurements import sample_element
 from codegen.discretise.conditions.path import NodalTerms, bounded_stages, interval_terms, stage_inequalities
 from codegen.discretise.determined_values import with_determined_inner_values, with_determined_values
-from codegen.discretise.guesses import control_guess, inner_guess
 from codegen.discretise.interval import STEP, OneStepInterval, VariationalInterval, at_nodes
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.lines import at_guess
+from codegen.discretise.model.guesses import at_guess, control_guess, inner_guess
 from codegen.discretise.program import BoundaryValue, ControlProgram, EndElement, InnerTimes, Names, Unknown, symbols
 from codegen.errors import ExpressionError
 from codegen.runtime.record import Kind, Meaning

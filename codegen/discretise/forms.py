@@ -2,6 +2,8 @@
 
 The Legendre transforms rewrite dynamics, force, cost and boundary values. Here path, end conditions and terminal cost
 follow, and what no longer is a number for one unknown becomes a condition.
+
+Boundary values as symbols, so that they stay arguments of the generated module.
 """
 
 from __future__ import annotations
@@ -9,10 +11,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from sympy import Expr, Symbol
+
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, Model
-from codegen.errors import ExpressionError
+from codegen.discretise.program import BoundaryValue
+from codegen.errors import ExpressionError, SymbolError
 from codegen.problem.symbols import Velocity
 
 
@@ -87,3 +92,31 @@ def _momentum_bounds_as_conditions(model: Model) -> Model:
                 )
             conditions.append(condition)
     return replace(model, bounds=tuple(kept), path=(*model.path, *conditions)) if conditions else model
+
+
+def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, ...]]:
+    """Replace each boundary value by a symbol (`start_r`, `end_dphi`, ...) and list the symbols with their values."""
+    values: list[BoundaryValue] = []
+    declared = (*model.coordinates, *model.rates, *model.controls, *model.parameters)
+    taken = {symbol.name for symbol in (*declared, *(free.symbol for free in model.free_parameters))}
+
+    def symbolic(where: str, boundary: Boundary) -> Boundary:
+        def named(quantities: tuple[Symbol, ...], given: tuple[Expr | None, ...]) -> tuple[Expr | None, ...]:
+            symbols: list[Expr | None] = []
+            for quantity, value in zip(quantities, given, strict=True):
+                symbol = None
+                if value is not None:
+                    symbol = Symbol(f"{where}_{quantity.name}", real=True)
+                    if symbol.name in taken:
+                        raise SymbolError(
+                            f"{symbol} names the value of {quantity} at the {where}", "choose another name"
+                        )
+                    values.append(BoundaryValue(where, quantity.name, symbol, value))
+                symbols.append(symbol)
+            return tuple(symbols)
+
+        return Boundary(named(model.coordinates, boundary.positions), named(model.rates, boundary.rates))
+
+    start = symbolic("start", model.start)
+    end = symbolic("end", model.end) if model.end is not None else None
+    return replace(model, start=start, end=end), tuple(values)

@@ -12,16 +12,15 @@ import sympy
 from sympy import Expr, S, Symbol
 
 from codegen.discretise.assembly import Motion, assemble
-from codegen.discretise.boundary import with_symbolic_boundaries
 from codegen.discretise.conditions import holonomic, path
 from codegen.discretise.conditions.ends import End, conditioned_end, with_bounds
 from codegen.discretise.conditions.linking import Shared, joined_unknowns, shared_unknowns
 from codegen.discretise.conditions.path import nodal_conditions
 from codegen.discretise.conditions.periodic import Periodic, periodic_unknowns, periodic_velocities_in_momenta
-from codegen.discretise.forms import in_momenta
-from codegen.discretise.guesses import coordinate_guess, momentum_guess
+from codegen.discretise.forms import in_momenta, with_symbolic_boundaries
 from codegen.discretise.interval import at_nodes, one_step_interval
 from codegen.discretise.model.definitions import Boundary, Model
+from codegen.discretise.model.guesses import coordinate_guess, momentum_guess
 from codegen.discretise.program import BoundaryValue, ControlProgram, Names, Unknown, symbols
 from codegen.discretise.schemes.base import FIRST_ORDER, Scheme
 from codegen.runtime.record import Kind, Meaning

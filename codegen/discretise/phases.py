@@ -36,9 +36,9 @@ from sympy import Add, Expr, S, Symbol
 from codegen.discretise.conditions.ends import Imposed, imposed
 from codegen.discretise.conditions.integral import end_share, own_unknowns, with_distinct_integral_names
 from codegen.discretise.conditions.path import nodal_conditions
-from codegen.discretise.guesses import coordinate_guess, momentum_guess, with_guesses
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Boundary, Condition, Model, prescribed
+from codegen.discretise.model.guesses import coordinate_guess, momentum_guess, with_guesses
 from codegen.discretise.program import (
     ControlProgram,
     EndElement,

@@ -37,7 +37,7 @@ import numpy as np
 import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
-from codegen.discretise.boundary import with_symbolic_boundaries
+from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
     STEP,
     VariationalInterval,

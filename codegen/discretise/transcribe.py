@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import overload
 
-from codegen.discretise import connect, one_step, phases, schemes, simulation, variational
+from codegen.discretise import one_step, particles, phases, schemes, simulation, variational
 from codegen.discretise.assembly import in_scaled_time
-from codegen.discretise.connect import PairwiseProgram
 from codegen.discretise.determined_values import without_dependent_values
 from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.delays import errors_of_the_whole
 from codegen.discretise.model.pairwise import PairwiseModel
-from codegen.discretise.model.segments import errors_of_the_whole
+from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.errors import ArgumentError, SchemeError
 
@@ -42,7 +42,7 @@ def transcribe(
     if isinstance(model, PairwiseModel):
         if controls != "interval":
             raise ArgumentError("particles have no controls", "leave --controls out")
-        return connect.pairwise(model, scheme, method)
+        return particles.pairwise(model, scheme, method)
     method = method or (methods_for(model)[0] if model.task == "control" else method_with(model, scheme))
     _require_method(model, method)
     found = schemes.find(scheme or DEFAULT_SCHEME, method)

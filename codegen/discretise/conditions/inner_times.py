@@ -10,18 +10,31 @@ known when the module is run: every node has these unknowns, and numbers m, whic
 at the left node of each interval, so that they vanish at other nodes. Conditions that differ in numbers alone are one
 expression, whose numbers belong to the node as m does, and different ones at different times share their multiplier.
 Neither the code nor the time of a build grows with the number of times.
+
+Free times on one chain: every node has its time, and a pace, at which time passes along the interval before it.
+
+The chain's own parameter runs from 0 to 1, the same part of it between any two inner times that follow each other. With
+the time e and the pace a > 0 an interval of length h lasts a_k1 h, and it gains
+
+    mu_e (e_k1 - e_k - a_k1 h) + mu_a (a_k1 - a_k)
+
+in its l, the latter only where its left node is not at an inner time: the pace is the same between two of them. So each
+interval knows its own length alone, and the system stays as narrow as it is, however many inner times there are.
+
+Expressions that differ in numbers alone, such as x - 1 and x - 2, as one form with different values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 import sympy
-from sympy import Expr, Integer, Rational, S, Symbol
+from sympy import Add, Expr, Integer, Mul, Pow, Rational, S, Symbol
 
 from codegen.discretise.conditions.base import (
     ConditionKind,
@@ -33,10 +46,11 @@ from codegen.discretise.conditions.base import (
     is_constant,
     listed,
 )
-from codegen.discretise.conditions.common_forms import Form, common_forms
-from codegen.discretise.conditions.free_times import Clock, with_given_times
+from codegen.discretise.conditions.ends import End
 from codegen.discretise.conditions.path import NodalTerms, nodal_conditions
+from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Condition, InnerCondition, InnerTime, Model
+from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
 from codegen.discretise.program import InnerTimes, Names, Unknown, symbols
 from codegen.errors import BoundaryError, ExpressionError
@@ -45,6 +59,169 @@ from codegen.problem.symbols import ControlInput, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
 from codegen.symbolic import checks
 from codegen.symbolic import checks as expressions
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The names of time and pace at nodes, and of the multipliers of their equations on intervals."""
+
+    model: Model
+    time: str
+    pace: str
+    multipliers: tuple[str, str]
+
+    @property
+    def node(self) -> tuple[Unknown, Unknown]:
+        """The unknowns of a node."""
+        return Unknown(self.time, Meaning(Kind.TIME)), Unknown(self.pace, Meaning(Kind.PACE), lower=S.Zero)
+
+    @property
+    def interval(self) -> tuple[Unknown, Unknown]:
+        """The unknowns of an interval."""
+        of_time, of_pace = self.multipliers
+        return Unknown(of_time, Meaning(Kind.PASSING_TIME)), Unknown(of_pace, Meaning(Kind.CONSTANT_PACE))
+
+    @property
+    def symbol(self) -> Symbol:
+        """The symbol of time in conditions at inner times."""
+        return Symbol(self.time, real=True)
+
+    @property
+    def guess(self) -> tuple[Expr, Expr]:
+        """Time and pace where all intervals are as long."""
+        return self.model.time, DURATION
+
+    @property
+    def scales(self) -> tuple[tuple[Symbol, Expr], ...]:
+        """What an interval's length and the time at its left node are."""
+        (pace,), (time,) = symbols([self.pace], "_k1"), symbols([self.time], "_k")
+        return (STEP, pace * STEP), (self.model.time, time)
+
+    def share(self, at_inner_time: Expr) -> Expr:
+        """What l gains, before lengths are replaced; the symbol is one after an inner time, and zero elsewhere."""
+        left, right = symbols([self.time, self.pace], "_k"), symbols([self.time, self.pace], "_k1")
+        of_time, of_pace = symbols(self.multipliers, "_k")
+        stays = of_pace * (right[1] - left[1])
+        return of_time * (right[0] - left[0] - STEP) + stays + at_inner_time * (of_pace**2 / 2 - stays)
+
+    def start(self) -> End:
+        """Time begins at zero."""
+        return End(pins=((self.time, S.Zero),))
+
+    def end(self, names: Names) -> End:
+        """And ends with the duration."""
+        duration = self.model.duration
+        if not duration.free_symbols & {parameter.symbol for parameter in self.model.free_parameters}:
+            return End(pins=((self.time, duration),))
+        multiplier = Unknown(names.numbered("nu"), Meaning(Kind.DURATION))
+        (nu,), (time,) = symbols([multiplier.name], "_k1"), symbols([self.time], "_k1")
+        return End(
+            extra=(multiplier,), element=nu * (time - duration), conditions=((f"0 ({self.time})", time - duration),)
+        )
+
+
+def clock_of(model: Model, names: Names) -> Clock | None:
+    """The clock of a model that has free times between start and end."""
+    if not model.has_free_times:
+        return None
+    time, pace = names.named("time", model.time), names.named("pace", model.time)
+    return Clock(model, time, pace, (names.numbered("mu_time"), names.numbered("mu_pace")))
+
+
+def with_given_times(model: Model, clock: Clock | None) -> Model:
+    """The model whose given times, and windows without length, are conditions on the clock, if there is one."""
+    if clock is None:
+        return model
+    conditions, times = list(model.inner_conditions), list(model.inner_times)
+    for number, inner in enumerate(model.inner_times):
+        given = inner.earliest if inner.earliest == inner.latest else None
+        given = inner.time if inner.time is not None else given
+        if given is not None:
+            name = f"the time {text(given)}"
+            conditions.append(InnerCondition(name, clock.symbol - given, True, number))
+            times[number] = replace(inner, earliest=None, latest=None)
+    conditions = [replace(c, expression=c.expression.xreplace({model.time: clock.symbol})) for c in conditions]
+    return replace(model, inner_conditions=tuple(conditions), inner_times=tuple(times))
+
+
+@dataclass(frozen=True)
+class Form:
+    """An expression in `places`, which stand for numbers, and for each of the expressions of this form its values.
+
+    `members` maps the indices of the expressions to values in the order of the places.
+    """
+
+    expression: Expr
+    places: tuple[Symbol, ...]
+    members: Mapping[int, tuple[Expr, ...]]
+
+
+def common_forms(expressions: Sequence[Expr], moving: AbstractSet[Symbol]) -> tuple[Form, ...]:
+    """The forms of expressions, in the order in which they occur first.
+
+    What holds none of the `moving` symbols is a number, however it is written. Exponents are part of the form, and so
+    is every number that all expressions of the form share.
+    """
+    groups: dict[str, dict[int, tuple[Expr, tuple[Expr, ...]]]] = {}
+    for index, expression in enumerate(expressions):
+        values = list[Expr]()
+        pattern = _sum(expression, moving, values)
+        groups.setdefault(str(pattern), {})[index] = pattern, tuple(values)
+    return tuple(map(_form, groups.values()))
+
+
+def _form(group: Mapping[int, tuple[Expr, tuple[Expr, ...]]]) -> Form:
+    pattern, values = next(iter(group.values()))
+    different = [i for i in range(len(values)) if any(own[i] != values[i] for _, own in group.values())]
+    shared = {_place(i): value for i, value in enumerate(values) if i not in different}
+    return Form(
+        pattern.xreplace(shared),
+        tuple(map(_place, different)),
+        {index: tuple(own[i] for i in different) for index, (_, own) in group.items()},
+    )
+
+
+def _place(index: int) -> Symbol:
+    return Symbol(f"number[{index}]", real=True)
+
+
+def _noted(value: Expr, values: list[Expr]) -> Symbol:
+    values.append(value)
+    return _place(len(values) - 1)
+
+
+def _pattern(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> Expr:
+    """The expression with places, and its numbers added to `values`."""
+    if not expression.free_symbols & moving:
+        return _noted(expression, values)
+    if not expression.args:
+        return expression
+    if isinstance(expression, Add):
+        return _sum(expression, moving, values)
+    if isinstance(expression, Mul):
+        number, rest = expression.as_independent(*moving, as_Add=False)
+        factors = [_pattern(factor, moving, values) for factor in _sorted_parts(Mul.make_args(rest), moving)]
+        return Mul(_noted(number, values), *factors) if number != 1 else Mul(*factors)
+    if isinstance(expression, Pow) and not expression.exp.free_symbols & moving:
+        return Pow(_pattern(expression.base, moving, values), expression.exp)
+    return expression.func(*(_pattern(argument, moving, values) for argument in expression.args))
+
+
+def _sum(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> Expr:
+    """The pattern of a sum, in which every term has a factor, and which has a constant, though it be zero."""
+    constant, rest = expression.as_independent(*moving, as_Add=True)
+    pairs = [term.as_independent(*moving, as_Add=False) for term in Add.make_args(rest)]
+    by_part = {part: number for number, part in pairs}
+    terms = [
+        _noted(by_part[part], values) * _pattern(part, moving, values) for part in _sorted_parts(list(by_part), moving)
+    ]
+    return Add(*terms, _noted(constant, values))
+
+
+def _sorted_parts(parts: Sequence[Expr], moving: AbstractSet[Symbol]) -> list[Expr]:
+    """The parts in an order that does not depend on the numbers in them."""
+    return sorted(parts, key=lambda part: (str(_pattern(part, moving, [])), str(part)))
+
 
 _SAME = 1e-9
 """Parts of the duration by which two times differ at least."""

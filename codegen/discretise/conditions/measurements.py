@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 from sympy import Add, Expr, Piecewise, Symbol, sqrt, sstr
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Remedies, Scope
-from codegen.discretise.guesses import measured_guess
 from codegen.discretise.interval import FRACTION
 from codegen.discretise.model.definitions import Model, Observed
+from codegen.discretise.model.guesses import measured_guess
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, entry_of
 from codegen.discretise.program import Names, SampleElement
 from codegen.errors import ExpressionError, TableError

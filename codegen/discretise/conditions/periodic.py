@@ -18,8 +18,8 @@ import sympy
 from sympy import Expr, S, Symbol, sstr
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Scope
-from codegen.discretise.guesses import at_start, coordinate_guess, momentum_guess
 from codegen.discretise.model.definitions import Condition, Model
+from codegen.discretise.model.guesses import at_start, coordinate_guess, momentum_guess
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, require_declared
 from codegen.discretise.program import Names, Unknown, is_invariant_under_shifts, occurring
 from codegen.errors import BoundaryError, ExpressionError

@@ -13,11 +13,11 @@ import sympy
 from codegen import identifiers
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.measurements import measurements_of
-from codegen.discretise.model import delays, drawings, smoothness, values
+from codegen.discretise.model import delays, scope, smoothness, values
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
+from codegen.discretise.model.delays import in_segments
 from codegen.discretise.model.relations import Entry, text
 from codegen.discretise.model.scope import Kinds, kinds_of, require_keys, require_scope
-from codegen.discretise.model.segments import in_segments
 from codegen.discretise.model.smoothness import with_regular_guesses
 from codegen.discretise.model.units import units_of
 from codegen.discretise.model.written import maximises, used_quantities, written_costs, written_entries
@@ -46,10 +46,10 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
         raise ExpressionError("the simulation is given by dynamics", remedy)
     entries = written_entries(problem, form)
     used = used_quantities(entries)
-    drawing = drawings.checked_drawing(problem)
-    drawings.require_derived(drawing, used)
+    drawing = scope.checked_drawing(problem)
+    scope.require_derived(drawing, used)
     require_unique_names([*used, *declared])
-    unused = unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
+    unused = unused_names([*used, *scope.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     if isinstance(problem, Control):
         require_cost([problem], kinds)
@@ -57,7 +57,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
     model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
-    return in_segments(with_regular_guesses(drawings.with_drawing(model, drawing, plain)))
+    return in_segments(with_regular_guesses(scope.with_drawing(model, drawing, plain)))
 
 
 def with_positive_durations(model: Model) -> Model:

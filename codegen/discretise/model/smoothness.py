@@ -17,7 +17,7 @@ import sympy
 from sympy import Dummy, Expr, Symbol
 
 from codegen.discretise.model.definitions import Model, expressions_of, prescribed
-from codegen.discretise.model.lines import guessed, known_values
+from codegen.discretise.model.guesses import guessed, known_values
 from codegen.discretise.model.values import values_at_guess
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounded_at

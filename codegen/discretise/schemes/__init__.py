@@ -6,13 +6,13 @@ import difflib
 
 from sympy import Rational
 
-from codegen.discretise.schemes import adaptive, compositions, discrete_lagrangians, one_step, runge_kutta
+from codegen.discretise.schemes import compositions, discrete_lagrangians, one_step, runge_kutta
 from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 from codegen.errors import SchemeError
 
 __all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
-_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions, adaptive)
+_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions)
 """Each has SCHEMES by method; those of a method are listed in this order."""
 _ALL: dict[str, dict[str, Scheme]] = {
     method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}

@@ -1,6 +1,8 @@
 """Runge-Kutta methods of higher order: collocation by Gauss, Radau and Lobatto, diagonally implicit and explicit ones.
 
 The tables are exact; `tests/schemes/test_orders.py` proves orders and symplecticity from them.
+
+Codes that choose their own steps: references for particles whose ends are both given.
 """
 
 from __future__ import annotations
@@ -175,9 +177,34 @@ HERMITE_SIMPSON = RungeKutta(
     weights=_table("1/6 2/3 1/6")[0], positions=_LOBATTO_IIIA, momenta=_LOBATTO_IIIA,
 )  # fmt: skip
 
+
+@dataclass(frozen=True)
+class Adaptive(Scheme):
+    """A code of scipy that chooses its steps by a tolerance."""
+
+    def step(self) -> Step:
+        """That of the classical Runge-Kutta method, which serves for derivatives alone."""
+        return RK4.step()
+
+
+ADAPTIVE = (
+    Adaptive(
+        name="dop853", order=8, symmetric=False, symplectic=False,
+        source="Hairer, Norsett and Wanner (1993), II.5 (scipy.integrate.DOP853)",
+        summary="explicit Runge-Kutta method of order 8 with step-size control",
+        adaptive="DOP853",
+    ),
+    Adaptive(
+        name="lsoda", order=12, symmetric=False, symplectic=False,
+        source="Petzold (1983), SIAM Journal on Scientific and Statistical Computing 4 (scipy.integrate.LSODA)",
+        summary="multistep methods of Adams and backward differentiation formulas, order and step by error control",
+        adaptive="LSODA",
+    ),
+)  # fmt: skip
+
 SCHEMES = {
     "hamiltonian": (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_5, HERMITE_SIMPSON, LOBATTO_4, RK4),
     FIRST_ORDER: (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_3, RADAU_5, SDIRK_4, HERMITE_SIMPSON, RK4, DORMAND_PRINCE_5),
-    PARTICLES: (RK4, BUTCHER_6),
+    PARTICLES: (RK4, BUTCHER_6, *ADAPTIVE),
 }
-"""Those for particles have explicit steps."""
+"""The schemes of this family by method; those for particles have explicit steps."""

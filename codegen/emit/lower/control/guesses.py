@@ -10,7 +10,7 @@ from typing import Any
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.guesses import DURATION
+from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.program import ControlProgram
 from codegen.emit.lower.control.layout import inputs, shared_views, slack_indices
 from codegen.emit.lower.kernels import Line

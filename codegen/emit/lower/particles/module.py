@@ -17,8 +17,8 @@ from typing import Any
 import sympy
 from sympy import Expr, Rational, S, Symbol, sstr
 
-from codegen.discretise.connect import PairwiseProgram
 from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.particles import PairwiseProgram
 from codegen.emit.lower.kernels import Line
 from codegen.emit.lower.module import Argument, Module, arguments_of, record_fields
 from codegen.emit.lower.particles.pair_second import GROUP, gathered_loops, hessian, hessian_products, momentum_matrix

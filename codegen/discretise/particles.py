@@ -9,18 +9,40 @@ where the field F = (H_p, -H_q) is evaluated. Methods of the task connect:
   interval covers its distance, (q_k1 - q_k)/h = H_p. The momenta multiply these equations, so that the optimality
   conditions are Hamilton's discrete equations of a symplectic scheme; for the explicit Euler method's cost and
   equations this is the symplectic Euler method (Marsden and West 2001, section 2.6).
+
+Schemes for many particles: those that families offer for them, and compositions of higher order.
 """
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 
 from sympy import Expr, Rational, S
 
+from codegen.discretise import schemes
 from codegen.discretise.model.pairwise import PairwiseModel
-from codegen.discretise.schemes import particles
-from codegen.discretise.schemes.base import Scheme
+from codegen.discretise.schemes.base import PARTICLES, Scheme
 from codegen.errors import ArgumentError, SchemeError
+
+PARTICLE_SCHEMES: dict[str, Scheme] = {scheme.name: scheme for scheme in schemes.of_method(PARTICLES)}
+"""Schemes for pairwise systems by name, over which tests run; `find` knows the compositions of higher order as well."""
+
+
+def particle_scheme(name: str, task: str) -> Scheme:
+    """The scheme of that name; SchemeError tells which there are for the task."""
+    offered = [n for n, s in PARTICLE_SCHEMES.items() if task == "connect" or not s.adaptive]
+    found = PARTICLE_SCHEMES.get(name) if name in offered else None
+    if found is None and (
+        "-of-" in name or (schemes.is_known(name, "hamiltonian") and bool(schemes.find(name, "hamiltonian").parts))
+    ):
+        found = schemes.find(name, "hamiltonian")
+    if found is None:
+        close = difflib.get_close_matches(name, offered, 1)
+        hint = f"did you mean {close[0]}?" if close else f"use one of {', '.join(offered)}"
+        raise SchemeError(f"there is no scheme {name!r} for particles and task {task}", hint)
+    return found
+
 
 CONNECT_METHODS = ("stepping", "full", "action")
 DEFAULT_SCHEME = "midpoint"
@@ -55,7 +77,7 @@ def pairwise(model: PairwiseModel, scheme: str | None = None, method: str | None
     method = method or methods[0]
     if method not in methods:
         raise ArgumentError(f"method {method!r} does not exist for this problem", f"use {' or '.join(methods)}")
-    found = particles.find(scheme or DEFAULT_SCHEME, model.task)
+    found = particle_scheme(scheme or DEFAULT_SCHEME, model.task)
     if method == "action":
         abscissa, substep = _action(found)
         return PairwiseProgram(model, method, found.name, found.order, substeps=(substep,), abscissa=abscissa)

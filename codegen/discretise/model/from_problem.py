@@ -1,4 +1,7 @@
-"""Problems of one phase or of several: the phases' models, what is common to them, and the jumps between them."""
+"""Problems of one phase or of several: the phases' models, what is common to them, and the jumps between them.
+
+From a problem file, or an object, to a checked model, or to one line that says what is wrong.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import sympy
 
 from codegen.discretise.conditions import CONDITIONS
-from codegen.discretise.model import delays, drawings, normal_form, smoothness, values
+from codegen.discretise.model import delays, normal_form, scope, smoothness, values
 from codegen.discretise.model.definitions import FreeParameter, Model, prescribed
+from codegen.discretise.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.discretise.model.relations import Entry
 from codegen.discretise.model.scope import Kinds, kinds_of
 from codegen.discretise.model.units import units_of
@@ -21,6 +26,8 @@ from codegen.discretise.model.written import jump_entries, maximises, used_quant
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.bodies import has_path_couplings, written_out
 from codegen.problem.problem import Control, Phases, form_of
+from codegen.problem.problem_file import with_location
+from codegen.problem.sources import Source, source_of
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounding_of
@@ -43,10 +50,10 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     jumps = jump_entries(problem.jumps, len(problem.phases) - 1) or [[]] * (len(problem.phases) - 1)
     written = [_written(index, phase, form, jumps) for index, phase in enumerate(problem.phases)]
     used = used_quantities(entry for entries in written for entry in entries)
-    drawing = drawings.checked_drawing(problem.phases[0])
-    drawings.require_derived(drawing, used)
+    drawing = scope.checked_drawing(problem.phases[0])
+    scope.require_derived(drawing, used)
     normal_form.require_unique_names([*used, *declared])
-    unused = normal_form.unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
+    unused = normal_form.unused_names([*used, *scope.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     normal_form.require_cost(problem.phases, kinds)
     plain = normal_form.plain_symbols(used, "control")
@@ -56,7 +63,7 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     _require_values(chain, entries)
     units = units_of(used, (entry for phase in written for entry in phase), plain)
     chain = normal_form.with_positive_durations(replace(chain, unused=unused, units=units))
-    return drawings.with_drawing(chain, drawing, plain)
+    return scope.with_drawing(chain, drawing, plain)
 
 
 @contextmanager
@@ -262,3 +269,21 @@ def _numbers(given: Sequence[sympy.Expr | None], at: Mapping[sympy.Symbol, float
     """The values of those expressions that there are."""
     found = [expressions.rounded_at(expression, at) for expression in given if expression is not None]
     return [value for value in found if value is not None]
+
+
+def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
+    """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise what it returns.
+
+    The model is named after the file and titled by the first line of its docstring; of an object its source has both.
+    Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an argument does not
+    fit `problem`; another CodegenError when the problem is not well posed. All name the file or the object, in one
+    line.
+    """
+    source = source_of(problem)
+    title, written, declared = source.written(arguments)
+    try:
+        if is_pairwise(written):
+            return normalise_pairwise(written, declared, name=source.name, title=title)
+        return normalise(written, declared, name=source.name, title=title)
+    except CodegenError as error:
+        raise with_location(error, source.location) from error
