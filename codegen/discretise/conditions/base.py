@@ -37,7 +37,14 @@ class Latex(Protocol):
 
 
 class ConditionKind:
-    """Yield the conditions at the `start` or `end` with which prescribed values must agree."""
+    """A kind of condition: its reading, its checks and its descriptions.
+
+    `argument` is the argument of `Control`, `field` the field of the model, and `words` describes problems with such
+    conditions. `scope` gives for each role of its expressions the symbols that may occur, `remedies` the advice for
+    other symbols. `not_in_phases` is the error, finding and remedy where phases cannot have such conditions. `check` is
+    the name of a numerical check of these conditions alone, or "".
+    The methods of this class are the defaults: a kind without a method has no requirement.
+    """
 
     argument: ClassVar[str]
     field: ClassVar[str]
@@ -76,7 +83,7 @@ class ConditionKind:
         yield from ()
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
-        """What holds at the `start` or `end`, where given values have to agree with it."""
+        """Yield the conditions at the `start` or `end` with which prescribed values must agree."""
         yield from ()
 
     def require_regular(self, model: Model, points: Points) -> None:

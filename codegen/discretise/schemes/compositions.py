@@ -4,8 +4,8 @@ With S a symmetric scheme of order 2, S(g_s h) ... S(g_1 h) with g_i = g_{s+1-i}
 the order conditions, whatever S is (Hairer, Lubich and Wanner 2006, section V.3.2). A partitioned method alternates
 steps of symplectic-euler-adjoint and symplectic-euler of lengths a_i h and b_i h; it is explicit where the Hamiltonian
 is separable, and has the same order where it is not (McLachlan 1995, On the numerical integration of ordinary
-differential equations by symmetric composition methods, section 2). `tests/schemes/test_orders.py` solves for the
-orders anew.
+differential equations by symmetric composition methods, section 2). `tests/discretise/test_orders.py` verifies
+the orders.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ class Composition(Scheme):
 
     @property
     def variational(self) -> bool:
-        """Whether the base is."""
+        """Return True if the base is variational."""
         return self.base.variational
 
     @property
     def is_chain(self) -> bool:
-        """Whether steps of the base are."""
+        """Return True if steps of the base are chains."""
         return self.base.is_chain
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """The base, or the base with these lengths of its substeps."""
+        """Return the base, or the base with these lengths of its substeps."""
         if len(lengths) == 1:
             return self.base
         pairs = zip(self._base().substeps, lengths, strict=True)
         return replace(self._base(), substeps=tuple(replace(s, fraction=length / step) for s, length in pairs))
 
     def step(self) -> Step:
-        """The steps of the base, one after the other; SchemeError where these are discrete Lagrangians."""
+        """Return the steps of the base, one after the other; SchemeError where these are discrete Lagrangians."""
         if not isinstance(self.base, OneStep) and not self.variational:
             return _joined(self.base.step(), [fraction for (fraction,) in self.parts])
         base, substeps = self._base(), list[Substep]()
@@ -71,7 +71,7 @@ class Composition(Scheme):
 
 
 def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
-    """One step that consists of the same step at these fractions of its length, one after the other."""
+    """Return the same step at these fractions of its length, one after the other, as one step."""
     size, count = len(step.abscissae), len(step.points)
     points, abscissae, updates = list[FieldPoint](), list[Expr](), (list[Update | None](), list[Update | None]())
     begin = S.Zero
@@ -92,7 +92,7 @@ def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
 
 
 def repeated(count: int, base: Scheme) -> Composition:
-    """The scheme `<count>-steps-of-<base>`: so many equal steps of the base in one step, under one control."""
+    """Return the scheme `<count>-steps-of-<base>`: so many equal steps of the base in one step, under one control."""
     length = Rational(1, count)
     rows = [(length,)] * count
     if isinstance(base, OneStep):
@@ -120,7 +120,7 @@ class _Symmetric:
 
     @property
     def fractions(self) -> tuple[Expr, ...]:
-        """All fractions; that of the middle makes the sum 1."""
+        """Return all fractions; the one in the middle makes the sum 1."""
         return (*self.half, 1 - 2 * sum(self.half, S.Zero), *self.half[::-1])
 
 
@@ -197,11 +197,11 @@ def _of(composition: _Symmetric, base: Scheme, name: str) -> Composition:
 
 
 def composed(name: str, base: Scheme) -> Composition | None:
-    """The composition of that name of a base scheme; None when there is none, or the base does not fit."""
-    found = [composition for composition in _SYMMETRIC if composition.name == name]
-    if not found or not base.symmetric or base.order != 2:
+    """Return the composition of that name of a base scheme; None for other names, or an unsuitable base."""
+    composition = next((composition for composition in _SYMMETRIC if composition.name == name), None)
+    if composition is None or not base.symmetric or base.order != 2:
         return None
-    return _of(found[0], base, f"{name}-of-{base.name}")
+    return _of(composition, base, f"{name}-of-{base.name}")
 
 
 NAMES = tuple(composition.name for composition in _SYMMETRIC)
@@ -212,7 +212,7 @@ _EXPLICIT, _MIDPOINT = (
 
 
 def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], kicks: tuple[Expr, ...]) -> Composition:
-    """A symmetric sequence drift, kick, drift, ..., each tuple up to its middle, where it counts once or twice.
+    """Return a symmetric sequence drift, kick, drift, ..., each tuple up to its middle, where it counts once or twice.
 
     Kick i is split into the one that ends a step of symplectic-euler-adjoint and the one that begins one of
     symplectic-euler.
@@ -235,9 +235,9 @@ def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], k
 
 
 def _mirrored(half: tuple[Expr, ...], count: int) -> tuple[Expr, ...]:
-    """A palindrome of `count` numbers with sum 1 that begins with `half`; what is missing is in the middle."""
-    left = 1 - 2 * sum(half, S.Zero)
-    middle = (left,) if count % 2 else (left / 2, left / 2)
+    """Return a palindrome of `count` numbers with sum 1 that begins with `half`; the middle completes the sum."""
+    rest = 1 - 2 * sum(half, S.Zero)
+    middle = (rest,) if count % 2 else (rest / 2, rest / 2)
     return (*half, *middle, *half[::-1])
 
 
@@ -291,4 +291,4 @@ SCHEMES = {
     "hamiltonian": (*(_of(composition, _EXPLICIT, composition.name) for composition in _SYMMETRIC), *PARTITIONED),
     FIRST_ORDER: tuple(_of(composition, _MIDPOINT, composition.name) for composition in _SYMMETRIC),
 }
-"""Of position-verlet, so that they are explicit where the Hamiltonian is separable; of the midpoint rule."""
+"""Compositions of position-verlet, explicit where the Hamiltonian is separable, and of the midpoint rule."""

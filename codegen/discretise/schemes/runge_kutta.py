@@ -1,8 +1,7 @@
 """Runge-Kutta methods of higher order: collocation by Gauss, Radau and Lobatto, diagonally implicit and explicit ones.
 
-The tables are exact; `tests/schemes/test_orders.py` proves orders and symplecticity from them.
-
-Codes that choose their own steps: references for particles whose ends are both given.
+The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Codes with adaptive
+steps are references for particles whose ends are both fixed.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ class RungeKutta(Scheme):
 
     @property
     def abscissae(self) -> tuple[Expr, ...]:
-        """The fractions c_i of the step at which stages are, the row sums of the coordinates' table."""
+        """Return the fractions c_i of the step at the stages, the row sums of the coordinates' table."""
         return tuple(sum(row, S.Zero) for row in self.positions)
 
     def step(self) -> Step:
-        """Stage i is state i, unless the table says that it is that of a node."""
+        """Return the step in which stage i is state i, unless its row of the table is that of a node."""
         end, numbers = Update(0, S.One, self.weights), range(1, len(self.weights) + 1)
 
         def state(number: int, row: tuple[Expr, ...]) -> int:
             return 0 if not any(row) else numbers.stop if row == self.weights else number
 
         def updates(table: Rows) -> tuple[Update | None, ...]:
-            own = (Update(0, S.One, row) if state(i, row) == i else None for i, row in zip(numbers, table, strict=True))
-            return (*own, end)
+            rows = zip(numbers, table, strict=True)
+            return (*(Update(0, S.One, row) if state(i, row) == i else None for i, row in rows), end)
 
         rows = zip(numbers, self.abscissae, self.weights, self.positions, self.momenta, strict=True)
         points = (FieldPoint(c, b, ((state(i, a), S.One),), ((state(i, d), S.One),)) for i, c, b, a, d in rows)
@@ -92,7 +91,7 @@ _DORMAND_PRINCE = _table(
 
 
 def _gauss_8() -> Rows:
-    """The table of Kuntzmann and Butcher, whose outer points come first and last."""
+    """Return the table of Kuntzmann and Butcher, whose outer points come first and last."""
     outer, inner = (sqrt((15 + sign * 2 * _ROOT_30) / 35) / 2 for sign in (1, -1))
     half = [Rational(1, 8) - sign * _ROOT_30 / 144 for sign in (1, -1)]
     third = [outer * (Rational(1, 6) + _ROOT_30 / 24), inner * (Rational(1, 6) - _ROOT_30 / 24)]
@@ -183,7 +182,7 @@ class Adaptive(Scheme):
     """A code of scipy that chooses its steps by a tolerance."""
 
     def step(self) -> Step:
-        """That of the classical Runge-Kutta method, which serves for derivatives alone."""
+        """Return the step of the classical Runge-Kutta method, which serves for derivatives alone."""
         return RK4.step()
 
 
