@@ -15,14 +15,14 @@ ordinary differential equations I, II.6.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import sympy
 from sympy import Dummy, Expr, Rational, S, Symbol
 
 from codegen.discretise.model.definitions import Condition, Model
-from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme
+from codegen.discretise.schemes.base import Scheme
 from codegen.symbolic.derivatives import gradient, variation
 
 _ABSCISSA = Symbol("abscissa", real=True)
@@ -366,6 +366,8 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         for x, value in zip(model.coordinates, point, strict=True)
     ]
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
+    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in rule.nodes]
+    impulse = [sympy.S.Zero] * len(model.coordinates)
     for number, point in enumerate(rule.points):
         weight, c = STEP * point.weight, point.abscissa
         here = q_sites.controls_at(number, c)
@@ -376,10 +378,18 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
                 node[i] += weight * share * force_at(f, number, c)
+        if not inner:
+            continue
+        # Derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v), and the impulse.
+        by_position = [at(slope, c, here) for slope in gradient(model.function, model.coordinates)]
+        by_velocity = [at(slope, c, here) for slope in gradient(model.function, model.rates)]
+        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
+            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
+                node[i] += sympy.expand(point.weight * share) * STEP * force
+                node[i] += sympy.expand(point.weight * rate) * momentum
+        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
+            impulse[i] += point.weight * STEP * (force + at(f, c, here))
     minus, *between, plus = (tuple(node) for node in forces)
-    slopes, impulse = (), ()
-    if inner:
-        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, q_sites.controls_at(i, c)))
     return VariationalInterval(
         q=q_sites,
         lagrangian=lagrangian,
@@ -391,33 +401,11 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         inner=tuple(q for point in inner for q in point),
         inner_abscissae=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
-        slopes=slopes,
-        impulse=impulse,
+        slopes=tuple(slope for node in slopes for slope in node) if inner else (),
+        impulse=tuple(impulse) if inner else (),
         observed=observed_at(model, motion.position(FRACTION), motion.velocity(FRACTION)) if model.observed else (),
         inside=strictly_inside(evaluated),
     )
-
-
-def _slopes_and_impulse(
-    model: Model, scheme: DiscreteLagrangian, motion: PolynomialMotion, at: Callable[[Expr, int, Expr], Expr]
-) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
-    """Return the derivatives of Ld by each value of the motion, and the gain of momentum.
-
-    The derivatives are sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i, the gain is sum_i w_i h (L_q + f).
-    """
-    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
-    impulse = [sympy.S.Zero] * len(model.coordinates)
-    of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
-    for number, point in enumerate(scheme.points):
-        weight, c = point.weight, point.abscissa
-        by_position = [at(slope, number, c) for slope in of_position]
-        by_velocity = [at(slope, number, c) for slope in of_velocity]
-        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
-            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
-                node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
-        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
-            impulse[i] += weight * STEP * (force + at(f, number, c))
-    return tuple(slope for node in slopes for slope in node), tuple(impulse)
 
 
 @dataclass(frozen=True)
