@@ -106,9 +106,9 @@ def require_history(entries: Sequence[Entry], delayed: Sequence[Delayed]) -> Non
                 f"say what it was for t <= 0, as in history={{{quantity}: 1}}",
             )
     delayed_quantities = {value.partner for value in delayed}
-    for x in histories:
-        if isinstance(x, ControlInput) and x not in delayed_quantities:
-            raise SymbolError(f"history gives {x}, which is never delayed", "leave it out, or write .delayed(...)")
+    for key in histories:
+        if isinstance(key, ControlInput) and key not in delayed_quantities:
+            raise SymbolError(f"history gives {key}, which is never delayed", "leave it out, or write .delayed(...)")
 
 
 def delays_of(
