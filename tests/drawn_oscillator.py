@@ -6,7 +6,7 @@ from typing import Any
 
 from codegen import Control, control, coordinate, parameter
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.problem.symbols import recorded_declarations
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.problem.points import PointSet
 
 START = np.array([[0.1, 0.2], [-0.4, 0.1], [0.3, -0.5]])

@@ -20,7 +20,7 @@ import numpy as np
 import sympy
 
 from codegen import Control, Phases, parameters
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.emit.lower.module import Origin
 from codegen.emit.naming import Choices
 from codegen.problem.symbols import EndValue, FreeParameter, Momentum, Time, Velocity

@@ -17,8 +17,7 @@ import sympy
 from interpreted import without_compilation
 
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.from_file import load_problem
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import load_problem, normalise
 from codegen.emit import naming
 from codegen.emit.lower.module import Origin
 from codegen.problem.problem import Simulate

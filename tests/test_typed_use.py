@@ -13,7 +13,7 @@ import typed_use
 from PIL import Image
 
 import codegen
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.problem.sources import source_of
 
 ROOT = Path(__file__).parents[1]

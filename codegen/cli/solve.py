@@ -267,7 +267,7 @@ def requested(request: Request, plot: Path | None, animation: Path | None, style
             raise ArgumentError(finding, "install ffmpeg, or let the file end in .gif")
     if plot is None and animation is None:
         return Pictures()
-    from codegen.discretise.model.from_file import load_problem
+    from codegen.discretise.model.from_problem import load_problem
     from codegen.show.films import unit_of
 
     model: Model | PairwiseModel | None = None

@@ -1,32 +1,51 @@
-"""A model in the quantities in which it is transcribed: velocities, momenta or states, and nothing else.
+"""A model in the quantities in which it is transcribed: velocities, momenta or states, with symbolic boundary values.
 
-The Legendre transforms rewrite dynamics, force, cost and boundary values. Here path, end conditions and terminal cost
-follow, and what no longer is a number for one unknown becomes a condition.
+The Legendre transforms rewrite dynamics, force, cost and boundary values. The functions of this module rewrite path
+conditions, end conditions and terminal cost. Bounds and values that are no numbers for one unknown in the other form
+become conditions.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
+
+from sympy import Expr, Symbol
 
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, Model
-from codegen.errors import ExpressionError
+from codegen.discretise.program import BoundaryValue
+from codegen.errors import ExpressionError, SymbolError
 from codegen.problem.symbols import Velocity
 
 
 def in_velocities(model: Model) -> Model:
-    """The model in Lagrangian form, its conditions too; raises what the Legendre transform raises.
+    """Return the model and its conditions in Lagrangian form; raises the errors of the Legendre transform.
 
-    Bounds on momenta, which are no unknowns there, become path conditions.
+    Bounds on momenta, which are no unknowns of that form, become path conditions.
     """
-    model = _momentum_bounds_as_conditions(model)
+    kept, conditions = list[Bounds](), list[Condition]()
+    for bounds in model.bounds:
+        if bounds.symbol not in model.rates:
+            kept.append(bounds)
+            continue
+        for condition in bounds.conditions:
+            if model.body is not None and condition.expression.has(model.body):
+                raise ExpressionError(
+                    f"a bound on {bounds.symbol} depends on the body's number, and no unknown of the variational "
+                    "method has it",
+                    "give every body the same bound, or use --method hamiltonian",
+                )
+            conditions.append(condition)
+    if conditions:
+        model = replace(model, bounds=tuple(kept), path=(*model.path, *conditions))
     return _rates_as_conditions(rewritten(model, legendre.lagrangian_form(model)))
 
 
 def in_momenta(model: Model) -> Model:
-    """The model in Hamiltonian form without its boundary values, which may be velocities; its conditions too."""
+    """Return the model and its conditions in Hamiltonian form, with free ends: boundary values may be velocities."""
     return rewritten(model, legendre.hamiltonian_form(model.with_free_ends))
 
 
@@ -40,7 +59,6 @@ def rewritten(original: Model, transformed: Model) -> Model:
         return transformed
     rates = legendre.velocity_of_momentum if original.form == "lagrangian" else legendre.momentum_of_velocity
     values = dict(zip(original.rates, rates(original), strict=True))
-
     written: dict[str, Any] = {
         kind.field: tuple(replace(c, expression=c.expression.xreplace(values)) for c in getattr(original, kind.field))
         for kind in kinds
@@ -55,11 +73,10 @@ def _rates_as_conditions(model: Model) -> Model:
         return model
 
     def split(boundary: Boundary) -> tuple[Boundary, tuple[Condition, ...]]:
-        pairs = list(zip(model.rates, boundary.rates, strict=True))
-        moved = [(v, value) for v, value in pairs if value is not None and value.free_symbols & free]
-        kept = tuple(None if (v, value) in moved else value for v, value in pairs)
-        conditions = tuple(Condition(f"{v} = {value}", v - value) for v, value in moved)
-        return replace(boundary, rates=kept), conditions
+        pairs = zip(model.rates, boundary.rates, strict=True)
+        tied = {v: value for v, value in pairs if value is not None and value.free_symbols & free}
+        fixed = tuple(None if v in tied else value for v, value in zip(model.rates, boundary.rates, strict=True))
+        return replace(boundary, rates=fixed), tuple(Condition(f"{v} = {x}", v - x) for v, x in tied.items())
 
     (start, at_start), (end, at_end) = split(model.start), split(model.end)
     return replace(
@@ -71,19 +88,32 @@ def _rates_as_conditions(model: Model) -> Model:
     )
 
 
-def _momentum_bounds_as_conditions(model: Model) -> Model:
-    """Turn bounds on rates into path conditions; ExpressionError when they differ from body to body."""
-    kept, conditions = list[Bounds](), list[Condition]()
-    for bounds in model.bounds:
-        if bounds.symbol not in model.rates:
-            kept.append(bounds)
-            continue
-        for condition in bounds.conditions:
-            if model.body is not None and condition.expression.has(model.body):
-                raise ExpressionError(
-                    f"a bound on {bounds.symbol} depends on the body's number, and no unknown of the variational "
-                    "method has it",
-                    "give every body the same bound, or use --method hamiltonian",
-                )
-            conditions.append(condition)
-    return replace(model, bounds=tuple(kept), path=(*model.path, *conditions)) if conditions else model
+def with_symbolic_boundaries(model: Model) -> tuple[Model, tuple[BoundaryValue, ...]]:
+    """Replace each boundary value by a symbol (`start_r`, `end_dphi`, ...), an argument of the generated module.
+
+    Return the model, and the symbols with their values.
+    """
+    values: list[BoundaryValue] = []
+    declared = (*model.coordinates, *model.rates, *model.controls, *model.parameters)
+    taken = {symbol.name for symbol in (*declared, *(free.symbol for free in model.free_parameters))}
+
+    def symbolic(
+        where: str, quantities: Sequence[Symbol], prescribed: Sequence[Expr | None]
+    ) -> tuple[Expr | None, ...]:
+        symbols: list[Expr | None] = []
+        for quantity, value in zip(quantities, prescribed, strict=True):
+            symbol = None
+            if value is not None:
+                symbol = Symbol(f"{where}_{quantity.name}", real=True)
+                if symbol.name in taken:
+                    raise SymbolError(f"{symbol} names the value of {quantity} at the {where}", "choose another name")
+                values.append(BoundaryValue(where, quantity.name, symbol, value))
+            symbols.append(symbol)
+        return tuple(symbols)
+
+    def boundary(where: str, end: Boundary) -> Boundary:
+        return Boundary(symbolic(where, model.coordinates, end.positions), symbolic(where, model.rates, end.rates))
+
+    start = boundary("start", model.start)
+    end = boundary("end", model.end) if model.end is not None else None
+    return replace(model, start=start, end=end), tuple(values)

@@ -1,34 +1,28 @@
-"""The two nodes of an interval: symbols and values there, controls between them, values at points inside.
+"""Problem x scheme -> the expressions of one time interval.
 
-The motion inside an interval, at any fraction of it, as the scheme continues it there. For a scheme in states that is
-the polynomial with their values, and as many derivatives as the scheme says, at both nodes. Without derivatives it is a
-straight line, of order two, the collocation polynomial of the midpoint rule; with first ones a cubic, of order four,
-that of Hermite-Simpson and, where it is a parabola, of the trapezoidal rule; with second ones too it has order six. A
-discrete Lagrangian has a polynomial of its own (`between`). Source: Hairer, Norsett and Wanner
-(1993), Solving ordinary differential equations I, II.6.
-
-The Lagrangian side: discrete Lagrangian, discrete forces and discrete cost of an interval.
-
-The Hamiltonian side, and first-order systems: the equations of one step, and its discrete cost.
-
-Problem x scheme -> the expressions of one time interval.
-
-On the Lagrangian side these are the discrete Lagrangian, the discrete forces and the discrete cost; on the
-Hamiltonian side, and for first-order systems, the equations of one step and the discrete cost; on both sides the
-path conditions at the points where the scheme evaluates the dynamics. Values at the left and right node carry the
+On the Lagrangian side these are the discrete Lagrangian, the discrete forces and the discrete cost. On the Hamiltonian
+side, and for first-order systems, they are the equations of one step and the discrete cost. On both sides path
+conditions hold at the points where the scheme evaluates the dynamics. Values at the left and right node have the
 suffixes `_k` and `_k1`; h is the length of the interval and t the time at its left end.
+
+Measurements need the motion at any fraction of an interval. For a scheme in states this is the polynomial with the
+values, and as many derivatives as the scheme declares, at both nodes. Without derivatives it is a straight line, of
+order two, the collocation polynomial of the midpoint rule. With first derivatives it is a cubic, of order four, that of
+Hermite-Simpson and, where it is a parabola, of the trapezoidal rule. With second derivatives it has order six. A
+discrete Lagrangian has its own polynomial (`PolynomialMotion`). Source: Hairer, Norsett and Wanner (1993), Solving
+ordinary differential equations I, II.6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import sympy
 from sympy import Dummy, Expr, Rational, S, Symbol
 
 from codegen.discretise.model.definitions import Condition, Model
-from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme
+from codegen.discretise.schemes.base import Scheme
 from codegen.symbolic.derivatives import gradient, variation
 
 _ABSCISSA = Symbol("abscissa", real=True)
@@ -44,17 +38,17 @@ class PolynomialMotion:
     values: tuple[tuple[Symbol, ...], ...]
 
     def shares(self, c: Expr) -> list[Expr]:
-        """The basis polynomials at c, with which the values enter the position."""
+        """Return the basis polynomials at c, the coefficients of the values in the position."""
         if len(self.nodes) == 2:
             return [1 - c, c]
         return [sympy.expand(basis.subs(_ABSCISSA, c)) for basis in self._basis()]
 
     def rates(self, c: Expr) -> list[Expr]:
-        """The derivatives of the basis polynomials at c."""
+        """Return the derivatives of the basis polynomials at c."""
         return [sympy.expand(sympy.diff(basis, _ABSCISSA).subs(_ABSCISSA, c)) for basis in self._basis()]
 
     def position(self, c: Expr) -> list[Expr]:
-        """The coordinates at c; but on a straight line written in differences from the first value."""
+        """Return the coordinates at c; except on a straight line, in differences from the first value."""
         if len(self.nodes) == 2:
             return [between(left, right, c) for left, right in zip(*self.values, strict=True)]
         positions = []
@@ -64,7 +58,7 @@ class PolynomialMotion:
         return positions
 
     def velocity(self, c: Expr) -> list[Expr]:
-        """The derivative by time at c, written in differences from the first value, of which no digits cancel."""
+        """Return the derivative by time at c, in differences from the first value, so that no digits cancel."""
         if len(self.nodes) == 2:
             return [(right - left) / self.step for left, right in zip(*self.values, strict=True)]
         velocities = []
@@ -81,7 +75,7 @@ class PolynomialMotion:
 
 
 def between(left: Expr, right: Expr, c: Expr) -> Expr:
-    """The point at the fraction c of the line from left to right."""
+    """Return the point at the fraction c of the line from left to right."""
     if left == right:
         return left
     if c == sympy.Rational(1, 2):
@@ -100,7 +94,7 @@ class Sites:
     """Symbols for the values of quantities at the two ends of an interval, and of controls on it.
 
     With nodal controls `left_controls` and `right_controls` differ, else both are the interval's own. Controls at
-    stages have values of their own at each of the scheme's points, in order, and none of the interval.
+    stages have values of their own at each of the scheme's points, in order, and the interval has no others.
     """
 
     left: tuple[Symbol, ...]
@@ -111,16 +105,16 @@ class Sites:
 
     @property
     def of_interval(self) -> tuple[Symbol, ...]:
-        """The controls that an interval has, stage by stage."""
+        """Return the controls of an interval, stage by stage."""
         return tuple(u for stage in self.stage_controls for u in stage) if self.stage_controls else self.left_controls
 
     @property
     def controlled(self) -> str:
-        """Where controls live: interval, nodal or stages."""
+        """Return the place of controls: interval, nodal or stages."""
         return "stages" if self.stage_controls else "nodal" if self.nodal else "interval"
 
     def controls_at(self, point: int, c: Expr) -> list[Expr]:
-        """The controls at a point of the scheme, c being its abscissa in the step.
+        """Return the controls at a point of the scheme, whose abscissa in the step is c.
 
         They are the point's own, or the interval's, or on the line between those of both nodes.
         """
@@ -130,7 +124,7 @@ class Sites:
 
     @property
     def nodal(self) -> bool:
-        """Whether controls live on nodes."""
+        """Return True if controls belong to nodes."""
         return self.left_controls != self.right_controls
 
 
@@ -157,32 +151,28 @@ class StateValue:
 
 
 def repeated(scheme: Scheme) -> tuple[tuple[Symbol, ...], Scheme]:
-    """What a step repeats, and the symbols for lengths in it: a composition's base, or the scheme with h alone."""
+    """Return the symbols of lengths in a step, and its scheme: the base of a composition, or the scheme itself."""
     count = len(scheme.parts[0]) if scheme.parts else 1
     lengths = (STEP,) if count == 1 else LENGTHS[:count]
     return lengths, scheme.part(lengths, STEP)
 
 
 def at_nodes(symbols: Iterable[Symbol], suffix: str) -> tuple[Symbol, ...]:
-    """The symbols that hold the values of quantities at a node (`r` -> `r_k`)."""
+    """Return the symbols for the values of quantities at a node (`r` -> `r_k`)."""
     return tuple(Symbol(f"{symbol.name}{suffix}", real=True) for symbol in symbols)
 
 
 def sites(model: Model, quantities: Sequence[Symbol], controls: str, points: int) -> Sites:
-    """Symbols for quantities at both nodes and for the controls of an interval on which a scheme has some points."""
+    """Return symbols for quantities at both nodes and for the controls of an interval with some points of a scheme."""
     left_u = at_nodes(model.controls, "_k")
     right_u = at_nodes(model.controls, "_k1") if controls == "nodal" else left_u
-    stages = tuple(at_stage(model.controls, i) for i in range(1, points + 1)) if controls == "stages" else ()
+    numbers = range(1, points + 1) if controls == "stages" else ()
+    stages = tuple(at_nodes(model.controls, f"_stage{i}_k") for i in numbers)
     return Sites(at_nodes(quantities, "_k"), at_nodes(quantities, "_k1"), left_u, right_u, stages)
 
 
-def at_stage(controls: Iterable[Symbol], number: int) -> tuple[Symbol, ...]:
-    """The symbols of controls at a point of an interval, counted from one (`u` -> `u_stage1_k`)."""
-    return at_nodes(at_nodes(controls, f"_stage{number}"), "_k")
-
-
 def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
-    """Each condition once, where it has the same value at several points, as a bound on an interval's control has."""
+    """Return each condition once, where it has the same value at several points, as a bound on a control has."""
     first: dict[tuple[str, Expr], PathValue] = {}
     for value in values:
         first.setdefault((value.condition.name, value.value), value)
@@ -190,14 +180,14 @@ def distinct(values: Sequence[PathValue]) -> tuple[PathValue, ...]:
 
 
 def strictly_inside(values: Iterable[StateValue]) -> tuple[StateValue, ...]:
-    """Each value once, without those at the ends of an interval or outside it, where some compositions lead."""
+    """Return each value once, without those at the ends of an interval or outside it, as in some compositions."""
     return tuple(dict.fromkeys(v for v in values if v.abscissa.is_positive and (1 - v.abscissa).is_positive))
 
 
 def substitute(
     model: Model, function: Expr, position: Sequence[Expr], rate: Sequence[Expr], controls: Sequence[Expr], c: Expr
 ) -> Expr:
-    """The value of a function of (q, rates, u, t) at a point of the interval, c being its abscissa in [0, 1]."""
+    """Return the value of a function of (q, rates, u, t) at a point of the interval with the abscissa c in [0, 1]."""
     values = dict(zip(model.coordinates, position, strict=True))
     values |= dict(zip(model.rates, rate, strict=True))
     values |= dict(zip(model.controls, controls, strict=True))
@@ -206,7 +196,7 @@ def substitute(
 
 
 FRACTION = Symbol("fraction", nonnegative=True)
-"""The fraction of an interval at which the motion is wanted."""
+"""The fraction of an interval at which the motion is evaluated."""
 _HALF = Rational(1, 2)
 _POLYNOMIALS: dict[int, tuple[Expr, tuple[Expr, ...], tuple[Expr, ...]]] = {
     0: (FRACTION, (), ()),
@@ -221,54 +211,50 @@ _POLYNOMIALS: dict[int, tuple[Expr, tuple[Expr, ...], tuple[Expr, ...]]] = {
         (-(FRACTION**3) * (1 - FRACTION) * (4 - 3 * FRACTION), _HALF * FRACTION**3 * (1 - FRACTION) ** 2),
     ),
 }
-"""By the number of derivatives at each node: what multiplies the change of value, and the derivatives at both nodes.
+"""Hermite's polynomials on [0, 1], by the number of derivatives at each node.
 
-These are Hermite's polynomials on [0, 1].
+The first one multiplies the change of the value, the others the derivatives at the left and the right node.
 """
 
 
 def continued(
     model: Model, derivatives: int, q: Sites, p: Sites, field: Sequence[Expr], abscissae: Sequence[Expr]
 ) -> list[Expr]:
-    """The states at FRACTION, from so many `derivatives` by time at both nodes, the first of which is the `field`.
+    """Return the states at FRACTION, from time derivatives at both nodes, the first of which is the `field`.
 
-    Where there are none, controls do not matter. `abscissae` are those of controls at stages.
+    Without `derivatives`, controls have no effect. `abscissae` are those of controls at stages.
     """
-    turning = [Dummy(f"rate of {u}", real=True) for u in model.controls]
-    of_order = [tuple(field)][:derivatives]
+    control_rates = [Dummy(f"rate of {u}", real=True) for u in model.controls]
+    functions = [tuple(field)][:derivatives]
     if derivatives > 1:
-        of_order.append(tuple(_along_motion(f, model, field, turning) for f in field))
+        # The time derivative of the field along the motion.
+        symbols = (model.time, *model.coordinates, *model.rates, *model.controls)
+        rates = dict(zip(symbols, (S.One, *field, *control_rates), strict=True))
+        functions.append(tuple(sympy.Add(*(sympy.diff(f, x) * rate for x, rate in rates.items())) for f in field))
     change, *shares = _POLYNOMIALS[derivatives]
     nodes = ((q.left, p.left, S.Zero), (q.right, p.right, S.One))
-    found = [x0 + change * (x1 - x0) for x0, x1 in zip((*q.left, *p.left), (*q.right, *p.right), strict=True)]
+    states = [x0 + change * (x1 - x0) for x0, x1 in zip((*q.left, *p.left), (*q.right, *p.right), strict=True)]
     for (position, rate, c), polynomials in zip(nodes, shares, strict=True):
         controls, slopes = _controls(q, abscissae, c)
-        rates = {symbol: slope / STEP for symbol, slope in zip(turning, slopes, strict=True)}
-        for power, (polynomial, functions) in enumerate(zip(polynomials, of_order, strict=True), start=1):
-            for i, f in enumerate(functions):
-                there = substitute(model, f, position, rate, controls, c).xreplace(rates)
-                found[i] += STEP**power * polynomial * there
-    return found
-
-
-def _along_motion(f: Expr, model: Model, field: Sequence[Expr], turning: Sequence[Symbol]) -> Expr:
-    """The derivative by time of a function along the motion, on which controls change at the rates `turning`."""
-    symbols = (model.time, *model.coordinates, *model.rates, *model.controls)
-    rates = (S.One, *field, *turning)
-    return sympy.Add(*(sympy.diff(f, symbol) * rate for symbol, rate in zip(symbols, rates, strict=True)))
+        values = {symbol: slope / STEP for symbol, slope in zip(control_rates, slopes, strict=True)}
+        for power, (polynomial, of_order) in enumerate(zip(polynomials, functions, strict=True), start=1):
+            for i, f in enumerate(of_order):
+                at_node = substitute(model, f, position, rate, controls, c).xreplace(values)
+                states[i] += STEP**power * polynomial * at_node
+    return states
 
 
 def _controls(sites: Sites, abscissae: Sequence[Expr], c: Expr) -> tuple[list[Expr], list[Expr]]:
-    """The controls at the fraction c of an interval, and their derivatives by it.
+    """Return the controls at the fraction c of an interval, and their derivatives by it.
 
-    Controls at stages are on the polynomial through them; where two stages are at one time, the first of both is.
+    Controls at stages are on the polynomial through them; of two stages at one time the first one counts.
     """
     if not sites.stage_controls:
         slopes = [b - a for a, b in zip(sites.left_controls, sites.right_controls, strict=True)]
         return [a + c * slope for a, slope in zip(sites.left_controls, slopes, strict=True)], slopes
-    own = dict(reversed(list(zip(abscissae, sites.stage_controls, strict=True))))
+    at_abscissae = dict(reversed(list(zip(abscissae, sites.stage_controls, strict=True))))
     values = [
-        sympy.interpolate([(at, controls[j]) for at, controls in own.items()], FRACTION)
+        sympy.interpolate([(at, controls[j]) for at, controls in at_abscissae.items()], FRACTION)
         for j in range(len(sites.stage_controls[0]))
     ]
     slopes = [sympy.diff(value, FRACTION).subs(FRACTION, c) for value in values]
@@ -276,25 +262,25 @@ def _controls(sites: Sites, abscissae: Sequence[Expr], c: Expr) -> tuple[list[Ex
 
 
 def observed_at(model: Model, position: Sequence[Expr], rate: Sequence[Expr]) -> tuple[Expr, ...]:
-    """What measurements are of, where coordinates and rates at FRACTION have these values."""
+    """Return the observed expressions, where coordinates and rates at FRACTION have these values."""
     return tuple(substitute(model, o.expression, position, rate, model.controls, FRACTION) for o in model.observed)
 
 
 _LONG = 80
-"""Operations from which on the variation of a discrete Lagrangian is taken as a whole."""
+"""Least number of operations of a discrete Lagrangian whose variation is taken as a whole."""
 
 
 @dataclass(frozen=True)
 class VariationalInterval:
     """Discrete Lagrangian Ld(q_k, q_k1), discrete forces f-, f+ and discrete cost Cd on one interval.
 
-    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost;
-    `observed` is what the model's measurements are of, at FRACTION of the interval.
-    Where the motion of an interval is no straight line, Ld depends on the coordinates at `inner` points as well, one
-    point after the other, at the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`.
-    Then `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points, at the right node,
-    made from those of L: to differentiate Ld itself would take long. And `impulse` is what an interval adds to the
-    momenta, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
+    `integrals` are the integrands of the model's conditions on integrals, integrated by the same rule as the cost.
+    `observed` are the quantities of the model's measurements, at FRACTION of the interval.
+    Where the motion of an interval is no straight line, Ld depends also on the coordinates at `inner` points, one point
+    after the other, at the fractions `inner_abscissae` of the step, and is stationary there up to `force_inner`. Then
+    `slopes` holds the derivatives of Ld by the coordinates at the left node, at inner points and at the right node,
+    made from those of L: the differentiation of Ld itself would take long. `impulse` is the gain of momentum on an
+    interval, sum_i w_i h (L_q + f): the sum of all balances, in which velocities and their coefficients cancel.
     `inside` are the values of coordinates at inner points, and at quadrature points inside the interval.
     """
 
@@ -315,18 +301,16 @@ class VariationalInterval:
 
     @property
     def left_momentum(self) -> tuple[Expr, ...]:
-        """The forced discrete Legendre transform p_k = -D1 Ld - f-."""
-        pairs = zip(self._derivatives(self.q.left), self.force_minus, strict=True)
-        return tuple(-slope - f for slope, f in pairs)
+        """Return the forced discrete Legendre transform p_k = -D1 Ld - f-."""
+        return tuple(-d - f for d, f in zip(self._derivatives(self.q.left), self.force_minus, strict=True))
 
     @property
     def right_momentum(self) -> tuple[Expr, ...]:
-        """The forced discrete Legendre transform p_k1 = D2 Ld + f+."""
-        pairs = zip(self._derivatives(self.q.right), self.force_plus, strict=True)
-        return tuple(slope + f for slope, f in pairs)
+        """Return the forced discrete Legendre transform p_k1 = D2 Ld + f+."""
+        return tuple(d + f for d, f in zip(self._derivatives(self.q.right), self.force_plus, strict=True))
 
     def _derivatives(self, coordinates: Sequence[Symbol]) -> list[Expr]:
-        """The derivatives of Ld by coordinates at nodes or inner points."""
+        """Return the derivatives of Ld by coordinates at nodes or inner points."""
         if not self.slopes:
             return list(gradient(self.lagrangian, coordinates))
         known = dict(zip((*self.q.left, *self.inner, *self.q.right), self.slopes, strict=True))
@@ -334,14 +318,13 @@ class VariationalInterval:
 
     @property
     def inner_balance(self) -> tuple[Expr, ...]:
-        """What vanishes at the inner points, the forced discrete Euler-Lagrange equations D_i Ld + f_i there."""
-        pairs = zip(self._derivatives(self.inner), self.force_inner, strict=True)
-        return tuple(slope + f for slope, f in pairs)
+        """Return the forced discrete Euler-Lagrange equations D_i Ld + f_i at the inner points."""
+        return tuple(d + f for d, f in zip(self._derivatives(self.inner), self.force_inner, strict=True))
 
     def virtual_work(self, displacements: Sequence[Symbol], impulses: Sequence[Expr]) -> Expr:
-        """The work of -p_k, p_k1, the inner balances and impulses along displacements of left, right, inner positions.
+        """Return the work of -p_k, p_k1, inner balances and impulses along left, right and inner displacements.
 
-        A long Ld is differentiated in the direction of the displacements instead of by each coordinate: this keeps
+        A long Ld is differentiated in the direction of the displacements instead of by each coordinate. This keeps
         its structure, such as the speed of a body that many coordinates move.
         """
         if self.inner or self.lagrangian.count_ops() < _LONG:
@@ -383,6 +366,8 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         for x, value in zip(model.coordinates, point, strict=True)
     ]
     forces = [[sympy.S.Zero] * len(model.force) for _ in rule.nodes]
+    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in rule.nodes]
+    impulse = [sympy.S.Zero] * len(model.coordinates)
     for number, point in enumerate(rule.points):
         weight, c = STEP * point.weight, point.abscissa
         here = q_sites.controls_at(number, c)
@@ -393,10 +378,18 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         for share, node in zip(motion.shares(c), forces, strict=True):
             for i, f in enumerate(model.force):
                 node[i] += weight * share * force_at(f, number, c)
+        if not inner:
+            continue
+        # Derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v), and the impulse.
+        by_position = [at(slope, c, here) for slope in gradient(model.function, model.coordinates)]
+        by_velocity = [at(slope, c, here) for slope in gradient(model.function, model.rates)]
+        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
+            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
+                node[i] += sympy.expand(point.weight * share) * STEP * force
+                node[i] += sympy.expand(point.weight * rate) * momentum
+        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
+            impulse[i] += point.weight * STEP * (force + at(f, c, here))
     minus, *between, plus = (tuple(node) for node in forces)
-    slopes, impulse = (), ()
-    if inner:
-        slopes, impulse = _slopes_and_impulse(model, rule, motion, lambda f, i, c: at(f, c, q_sites.controls_at(i, c)))
     return VariationalInterval(
         q=q_sites,
         lagrangian=lagrangian,
@@ -408,33 +401,11 @@ def variational_interval(model: Model, scheme: Scheme, controls: str = "interval
         inner=tuple(q for point in inner for q in point),
         inner_abscissae=tuple(c for c in rule.nodes[1:-1] for _ in model.coordinates),
         force_inner=tuple(f for node in between for f in node),
-        slopes=slopes,
-        impulse=impulse,
+        slopes=tuple(slope for node in slopes for slope in node) if inner else (),
+        impulse=tuple(impulse) if inner else (),
         observed=observed_at(model, motion.position(FRACTION), motion.velocity(FRACTION)) if model.observed else (),
         inside=strictly_inside(evaluated),
     )
-
-
-def _slopes_and_impulse(
-    model: Model, scheme: DiscreteLagrangian, motion: PolynomialMotion, at: Callable[[Expr, int, Expr], Expr]
-) -> tuple[tuple[Expr, ...], tuple[Expr, ...]]:
-    """The derivatives of Ld by each value of the motion, sum_i w_i (h l_j(c_i) L_q + l_j'(c_i) L_v) at points c_i.
-
-    Second, sum_i w_i h (L_q + f).
-    """
-    slopes = [[sympy.S.Zero] * len(model.coordinates) for _ in scheme.nodes]
-    impulse = [sympy.S.Zero] * len(model.coordinates)
-    of_position, of_velocity = gradient(model.function, model.coordinates), gradient(model.function, model.rates)
-    for number, point in enumerate(scheme.points):
-        weight, c = point.weight, point.abscissa
-        by_position = [at(slope, number, c) for slope in of_position]
-        by_velocity = [at(slope, number, c) for slope in of_velocity]
-        for node, share, rate in zip(slopes, motion.shares(c), motion.rates(c), strict=True):
-            for i, (force, momentum) in enumerate(zip(by_position, by_velocity, strict=True)):
-                node[i] += sympy.expand(weight * share) * STEP * force + sympy.expand(weight * rate) * momentum
-        for i, (force, f) in enumerate(zip(by_position, model.force, strict=True)):
-            impulse[i] += weight * STEP * (force + at(f, number, c))
-    return tuple(slope for node in slopes for slope in node), tuple(impulse)
 
 
 @dataclass(frozen=True)
@@ -443,8 +414,8 @@ class OneStepInterval:
 
     The equations for the stages come first, then those of the coordinates, then those of the momenta. A first-order
     system has no momenta. `integrals` are the integrands of the model's conditions on integrals, integrated like the
-    cost. `observed` is what the model's measurements are of, at FRACTION of the interval. `inside` are the values of
-    states where an implicit scheme evaluates the dynamics inside the interval, and of the inner stages behind them.
+    cost. `observed` are the quantities of the model's measurements, at FRACTION of the interval. `inside` are the
+    values of states where an implicit scheme evaluates the dynamics inside the interval, and of the inner stages.
     """
 
     q: Sites
@@ -470,20 +441,24 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     inner = (at_nodes(states, f"_stage{n}") for n in range(1, len(step.abscissae)))
     values = [(*q_sites.left, *p_sites.left), *inner, (*q_sites.right, *p_sites.right)]
 
-    integrands, motion = _integrands(model), _vector_field(model)
+    integrands = (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
+    motion = model.dynamics
+    if model.form != "first-order":
+        forced = zip(gradient(model.function, model.coordinates), model.force, strict=True)
+        motion = (*gradient(model.function, model.rates), *(f - slope for slope, f in forced))
     field = (*motion, *integrands)
     rates, integrals, path = list[list[Expr]](), [sympy.S.Zero] * len(integrands), list[PathValue]()
     evaluated, elapsed = list[StateValue](), (sympy.S.Zero, *step.abscissae)
     for i, point in enumerate(step.points):
         shares = [point.position] * dimension + [point.momentum] * len(model.rates)
-        state = [_sum((share, values[n][x]) for n, share in own) for x, own in enumerate(shares)]
-        for x, own in enumerate(shares):
-            evaluated += [StateValue(states[x], elapsed[n], values[n][x]) for n, _ in own]
-            evaluated.append(StateValue(states[x], _sum((share, elapsed[n]) for n, share in own), state[x]))
+        state = [_sum((share, values[n][x]) for n, share in of_x) for x, of_x in enumerate(shares)]
+        for x, of_x in enumerate(shares):
+            evaluated += [StateValue(states[x], elapsed[n], values[n][x]) for n, _ in of_x]
+            evaluated.append(StateValue(states[x], _sum((share, elapsed[n]) for n, share in of_x), state[x]))
         at = (state[:dimension], state[dimension:], q_sites.controls_at(i, point.abscissa), point.abscissa)
-        there = [substitute(model, f, *at) for f in field]
-        rates.append(there[: len(states)])
-        densities = zip(integrals, there[len(states) :], strict=True)
+        at_point = [substitute(model, f, *at) for f in field]
+        rates.append(at_point[: len(states)])
+        densities = zip(integrals, at_point[len(states) :], strict=True)
         integrals = [total + STEP * point.weight * density for total, density in densities]
         path += [PathValue(g, point.abscissa, substitute(model, g.expression, *at)) for g in model.path]
 
@@ -502,8 +477,8 @@ def one_step_interval(model: Model, scheme: Scheme, controls: str = "interval") 
     observed = ()
     if model.observed:
         abscissae = [point.abscissa for point in step.points]
-        states_there = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
-        observed = observed_at(model, states_there[:dimension], states_there[dimension:])
+        inner_states = continued(model, scheme.dense_derivatives, q_sites, p_sites, motion, abscissae)
+        observed = observed_at(model, inner_states[:dimension], inner_states[dimension:])
     inside = () if step.is_explicit else strictly_inside(evaluated)
     return OneStepInterval(
         q_sites, p_sites, tuple(stages), tuple(equations), cost, distinct(path), tuple(others), observed, inside
@@ -514,27 +489,13 @@ def _sum(terms: Iterable[tuple[Expr, Expr]]) -> Expr:
     return sum((factor * value for factor, value in terms if factor != 0), sympy.S.Zero)
 
 
-def _vector_field(model: Model) -> tuple[Expr, ...]:
-    """The right-hand sides of Hamilton's equations with forces, or of a first-order system."""
-    if model.form == "first-order":
-        return model.dynamics
-    return (
-        *gradient(model.function, model.rates),
-        *(f - slope for slope, f in zip(gradient(model.function, model.coordinates), model.force, strict=True)),
-    )
-
-
-def _integrands(model: Model) -> tuple[Expr, ...]:
-    return (model.cost or sympy.S.Zero, *(integral.expression for integral in model.integrals))
-
-
 def _without_idle_stages(
     stages: Sequence[tuple[Symbol, ...]], equations: Sequence[Expr], read: Collection[Symbol]
 ) -> tuple[list[Symbol], list[Expr]]:
-    """Drop each stage at which no field is evaluated, as in the trapezoidal rule, by adding the steps beside it.
+    """Drop each stage at which no field is evaluated, as in the trapezoidal rule, by adding the adjacent steps.
 
-    The sum is free of such a stage because one step ends where the next begins. What cost, integrals or path conditions
-    have `read` stays.
+    The sum is free of such a stage because one step ends where the next begins. Stages in cost, integrals or path
+    conditions (`read`) stay.
     """
     size = len(stages[0]) if stages else len(equations)
     kept, steps = list[Symbol](), [list(equations[i : i + size]) for i in range(0, len(equations), size)]

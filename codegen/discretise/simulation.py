@@ -2,27 +2,22 @@
 
 Variational method: the position-momentum form of the forced discrete Euler-Lagrange equations, p_k = -D1 Ld - f- and
 p_k1 = D2 Ld + f+. They are solved for the velocity (q_k1 - q_k)/h instead of q_k1, because the difference of two nearby
-positions would lose digits. Source: Marsden and West (2001), section 1.5.3.
+positions would lose digits. Inner points of a Galerkin variational integrator are replaced by velocities in the same
+way. Source: Marsden and West (2001), section 1.5.3.
 
-Inner points of a Galerkin variational integrator are replaced by velocities in the same way.
+Hamiltonian method: the equations of a one-step method, inner stages included. A composition is one step of its base
+scheme, which the generated module repeats with other lengths: the code does not grow with their number.
 
-Hamiltonian method: the equations of a one-step method, inner stages included.
+Explicit elimination leaves to Newton's method only the unknowns without a symbolic solution. Equation i and unknown i
+belong together: for a consistent scheme its coefficient is 1 + O(h), or an entry of the mass matrix, and does not
+vanish. An equation that is linear in one unknown is solved for it, and the solution is put into the other equations.
+The procedure is known as tearing. Source: Duff, Erisman and Reid (2017), Direct methods for sparse matrices, chapters 5
+and 7.
 
-A composition is one step of its base scheme, which the generated module repeats with other lengths: code does not grow
-with their number.
-
-Explicit elimination: solve what can be solved symbolically, so that Newton's method keeps only the rest.
-
-Equation i and unknown i belong together: for a consistent scheme its coefficient is 1 + O(h), or an entry of the mass
-matrix, and does not vanish. Where an equation is linear in one unknown, it is solved for that unknown and the result is
-put into the other equations. The procedure is known as tearing; source: Duff, Erisman and Reid (2017), Direct methods
-for sparse matrices, chapters 5 and 7.
-
-Velocities and energy as functions of a state (q, p), without the inverse of a large mass matrix written out.
-
-Written out, the inverse of a matrix of n coordinates that all depend on each other has about 4^n terms. Step by step,
-as M = L D L^T on a graph of values, it takes about n^3/6 products. Source: Golub and Van Loan (2013), Matrix
-computations, section 4.1.
+Velocities and energy are functions of a state (q, p), without the inverse of a large mass matrix written out. Written
+out, the inverse of a matrix of n coordinates that all depend on each other has about 4^n terms. Step by step, as
+M = L D L^T on a graph of values, it takes about n^3/6 products. Source: Golub and Van Loan (2013), Matrix computations,
+section 4.1.
 """
 
 from __future__ import annotations
@@ -37,7 +32,7 @@ import numpy as np
 import sympy
 from sympy import Add, Expr, S, Symbol, diff, expand, expand_mul
 
-from codegen.discretise.boundary import with_symbolic_boundaries
+from codegen.discretise.forms import with_symbolic_boundaries
 from codegen.discretise.interval import (
     STEP,
     VariationalInterval,
@@ -58,16 +53,16 @@ from codegen.symbolic.graph import ONE, Assignment, Graph
 from codegen.symbolic.zeros import identically_zero
 
 _EXPANSION_LIMIT = 200
-"""Operations, and terms, up to which sums are multiplied out to see that an expression is linear."""
+"""Limit for operations, and terms, of sums that are multiplied out to test linearity."""
 _GROWTH_LIMIT = 150
-"""Operations by which substitutions may lengthen the equations; beyond it a numerical solution is cheaper."""
+"""Limit for operations that substitutions add to the equations; beyond it a numerical solution is cheaper."""
 
 
 @dataclass(frozen=True)
 class Elimination:
     """Assignments before Newton's method, its unknowns and residual, and assignments after it, each in order.
 
-    `linear` says that the residual is linear in the unknowns. Without unknowns everything is in `before`.
+    `linear` is True if the residual is linear in the unknowns. Without unknowns all assignments are in `before`.
     """
 
     before: tuple[Assignment, ...]
@@ -78,27 +73,27 @@ class Elimination:
 
 
 def eliminate(equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: Iterable[Symbol]) -> Elimination:
-    """Solve equations (expressions that must vanish) for unknowns as far as that is possible one by one.
+    """Solve equations (expressions that must vanish) for as many unknowns as possible, one by one.
 
-    `constants` are the symbols that keep their value along a trajectory. Several orders are tried; the one that
-    leaves the fewest unknowns to Newton's method is taken, and of those the shortest.
+    `constants` are the symbols that keep their value along a trajectory. Of two orders, the one that leaves fewer
+    unknowns to Newton's method is taken, or else the one with fewer operations.
     """
+
+    def cost(result: Elimination) -> tuple[int, bool, int]:
+        assigned = (value for _, value in (*result.before, *result.after))
+        operations = sum(int(e.count_ops()) for e in (*result.residual, *assigned))
+        return len(result.unknowns), not result.linear, operations
+
     forward = range(len(unknowns))
     first = _System(equations, unknowns, frozenset(constants)).solved(forward)
     if len(first.unknowns) in (0, len(unknowns)):
-        return first  # another order leaves no fewer
-    return min(first, _System(equations, unknowns, frozenset(constants)).solved(forward[::-1]), key=_labour)
-
-
-def _labour(result: Elimination) -> tuple[int, bool, int]:
-    assigned = (value for _, value in (*result.before, *result.after))
-    operations = sum(int(e.count_ops()) for e in (*result.residual, *assigned))
-    return len(result.unknowns), not result.linear, operations
+        return first  # another order leaves the same number
+    return min(first, _System(equations, unknowns, frozenset(constants)).solved(forward[::-1]), key=cost)
 
 
 @dataclass(frozen=True)
 class _Equation:
-    """An expression that must vanish, with what is asked of it again and again."""
+    """An expression that must vanish, with its symbols and its number of operations."""
 
     expression: Expr
     symbols: AbstractSet[Symbol]
@@ -113,28 +108,37 @@ class _Equation:
 
 
 class _System:
-    """The equations and unknowns that are still open, and what has been solved so far."""
+    """The open equations and unknowns, and the assignments of the solved unknowns."""
 
     def __init__(self, equations: Sequence[Expr], unknowns: Sequence[Symbol], constants: AbstractSet[Symbol]) -> None:
         self.equations = {i: _Equation.of(e) for i, e in enumerate(equations)}
         self.unknowns = tuple(unknowns)
         self.constants = constants
         self.open = set(unknowns)
-        self.found: list[Assignment] = []
+        self.assignments: list[Assignment] = []
         self.rejected: set[tuple[int, Symbol]] = set()
         self.limit = sum(e.operations for e in self.equations.values()) + _GROWTH_LIMIT
 
     def solved(self, order: Sequence[int]) -> Elimination:
         while self._solve_determined(order) or self._eliminate(order):
             pass
-        before, after = _sorted(self.found, self.open)
+        # Each assignment follows those that it reads; first the assignments that read no open unknown.
+        waiting, before, after = list(self.assignments), list[Assignment](), list[Assignment]()
+        for readable, sequence in ((frozenset[Symbol](), before), (self.open, after)):
+            while True:
+                missing = ({y for y, _ in waiting} | self.open) - readable
+                ready = [assignment for assignment in waiting if not assignment[1].free_symbols & missing]
+                if not ready:
+                    break
+                sequence += ready
+                waiting = [assignment for assignment in waiting if assignment not in ready]
         residual = tuple(e.expression for e in self.equations.values())
-        left = tuple(y for y in self.unknowns if y in self.open)
-        linear = all(linear_in(e, y, self.open) is not None for e in residual for y in left if e.has(y))
-        return Elimination(before, left, residual, after, linear)
+        unknowns = tuple(y for y in self.unknowns if y in self.open)
+        linear = all(linear_in(e, y, self.open) is not None for e in residual for y in unknowns if e.has(y))
+        return Elimination(tuple(before), unknowns, residual, tuple(after), linear)
 
     def _solve_determined(self, order: Sequence[int]) -> bool:
-        """Solve one equation that holds a single open unknown, linearly."""
+        """Solve one equation with a single open unknown, linearly; False if there is none."""
         for i in order:
             present = self._present(i)
             if len(present) == 1:
@@ -142,32 +146,15 @@ class _System:
                 solution = self._solution(i, y)
                 if solution is not None:
                     del self.equations[i]
-                    self._record(y, solution[1])
+                    self._assign(y, solution[1])
                     return True
         return False
 
     def _eliminate(self, order: Sequence[int]) -> bool:
         """Express one unknown by other open ones, and substitute; False when none is admissible.
 
-        Of the admissible pairs the one that fills in least is taken (Markowitz's count).
+        The unknown's own equation comes first, then the pair with the least fill-in (Markowitz's count).
         """
-        for i, y in self._candidates(order):
-            solution = self._solution(i, y)
-            if solution is None or not self._is_safe(solution[0], y != self.unknowns[i]):
-                self.rejected.add((i, y))
-                continue
-            others = {j: e.with_value(y, solution[1]) for j, e in self.equations.items() if j != i}
-            if sum(e.operations for e in others.values()) <= self.limit:
-                changed = {j for j, e in others.items() if e is not self.equations[j]}
-                self.rejected = {(j, z) for j, z in self.rejected if j not in changed}
-                self.equations = others
-                self._record(y, solution[1])
-                return True
-            self.rejected.add((i, y))
-        return False
-
-    def _candidates(self, order: Sequence[int]) -> list[tuple[int, Symbol]]:
-        """Pairs of an equation and an unknown in it: the unknown's own equation first, then those with least fill."""
         present = {i: self._present(i) for i in order}
         occurrences = {y: sum(y in symbols for symbols in present.values()) for y in self.open}
         ranked = [
@@ -176,22 +163,30 @@ class _System:
             for y in present[i]
             if (i, y) not in self.rejected
         ]
-        return [(order[position], self.unknowns[index]) for _, _, position, index in sorted(ranked)]
-
-    def _is_safe(self, coefficient: Expr, foreign: bool) -> bool:
-        """Whether a pivot cannot vanish where the system as a whole is regular.
-
-        Constants of the unknown's own equation do not; elsewhere only numbers and powers of h are trusted, since a
-        parameter (a friction, say) may be zero.
-        """
-        trusted = {STEP} if foreign else self.constants | {STEP}
-        return bool(coefficient.free_symbols <= trusted)
+        for is_foreign, _, position, index in sorted(ranked):
+            i, y = order[position], self.unknowns[index]
+            solution = self._solution(i, y)
+            # The pivot must not vanish where the system is regular. Constants of the unknown's own equation do not; a
+            # parameter of another equation (a friction, say) may be zero, but numbers and powers of h are not.
+            trusted = {STEP} if is_foreign else self.constants | {STEP}
+            if solution is None or not solution[0].free_symbols <= trusted:
+                self.rejected.add((i, y))
+                continue
+            others = {j: e.with_value(y, solution[1]) for j, e in self.equations.items() if j != i}
+            if sum(e.operations for e in others.values()) <= self.limit:
+                changed = {j for j, e in others.items() if e is not self.equations[j]}
+                self.rejected = {(j, z) for j, z in self.rejected if j not in changed}
+                self.equations = others
+                self._assign(y, solution[1])
+                return True
+            self.rejected.add((i, y))
+        return False
 
     def _present(self, i: int) -> AbstractSet[Symbol]:
         return self.equations[i].symbols & self.open if i in self.equations else frozenset()
 
     def _solution(self, i: int, y: Symbol) -> tuple[Expr, Expr] | None:
-        """Coefficient of y in equation i and the value of y, if y enters linearly and surely."""
+        """Return the coefficient of y in equation i and the value of y, if y enters linearly and surely."""
         equation = self.equations[i].expression
         coefficient = linear_in(equation, y, self.open)
         if coefficient is None or identically_zero(coefficient):
@@ -199,65 +194,51 @@ class _System:
         rest = equation.xreplace({y: S.Zero})
         return coefficient, rest if coefficient == -1 else -rest / coefficient
 
-    def _record(self, y: Symbol, value: Expr) -> None:
-        """Close an unknown; one whose value holds no open unknown keeps its name in the equations that remain."""
+    def _assign(self, y: Symbol, value: Expr) -> None:
+        """Close an unknown; its name remains in other equations if its value depends on no open unknown."""
         self.open.discard(y)
-        self.found.append((y, value))
+        self.assignments.append((y, value))
 
 
 def linear_in(expression: Expr, y: Symbol, variables: AbstractSet[Symbol]) -> Expr | None:
-    """The coefficient of y, free of all `variables`, or None when the expression is not linear in y in that sense.
+    """Return the coefficient of y, free of all `variables`, or None if the expression is not linear in y in that sense.
 
-    Long expressions are looked at as they stand; in short ones terms may cancel once they are multiplied out.
+    Long expressions are tested as they stand; in short ones terms may cancel once they are multiplied out.
     """
     terms = [term for term in Add.make_args(expression) if y in _symbols_of(term)]
-    curved = [term for term in terms if y in _curved(term, variables)]
-    if expressions.longer_than(_EXPANSION_LIMIT, curved):
+    nonlinear = [term for term in terms if y in _nonlinear_symbols(term, variables)]
+    if expressions.longer_than(_EXPANSION_LIMIT, nonlinear):
         return None
     coefficient = Add(*terms).diff(y)
-    if curved and expressions.multiplied_out(coefficient) <= _EXPANSION_LIMIT:
+    if nonlinear and expressions.multiplied_out(coefficient) <= _EXPANSION_LIMIT:
         coefficient = expand(coefficient)
     return None if coefficient.free_symbols & variables else coefficient
 
 
-def _curved(expression: Expr, variables: AbstractSet[Symbol]) -> AbstractSet[Symbol]:
-    """The variables in which an expression, as it is written, is not linear with a coefficient free of variables."""
+def _nonlinear_symbols(expression: Expr, variables: AbstractSet[Symbol]) -> AbstractSet[Symbol]:
+    """Return the variables in which an expression, as written, is not linear with a coefficient free of variables."""
     varying = [part for part in expression.args if _symbols_of(part) & variables]
     if expression.is_Add or (expression.is_Mul and len(varying) == 1):
-        return frozenset[Symbol]().union(*(_curved(part, variables) for part in varying))
+        return frozenset[Symbol]().union(*(_nonlinear_symbols(part, variables) for part in varying))
     return _symbols_of(expression) & variables if varying else frozenset()
 
 
 @lru_cache(maxsize=10_000)
 def _symbols_of(expression: Expr) -> AbstractSet[Symbol]:
-    """The symbols of a term, which is asked about each unknown in turn."""
+    """Return the symbols of a term, cached since every unknown is tested in turn."""
     return frozenset(expression.free_symbols)
 
 
-def _sorted(found: Sequence[Assignment], open_unknowns: AbstractSet[Symbol]) -> tuple[tuple[Assignment, ...], ...]:
-    """Order assignments so that each follows what it reads; first those that read no open unknown, then the others."""
-    waiting, before, after = list(found), list[Assignment](), list[Assignment]()
-    for known, done in ((frozenset(), before), (open_unknowns, after)):
-        while True:
-            missing = ({y for y, _ in waiting} | open_unknowns) - known
-            ready = [assignment for assignment in waiting if not assignment[1].free_symbols & missing]
-            if not ready:
-                break
-            done += ready
-            waiting = [assignment for assignment in waiting if assignment not in ready]
-    return tuple(before), tuple(after)
-
-
 _WRITTEN_OUT = 3
-"""Coordinates coupled by the mass matrix up to which its inverse is written out."""
+"""Limit for coordinates coupled by the mass matrix whose inverse is written out."""
 _PIVOT = 1e-6
-"""A pivot that is smaller than this, beside the other entries of its row, is put off."""
+"""A pivot below this fraction of the largest entry of its row is postponed."""
 _HALF = ONE / 2
 
 
 @dataclass(frozen=True)
 class PhaseFunctions:
-    """The velocities dH/dp and the energy H at (q, p, t); both may read the symbols of `assignments`, made in order."""
+    """The velocities dH/dp and the energy H at (q, p, t), in symbols of ordered `assignments` as well."""
 
     assignments: tuple[Assignment, ...]
     velocities: tuple[Expr, ...]
@@ -265,20 +246,25 @@ class PhaseFunctions:
 
 
 def phase_functions(model: Model) -> PhaseFunctions | None:
-    """Solve p = dL/dv for v step by step; None where the Hamiltonian may as well be written out.
+    """Solve p = dL/dv for v step by step; None where the Hamiltonian may be written out.
 
-    That is where no more than three coordinates depend on each other in the mass matrix, or where it depends on
-    velocities, so that momenta are not linear in them. Momenta are called as `legendre.conjugate_symbols` calls them.
+    This is the case where at most three coordinates depend on each other in the mass matrix. It is also the case where
+    the mass matrix depends on velocities, so that momenta are not linear in them. The momenta have the names of
+    `legendre.conjugate_symbols`.
     """
     if model.form != "lagrangian" or len(model.coordinates) <= _WRITTEN_OUT:
         return None
     momenta, count = legendre.conjugate_symbols(model), len(model.rates)
     leaves = (*model.rates, *model.coordinates, *momenta)
     graph = Graph(leaves)
-    found = accumulate(graph, graph.of(model.function), range(len(leaves)))
-    mass = {pair: node for pair, node in found.second.items() if max(pair) < count}
+    derivatives = accumulate(graph, graph.of(model.function), range(len(leaves)))
+    mass = {pair: node for pair, node in derivatives.second.items() if max(pair) < count}
     mass |= {(j, i): node for (i, j), node in mass.items()}
-    if not graph.independent(mass.values(), range(count)) or _largest_block(mass, count) <= _WRITTEN_OUT:
+    pattern = sympy.zeros(count, count)
+    for index in mass:
+        pattern[index] = 1
+    largest_block = max(map(len, pattern.connected_components()))
+    if not graph.independent(mass.values(), range(count)) or largest_block <= _WRITTEN_OUT:
         return None
     order = _pivots(hessian_samples(model.function, model.rates, sample_points(model)))
     if order is None:
@@ -295,26 +281,18 @@ def phase_functions(model: Model) -> PhaseFunctions | None:
     return PhaseFunctions(program.assignments, program.values[:-1], program.values[-1])
 
 
-def _largest_block(entries: Iterable[tuple[int, int]], count: int) -> int:
-    """How many unknowns depend on each other at most."""
-    matrix = sympy.zeros(count, count)
-    for index in entries:
-        matrix[index] = 1
-    return max(map(len, matrix.connected_components()))
-
-
 def _pivots(samples: Iterable[np.ndarray | None]) -> list[int] | None:
-    """An order of rows in which no pivot of a symmetric elimination vanishes; None if none was found."""
+    """Return an order of rows in which no pivot of a symmetric elimination vanishes, or None."""
     for values in samples:
         if values is None:
             continue
         order: list[int] = []
-        left = list(range(len(values)))
-        while left:
-            pivot = next((i for i in left if abs(values[i, i]) > _PIVOT * np.abs(values[i, left]).max()), None)
+        rows = list(range(len(values)))
+        while rows:
+            pivot = next((i for i in rows if abs(values[i, i]) > _PIVOT * np.abs(values[i, rows]).max()), None)
             if pivot is None:
                 break
-            left.remove(pivot)
+            rows.remove(pivot)
             order.append(pivot)
             values = values - np.outer(values[:, pivot], values[pivot]) / values[pivot, pivot]
         else:
@@ -323,7 +301,7 @@ def _pivots(samples: Iterable[np.ndarray | None]) -> list[int] | None:
 
 
 class _Elimination:
-    """M v = y solved for v by nodes of a graph, M being symmetric."""
+    """The solution of M v = y for v by nodes of a graph, with symmetric M = L D L^T."""
 
     def __init__(self, graph: Graph, mass: Mapping[tuple[int, int], int], order: Sequence[int]) -> None:
         self.graph = graph
@@ -331,15 +309,12 @@ class _Elimination:
         self.pivots: dict[int, int] = {}
         self.factors: dict[tuple[int, int], int] = {}
         self.solved: dict[int, int] = {}
-        self._factorise(mass)
-
-    def _factorise(self, mass: Mapping[tuple[int, int], int]) -> None:
         zero = self.graph.sum(())
         for index, i in enumerate(self.order):
             column: dict[int, int] = {}
             for j in self.order[:index]:
-                known = [(self.factors[j, k], column[k]) for k in column if (j, k) in self.factors]
-                entry = self._reduced(mass.get((i, j), zero), known)
+                products = [(self.factors[j, k], column[k]) for k in column if (j, k) in self.factors]
+                entry = self._reduced(mass.get((i, j), zero), products)
                 if entry != zero:
                     column[j] = entry
             for j, entry in column.items():
@@ -349,24 +324,24 @@ class _Elimination:
     def forward(self, right: Sequence[int]) -> int:
         """Solve L z = y, and return y.v = sum of z_i^2 / d_i."""
         for i in self.order:
-            known = [(self.factors[i, j], z) for j, z in self.solved.items() if (i, j) in self.factors]
-            self.solved[i] = self._reduced(right[i], known)
+            products = [(self.factors[i, j], z) for j, z in self.solved.items() if (i, j) in self.factors]
+            self.solved[i] = self._reduced(right[i], products)
         squares = (self.graph.product([(z, ONE * 2), (self.pivots[i], -ONE)]) for i, z in self.solved.items())
         return self.graph.sum((square, ONE) for square in squares)
 
     def backward(self) -> dict[int, int]:
         """Solve D L^T v = z."""
-        found: dict[int, int] = {}
+        solution: dict[int, int] = {}
         for i in reversed(self.order):
-            known = [(self.factors[j, i], v) for j, v in found.items() if (j, i) in self.factors]
-            found[i] = self._reduced(self._divided(self.solved[i], self.pivots[i]), known)
-        return found
+            products = [(self.factors[j, i], v) for j, v in solution.items() if (j, i) in self.factors]
+            solution[i] = self._reduced(self._divided(self.solved[i], self.pivots[i]), products)
+        return solution
 
     def _divided(self, node: int, by: int) -> int:
         return self.graph.product([(node, ONE), (by, -ONE)])
 
     def _reduced(self, node: int, products: Sequence[tuple[int, int]]) -> int:
-        """A value less some products."""
+        """Return a value minus some products."""
         return self.graph.sum([(node, ONE), *((self.graph.times(a, b), -ONE) for a, b in products)])
 
 
@@ -375,7 +350,7 @@ Equation = tuple[str, Expr]
 
 @dataclass(frozen=True)
 class _Step:
-    """One step: the textbook's equations, where they come from, how they are solved, and where Newton starts."""
+    """One step: its equations, their origin in formulas, their solution, and the guess of Newton's method."""
 
     equations: tuple[Equation, ...]
     summary: tuple[Equation, ...]
@@ -388,7 +363,7 @@ class _Step:
 def simulate(model: Model, scheme: Scheme, method: str) -> StepProgram:
     """Transcribe an initial value problem by the "variational" or the "hamiltonian" method.
 
-    Raises SchemeError when the scheme belongs to the other method, and what the Legendre transforms raise.
+    Raises SchemeError when the scheme belongs to the other method, and the errors of the Legendre transforms.
     """
     model, start_values = with_symbolic_boundaries(model)
     stepwise = phase_functions(model) if method == "variational" else None
@@ -451,6 +426,10 @@ def _variational_step(
     velocities = at_nodes(model.rates, "_k")
     points = range(1, len(interval.inner) // dimension + 1)
     velocities += tuple(v for i in points for v in at_nodes(model.rates, f"_stage{i}"))
+    # Right nodes and inner points, the left node, and the time between them.
+    differences = [(q1, q, STEP) for q1, q in zip(interval.q.right, interval.q.left, strict=True)]
+    for i, (q, c) in enumerate(zip(interval.inner, interval.inner_abscissae, strict=True)):
+        differences.append((q, interval.q.left[i % dimension], c * STEP))
     return _Step(
         equations=(*inner, *((p.name, p - momentum) for p, momentum in transforms)),
         summary=(
@@ -458,19 +437,11 @@ def _variational_step(
             *((f"0 = {name}", value) for name, value in inner),
             *((p.name, momentum) for p, momentum in transforms),
         ),
-        velocities=tuple((v, *d) for v, d in zip(velocities, _differences(interval), strict=True)),
+        velocities=tuple((v, *d) for v, d in zip(velocities, differences, strict=True)),
         stages=interval.inner,
         solution=_solved_for_velocities(model, interval, velocities, left, right),
         guesses=dict(zip(velocities, list(mean_velocities) * (1 + len(points)), strict=True)),
     )
-
-
-def _differences(interval: VariationalInterval) -> list[tuple[Symbol, Symbol, Expr]]:
-    """Right nodes and inner points, the left node, and the time between them."""
-    left = interval.q.left
-    outer = [(q1, q, STEP) for q1, q in zip(interval.q.right, left, strict=True)]
-    inside = enumerate(zip(interval.inner, interval.inner_abscissae, strict=True))
-    return outer + [(q, left[i % len(left)], c * STEP) for i, (q, c) in inside]
 
 
 def _one_step(
@@ -483,13 +454,21 @@ def _one_step(
     interval = one_step_interval(phase, scheme)
     unknowns = (*interval.stages, *right)
     equations = tuple((f"step of {y}", e) for y, e in zip(unknowns, interval.equations, strict=True))
+    # Every stage and the right node start from explicit Euler steps that begin at the left node.
+    rates = {x.name: (x, rate) for x, rate in zip(left, rates_of_change(phase, left), strict=True)}
+    abscissae, guesses = scheme.step().abscissae, dict[Symbol, Expr]()
+    for y in unknowns:
+        stage = re.search(r"_stage(\d+)$", y.name)
+        c = abscissae[int(stage[1]) - 1] if stage else abscissae[-1]
+        x, rate = rates[f"{y.name[: stage.start()] if stage else y.name.removesuffix('_k1')}_k"]
+        guesses[y] = x + sympy.expand(c * STEP) * rate
     return _Step(
         equations=equations,
         summary=tuple((f"0 = {name}", value) for name, value in equations),
         velocities=(),
         stages=interval.stages,
         solution=eliminate(interval.equations, unknowns, (*phase.parameters, *lengths)),
-        guesses=_euler_guesses(phase, scheme, left, unknowns),
+        guesses=guesses,
     )
 
 
@@ -500,9 +479,9 @@ def _solved_for_velocities(
     left: Sequence[Symbol],
     right: Sequence[Symbol],
 ) -> Elimination:
-    """Eliminate from the position-momentum form, with q_k1 = q_k + h v_k put in before anything is evaluated.
+    """Eliminate from the position-momentum form, after the substitution q_k1 = q_k + h v_k.
 
-    Inner points become q_k + c h v, c being their abscissa.
+    Inner points become q_k + c h v with their abscissa c.
     """
     dimension = len(model.coordinates)
     arriving = interval.right_momentum
@@ -531,24 +510,8 @@ def _solved_for_velocities(
     return eliminate(equations, unknowns, model.parameters)
 
 
-def _euler_guesses(
-    phase: Model, scheme: Scheme, left: Sequence[Symbol], unknowns: Sequence[Symbol]
-) -> dict[Symbol, Expr]:
-    """Start every stage and the right node from explicit Euler steps that begin at the left node."""
-    rates = dict(zip(left, rates_of_change(phase, left), strict=True))
-    abscissae = scheme.step().abscissae
-    guesses = dict[Symbol, Expr]()
-    for y in unknowns:
-        stage = re.search(r"_stage(\d+)$", y.name)
-        c = abscissae[int(stage[1]) - 1] if stage else abscissae[-1]
-        name = y.name[: stage.start()] if stage else y.name.removesuffix("_k1")
-        x = next(x for x in left if x.name == f"{name}_k")
-        guesses[y] = x + sympy.expand(c * STEP) * rates[x]
-    return guesses
-
-
 def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
-    """Guess the velocities of a step: those of the left node, or of half a step later where that costs little."""
+    """Guess the velocities of a step: those of the left node, or half a step later where that costs little."""
     dimension = len(phase.coordinates)
     rates = rates_of_change(phase, left)
     velocities, slopes = rates[:dimension], rates[dimension:]
@@ -560,7 +523,7 @@ def _mean_velocities(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
 
 
 def rates_of_change(phase: Model, left: Sequence[Symbol]) -> list[Expr]:
-    """The forced Hamiltonian vector field at the left node."""
+    """Return the forced Hamiltonian vector field at the left node."""
     velocity = [diff(phase.function, p) for p in phase.rates]
     slope = [f - diff(phase.function, q) for q, f in zip(phase.coordinates, phase.force, strict=True)]
     return [_at(phase, value, left) for value in (*velocity, *slope)]

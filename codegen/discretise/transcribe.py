@@ -1,23 +1,23 @@
-"""Task -> Program: which expressions are stationary or vanish on every interval, and the layout of the unknowns."""
+"""Task -> Program: the expressions that are stationary or vanish on every interval, and the layout of the unknowns."""
 
 from __future__ import annotations
 
 from typing import overload
 
-from codegen.discretise import connect, one_step, phases, schemes, simulation, variational
+from codegen.discretise import one_step, particles, phases, schemes, simulation, variational
 from codegen.discretise.assembly import in_scaled_time
-from codegen.discretise.connect import PairwiseProgram
 from codegen.discretise.determined_values import without_dependent_values
 from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.delays import errors_of_the_whole
 from codegen.discretise.model.pairwise import PairwiseModel
-from codegen.discretise.model.segments import errors_of_the_whole
+from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.errors import ArgumentError, SchemeError
 
 DEFAULT_SCHEME = "midpoint"
 _SYSTEMS = {"lagrangian": "a Lagrangian", "hamiltonian": "a Hamiltonian", "first-order": "a first-order system"}
 MOST_PARTS = 16
-"""Steps of a composition that a control problem has on an interval at most."""
+"""Limit for the steps of a composition on an interval of a control problem."""
 
 
 @overload
@@ -42,61 +42,50 @@ def transcribe(
     if isinstance(model, PairwiseModel):
         if controls != "interval":
             raise ArgumentError("particles have no controls", "leave --controls out")
-        return connect.pairwise(model, scheme, method)
+        return particles.pairwise(model, scheme, method)
     method = method or (methods_for(model)[0] if model.task == "control" else method_with(model, scheme))
-    _require_method(model, method)
-    found = schemes.find(scheme or DEFAULT_SCHEME, method)
+    usable = methods_for(model)
+    if method not in usable and method in (schemes.FIRST_ORDER, *schemes.METHODS):
+        needs = _SYSTEMS["first-order"] if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
+        finding = f"method {method!r} needs {needs}, and the problem gives {_SYSTEMS[model.form]}"
+        raise ArgumentError(finding, f"use {' or '.join(usable)}")
+    if method not in usable:
+        raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
+    chosen = schemes.find(scheme or DEFAULT_SCHEME, method)
     if model.task == "simulate":
         if controls != "interval":
             raise ArgumentError("a simulation has no controls", "leave --controls out")
-        return simulation.simulate(model, found, method)
+        return simulation.simulate(model, chosen, method)
     if model.joined and controls == "nodal":
         raise ArgumentError("controls at nodes beside delays", "use --controls interval or stages")
     if model.phases:
         if controls != "interval":
             raise ArgumentError("a problem of several phases has its controls on intervals", "leave --controls out")
-        return phases.chained(model, lambda phase: _controlled(phase, found, method, "interval"))
+        return phases.chained(model, lambda phase: _controlled(phase, chosen, method, "interval"))
     with errors_of_the_whole(model):
-        return without_dependent_values(in_scaled_time(_controlled(model, found, method, controls)))
-
-
-def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str) -> ControlProgram:
-    if scheme.variational:
-        return variational.variational(model, scheme, controls)
-    _require_short(scheme)
-    return one_step.one_step(model, scheme, method, controls)
-
-
-def _require_short(scheme: schemes.Scheme) -> None:
-    """Refuse compositions that a control problem would have to write out over every interval."""
-    if len(scheme.parts) > MOST_PARTS:
-        raise SchemeError(
-            f"scheme {scheme.name!r} has {len(scheme.parts)} steps, each with unknowns on every interval of a "
-            "control problem",
-            f"use gauss-4 or gauss-6, or a composition of at most {MOST_PARTS} steps such as suzuki-4",
-        )
-
-
-def _require_method(model: Model, method: str) -> None:
-    """Refuse a method that does not exist, or that belongs to the other kind of dynamics."""
-    usable = methods_for(model)
-    if method in usable:
-        return
-    if method in (schemes.FIRST_ORDER, *schemes.METHODS):
-        needs = _SYSTEMS["first-order"] if method == schemes.FIRST_ORDER else "a Lagrangian or a Hamiltonian"
-        finding = f"method {method!r} needs {needs}, and the problem gives {_SYSTEMS[model.form]}"
-        raise ArgumentError(finding, f"use {' or '.join(usable)}")
-    raise ArgumentError(f"method {method!r} does not exist for task {model.task}", f"use {' or '.join(usable)}")
+        return without_dependent_values(in_scaled_time(_controlled(model, chosen, method, controls)))
 
 
 def methods_for(model: Model) -> tuple[str, ...]:
-    """The methods that fit a model: first that of the side on which it is written, and for control the variational."""
+    """Return the methods that fit a model: first its own side, and for control problems the variational method."""
     if model.form == "first-order":
         return (schemes.FIRST_ORDER,)
     return tuple(sorted(schemes.METHODS, reverse=model.task == "control" or model.form == "lagrangian"))
 
 
 def method_with(model: Model, scheme: str | None) -> str:
-    """The first method that fits a model and has the scheme, or fits it at all."""
+    """Return the first method that fits a model and has the scheme, or else the first that fits."""
     methods = methods_for(model)
     return next((method for method in methods if scheme is None or schemes.is_known(scheme, method)), methods[0])
+
+
+def _controlled(model: Model, scheme: schemes.Scheme, method: str, controls: str) -> ControlProgram:
+    if scheme.variational:
+        return variational.variational(model, scheme, controls)
+    if len(scheme.parts) > MOST_PARTS:
+        raise SchemeError(
+            f"scheme {scheme.name!r} has {len(scheme.parts)} steps, each with unknowns on every interval of a "
+            "control problem",
+            f"use gauss-4 or gauss-6, or a composition of at most {MOST_PARTS} steps such as suzuki-4",
+        )
+    return one_step.one_step(model, scheme, method, controls)

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from codegen.errors import SizeError
 
 if TYPE_CHECKING:
-    from codegen.discretise.connect import PairwiseProgram
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
+    from codegen.discretise.particles import PairwiseProgram
     from codegen.discretise.program import ControlProgram, StepProgram
 
 BUILD = 30.0

@@ -21,11 +21,11 @@ from dataclasses import dataclass, replace
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.connect import PairwiseProgram
 from codegen.discretise.interval import STEP
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import FreeParameter, Model
 from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, EndElement, StepProgram
 from codegen.discretise.simulation import rates_of_change
 from codegen.discretise.transcribe import transcribe

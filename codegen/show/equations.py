@@ -17,7 +17,6 @@ from sympy import Add, Expr, Symbol, expand_mul
 
 from codegen.discretise import schemes, transcribe
 from codegen.discretise.conditions import CONDITIONS
-from codegen.discretise.connect import PairwiseProgram, pairwise
 from codegen.discretise.interval import (
     STEP,
     OneStepInterval,
@@ -29,8 +28,9 @@ from codegen.discretise.interval import (
 )
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Bounds, Model, prescribed
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.particles import PairwiseProgram, pairwise
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.show.notation import WIDTH, Block, Notation, written

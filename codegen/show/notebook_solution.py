@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError
 from codegen.problem.sources import ProblemObject
 from codegen.show import films

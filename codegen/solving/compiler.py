@@ -94,7 +94,7 @@ def generate(
     """The text of the module of a problem, derived anew within so many seconds of processor time."""
     stages = Stages(time_limit)
     with rare_collections(), stages.limited():
-        from codegen.discretise.model.from_file import load_problem
+        from codegen.discretise.model.from_problem import load_problem
 
         with recorded_files() as files:
             model = load_problem(problem, arguments)

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from random_scalars import random_problem
 
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.emit.lower.module import Origin
 from codegen.errors import CodegenError
 from codegen.solving.compiler import generate_from_model

@@ -11,7 +11,7 @@ import pytest
 from command_lines import ORBIT, PENDULUM, assert_refused, contents, run
 
 from codegen.discretise import schemes
-from codegen.discretise.connect import CONNECT_METHODS
+from codegen.discretise.particles import CONNECT_METHODS
 from codegen.evidence import checks
 from codegen.evidence.checks.base import does_not_apply
 from codegen.solving import api, drivers

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from codegen.discretise.guesses import DURATION
+from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.program import ControlProgram, EndElement
 
 

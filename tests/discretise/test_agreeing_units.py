@@ -24,7 +24,7 @@ from codegen import (
     states,
     time,
 )
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.errors import SymbolError, UnitError
 from codegen.problem.description import described
 

@@ -20,7 +20,7 @@ from codegen import (
     states,
     together,
 )
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.errors import CodegenError
 from codegen.problem.symbols import Coordinate
 

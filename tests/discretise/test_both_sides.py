@@ -12,7 +12,7 @@ from codegen import Control, canonical_pair, control, coordinate, parameter, sta
 from codegen.discretise import schemes
 from codegen.discretise.interval import STEP, one_step_interval, variational_interval
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes.base import FIRST_ORDER
 
 H = STEP

@@ -5,7 +5,7 @@ import pytest
 from conftest import PROBLEMS
 from dense_assembly import DenseProblem
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.transcribe import transcribe
 
 

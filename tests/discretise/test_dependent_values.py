@@ -7,7 +7,7 @@ from interpreted import of_problem
 from sympy import Eq
 
 from codegen import Control, controls, coordinates, states, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import BoundaryError
 from codegen.solving.results import output

@@ -13,7 +13,7 @@ from drawn_oscillator import oscillator
 from sympy import sin
 
 from codegen import Control, Simulate, body_number, canonical_pair, control, coordinate, parameter, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.drawing import ITEMS, Arrow, Box, Circle, Ground, Item, Mass, Rod, Trail
 from codegen.emit.lower.module import Origin
 from codegen.emit.naming import Choices

@@ -22,7 +22,7 @@ from codegen import (
     time,
 )
 from codegen.discretise.model.definitions import Condition
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import BoundaryError
 

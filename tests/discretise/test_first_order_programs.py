@@ -6,7 +6,7 @@ from dense_assembly import DenseProblem
 
 from codegen import Control, control, coordinate, free_parameter, parameters, states, time
 from codegen.discretise import schemes
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import ArgumentError, SchemeError
 

@@ -9,7 +9,7 @@ from dense_layout import pinned_names
 from sympy import cos, sin
 
 from codegen import Control, control, controls, coordinate, coordinates, parameters, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError
 

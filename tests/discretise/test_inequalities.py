@@ -18,7 +18,7 @@ from codegen import (
     states,
     time,
 )
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import ExpressionError
 

@@ -24,7 +24,7 @@ from codegen import (
     states,
     together,
 )
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import find
 from codegen.discretise.schemes.base import FIRST_ORDER
 from codegen.discretise.transcribe import transcribe

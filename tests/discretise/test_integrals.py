@@ -9,7 +9,7 @@ import sympy
 from interpreted import text_of, without_compilation
 
 from codegen import Control, Phases, body_number, canonical_pair, control, coordinate, states, together
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import find
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.naming import Choices

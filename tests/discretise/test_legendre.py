@@ -13,13 +13,13 @@ import sympy
 from sympy import Rational, cos, sin, sqrt
 
 from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.model.legendre import (
     hamiltonian_form,
     lagrangian_form,
     momentum_of_velocity,
     velocity_of_momentum,
 )
-from codegen.discretise.model.phases import normalise
 from codegen.errors import BoundaryError, DegenerateError
 from codegen.problem.problem import Control, Simulate
 from codegen.problem.symbols import canonical_pair, control, coordinate, coordinates, parameters, recorded_declarations

@@ -28,7 +28,7 @@ from codegen import (
 )
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, FreeParameter
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.errors import CodegenError
 
 

@@ -9,7 +9,7 @@ from written_problems import names, plain, runners
 
 from codegen import Control, body_number, control, coordinates, free_parameter, states, time
 from codegen.discretise.model.definitions import Bounds, Condition, EndValue
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.errors import CodegenError
 from codegen.problem.symbols import recorded_declarations
 

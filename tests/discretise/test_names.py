@@ -27,8 +27,8 @@ from codegen import (
     states,
     time,
 )
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.model.pairwise import normalise_pairwise
-from codegen.discretise.model.phases import normalise
 from codegen.emit.lower.module import Origin
 from codegen.emit.naming import Choices
 from codegen.identifiers import MARK, renamed

@@ -18,8 +18,8 @@ from simulation_systems import model_of, module_of
 import codegen
 from codegen.discretise import schemes
 from codegen.discretise.interval import LENGTHS, STEP
+from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.discretise.schemes.base import Tableau
-from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.naming import Choices
 from codegen.errors import ArgumentError, SchemeError

@@ -9,7 +9,7 @@ import sympy
 from conftest import PROBLEMS
 
 from codegen import Connect, Pairwise, Simulate, parameters, particles
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import normalise_pairwise
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
 from codegen.problem.symbols import recorded_declarations

@@ -6,8 +6,8 @@ import pytest
 import sympy
 
 from codegen import Control, Phases, control, controls, coordinate, coordinates, free_parameter, parameters, states
-from codegen.discretise.guesses import with_guesses
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
+from codegen.discretise.model.guesses import with_guesses
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.differentiation import control_derivatives
 from codegen.errors import ArgumentError

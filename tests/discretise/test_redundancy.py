@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from sympy import Expr, acos, cos, pi, sin, sqrt
 
 from codegen import Control, body_number, controls, coordinates, free_parameter, parameters, time
+from codegen.discretise.conditions.linking import independent_couplings
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.phases import normalise
-from codegen.discretise.redundant_couplings import independent_couplings
+from codegen.discretise.model.from_problem import normalise
 
 
 def couplings_of(bodies: int, conditions: Callable[[Any, Any], list[Expr]], **changes: Any) -> Model:

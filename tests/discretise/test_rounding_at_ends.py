@@ -8,7 +8,7 @@ import pytest
 from sympy import Eq, sqrt
 
 from codegen import Control, Phases, controls, states
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.errors import BoundaryError
 

@@ -4,7 +4,7 @@ import pytest
 from sympy import exp, sqrt
 
 from codegen import Control, Phases, control, free_parameter, states
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.errors import ExpressionError
 
 EARTH = 6378145.0

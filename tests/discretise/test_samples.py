@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from codegen import Control, Measurements, control, states, time
 from codegen.discretise import schemes
 from codegen.discretise.interval import FRACTION, STEP, one_step_interval, variational_interval
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes.base import FIRST_ORDER
 from codegen.discretise.transcribe import transcribe
 

@@ -11,7 +11,7 @@ from interpreted import text_of, without_compilation
 from sympy import cos
 
 from codegen import Control, control, coordinate, parameters, state, states, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import find
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.naming import Choices

@@ -9,7 +9,7 @@ from made_records import control_record
 from sympy import Abs, acos, exp, log, sqrt
 
 from codegen import Control, controls, coordinate, states, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.model.smoothness import singular_at_guess
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.differentiation import derivatives

@@ -9,7 +9,7 @@ import pytest
 from interpreted import text_of, without_compilation
 
 from codegen import Control, Simulate, canonical_pair, control, coordinate, states, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import find
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.naming import Choices, choice_texts

@@ -25,8 +25,8 @@ from codegen import (
     together,
 )
 from codegen.cli import main
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.model.pairwise import normalise_pairwise
-from codegen.discretise.model.phases import normalise
 from codegen.runtime.search.messages import unknown_name
 
 FILE = '''"""Push a mass and keep its reserve (a test)."""

@@ -7,7 +7,7 @@ import re
 from conftest import PROBLEMS
 
 from codegen.discretise import transcribe
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.emit import differentiation, lower, rendering
 from codegen.emit.differentiation import control_sensitivities
 from codegen.emit.lower.module import Origin

@@ -8,7 +8,7 @@ import pytest
 from golden import CONTROL as PROBLEMS
 from golden import names, text_of
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.transcribe import transcribe
 from codegen.emit.lower.control.text import description
 from codegen.solving.results.output import record_in

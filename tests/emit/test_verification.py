@@ -11,7 +11,7 @@ from sympy import Integer, Rational, cos, exp, sin, tanh
 
 from codegen import Control, Simulate, control, coordinates, parameters, states, time
 from codegen.discretise import transcribe
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.emit import differentiation, lower, rendering, verify
 from codegen.emit.differentiation import control_sensitivities
 from codegen.emit.lower.printer import scalar_code

@@ -8,7 +8,7 @@ import pytest
 from evidence.conftest import PROBLEMS
 
 from codegen.discretise import transcribe
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.emit.verify import verify
 from codegen.errors import VerificationError
 from codegen.evidence import checks

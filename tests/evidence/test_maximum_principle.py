@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.model.legendre import hamiltonian_form
-from codegen.discretise.model.phases import normalise
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError, NumericsError
 from codegen.evidence.analysis.maximum_principle import (
     ExactOptimum,

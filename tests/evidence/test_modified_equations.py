@@ -18,8 +18,7 @@ from textbook_steps import TEXTBOOK, textbook_step
 from codegen import Control, Simulate, canonical_pair, control, coordinate
 from codegen.discretise import schemes
 from codegen.discretise.model.definitions import Boundary
-from codegen.discretise.model.from_file import load_problem
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import load_problem, normalise
 from codegen.discretise.schemes.one_step import alpha
 from codegen.errors import ExpressionError
 from codegen.evidence.analysis import modified_equations as subject

@@ -8,7 +8,7 @@ from sympy import exp, log
 
 import codegen
 from codegen import Control, control, states
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.evidence.checks import evaluation
 from codegen.evidence.checks.evaluation import own_ranges, range_of
 

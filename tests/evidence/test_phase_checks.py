@@ -10,7 +10,7 @@ from evidence.conftest import PROBLEMS
 from interpreted import Interpreted
 
 from codegen.discretise import schemes, transcribe
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.emit.naming import Choices
 from codegen.evidence import checks
 from codegen.evidence.checks.base import Context

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from codegen.discretise import transcribe
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.emit.verify import verify
 from codegen.errors import VerificationError
 from codegen.evidence import checks

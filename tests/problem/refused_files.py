@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import CodegenError
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

@@ -22,7 +22,7 @@ from codegen import (
     time,
     together,
 )
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.drawing import Circle
 from codegen.errors import CodegenError
 from codegen.problem.bodies import has_path_couplings

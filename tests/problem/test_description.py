@@ -153,7 +153,7 @@ def test_symbols_of_another_process_are_no_symbols_of_this_one(tmp_path):
 
 @pytest.mark.parametrize("wrong", [lambda *_: sympy.Symbol("y"), lambda x, v, u, m: "u**2"])
 def test_errors_begin_with_the_name_of_the_object(wrong):
-    from codegen.discretise.model.from_file import load_problem
+    from codegen.discretise.model.from_problem import load_problem
 
     with pytest.raises(CodegenError, match=r"^arm: "):
         load_problem(source_of(control(cost=wrong), "arm"))

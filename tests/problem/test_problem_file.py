@@ -12,7 +12,7 @@ from malformed import MALFORMED
 from malformed.templates import PRELUDE, Malformed, file_text, first_order, group, optimal, simulation
 from refused_files import PROBLEMS, refusal
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ProblemFileError
 from codegen.problem.sources import input_digest
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from malformed.templates import file_text
 from refused_files import PROBLEMS, refusal
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError
 from codegen.problem.problem_file import parse_arguments
 

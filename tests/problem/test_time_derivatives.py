@@ -10,7 +10,7 @@ from malformed.templates import Malformed, optimal
 from refused_files import refusal
 
 from codegen import Control, body_number, canonical_pair, control, coordinate, free_parameter, parameter, state, time
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ExpressionError
 from codegen.problem import symbols
 from codegen.problem.particles import ParticleQuantity, particles

@@ -13,8 +13,7 @@ from sympy import cos, pi, sin
 
 from codegen import Control, body_number, control, coordinates, free_parameter, time
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.from_file import load_problem
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import load_problem, normalise
 from codegen.drawing import Arrow, Circle, Mass, Rod, Trail
 from codegen.problem.symbols import recorded_declarations
 from codegen.show.films import fine_times, scene

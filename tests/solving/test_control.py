@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sympy import lambdify
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.schemes import METHODS
 from codegen.discretise.transcribe import MOST_PARTS
 from codegen.evidence.analysis.maximum_principle import exact_optimum, reference_optimum

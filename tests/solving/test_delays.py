@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from sympy import Eq, cos, sin
 
 from codegen import Control, canonical_pair, control, controls, coordinate, coordinates, state, states, time
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.show.figures.quantities import quantities_of_segments
 from codegen.solving import api
 from codegen.solving.drivers import find as find_driver

@@ -11,7 +11,7 @@ from sympy import Eq, Symbol, cos, pi, sin
 
 from codegen import Control, controls, coordinates, parameters, states, time
 from codegen.discretise.interval import at_nodes
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.transcribe import transcribe
 from codegen.runtime.record import phrase
 

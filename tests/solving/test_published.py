@@ -7,7 +7,7 @@ from conftest import PROBLEMS
 from interpreted import Interpreted
 from published_references import PUBLISHED, Published
 
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 
 FOLDER = PROBLEMS / "published"
 QUICK = ("hull", "time_in_dynamics", "interior_point")

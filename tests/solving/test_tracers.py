@@ -10,8 +10,8 @@ import pytest
 from conftest import PROBLEMS
 from scipy.integrate import solve_ivp
 
-from codegen.discretise.model.from_file import load_problem
-from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+from codegen.discretise.model.from_problem import load_problem
+from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.errors import ExpressionError, ModuleError, NumericsError
 from codegen.evidence.checks import particles
 from codegen.registration import solver

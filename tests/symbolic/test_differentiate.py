@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sympy import Max, Min, Piecewise, Rational, atan2, cos, exp, log, sin, sqrt, symbols
 
 from codegen.discretise import transcribe
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.emit.differentiation import control_derivatives
 from codegen.evidence.checks.evaluation import DIGITS, function_of, gradient, random_points, second_differences
 from codegen.symbolic.derivatives import second_derivatives

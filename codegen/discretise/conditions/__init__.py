@@ -1,4 +1,4 @@
-"""The table of kinds of conditions, in the order in which they are read and told."""
+"""The table of kinds of conditions, in the order in which they are read and reported."""
 
 from __future__ import annotations
 
@@ -22,4 +22,4 @@ CONDITIONS: tuple[ConditionKind, ...] = (
     PeriodicKind(),
     Observations(),
 )
-"""What holds for a motion, each kind by the argument of `Control` that gives it."""
+"""The kinds of conditions on a motion, one for each argument of `Control` with conditions."""

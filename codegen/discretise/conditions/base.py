@@ -1,4 +1,4 @@
-"""What the stages ask of a kind of condition."""
+"""The interface of a kind of condition to the stages of the pipeline."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Remedies = Mapping[type[Quantity], str]
 
 
 class Latex(Protocol):
-    """What writes an author's problem in LaTeX: an expression when it is called, and the names of time's two ends."""
+    """The writer of an author's problem in LaTeX: a call writes an expression; `first` and `last` name the ends."""
 
     first: str
     last: str
@@ -37,13 +37,13 @@ class Latex(Protocol):
 
 
 class ConditionKind:
-    """A kind of condition, which answers for itself from what is written to what is said of it.
+    """A kind of condition: its reading, its checks and its descriptions.
 
-    `argument` is that of `Control`, `field` that of the model, `words` is what a problem with such conditions has.
-    `scope` says for each role of its expressions which symbols they may hold, `remedies` what to do about others;
-    `not_in_phases` is the error, finding and remedy where a phase of several cannot have them. `check` names the check
-    that is about nothing else, if there is one.
-    Methods that a kind does not have say that it asks for nothing.
+    `argument` is the argument of `Control`, `field` the field of the model, and `words` describes problems with such
+    conditions. `scope` gives for each role of its expressions the symbols that may occur, `remedies` the advice for
+    other symbols. `not_in_phases` is the error, finding and remedy where phases cannot have such conditions. `check` is
+    the name of a numerical check of these conditions alone, or "".
+    The methods of this class are the defaults: a kind without a method has no requirement.
     """
 
     argument: ClassVar[str]
@@ -55,81 +55,81 @@ class ConditionKind:
     check: ClassVar[str] = ""
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """The expressions of what an author wrote; raises a kind of CodegenError for what is none of this kind."""
+        """Yield the author's expressions; raises a kind of CodegenError for objects that are not of this kind."""
         return relation_entries(self.argument, getattr(control, self.argument))
 
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
-        """Refuse an expression of this kind that contradicts other arguments, whatever the numbers are."""
+        """Refuse an expression that contradicts other arguments, independently of numbers."""
 
     def of_model(self, model: Model) -> tuple[Any, ...]:
-        """The conditions of this kind that a model has."""
+        """Return the conditions of this kind in a model."""
         return tuple(getattr(model, self.field))
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """The model with the conditions that were written, in plain symbols, behind those that it has."""
+        """Add the author's conditions, in plain symbols, to a model."""
         fields: dict[str, Any] = {self.field: (*self.of_model(model), *self.conditions(entries))}
         return replace(model, **fields)
 
     def conditions(self, entries: Sequence[Entry]) -> tuple[Any, ...]:
-        """The conditions in the order in which they were written."""
+        """Return the conditions in the order in which they were written."""
         return conditions_of(entries, self.argument)
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
-        """Expressions that need a real value somewhere, each with what messages call it."""
+        """Yield the expressions that need a real value somewhere, with their names in messages."""
         yield from ((condition.name, condition.expression) for condition in self.of_model(model))
 
     def numbers(self, model: Model) -> Iterator[tuple[str, Expr]]:
-        """Expressions that have to be finite numbers at the default parameters."""
+        """Yield the expressions that must be finite numbers at the default parameters, with their names in messages."""
         yield from ()
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
-        """What holds at the `start` or `end`, where given values have to agree with it."""
+        """Yield the conditions at the `start` or `end` with which prescribed values must agree."""
         yield from ()
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse conditions that say nothing, or follow from each other, at trial points."""
+        """Refuse conditions that are void or dependent at trial points."""
 
     def sentences(self, model: Model) -> list[str]:
-        """What a module's docstring says of the conditions, a line each."""
+        """Return the lines of a module's docstring about the conditions."""
         return []
 
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
-        """Headings and rows (name, value) of what `codegen show` adds to the continuous problem."""
+        """Yield headings and rows (name, value) that `codegen show` adds to the continuous problem."""
         yield from ()
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        """Rows in LaTeX of what an author wrote, aligned at their &, for notebooks; nothing is checked before."""
+        """Yield the author's conditions, unchecked, as rows in LaTeX, aligned at their &, for notebooks."""
         for relation in listed(getattr(control, self.argument)):
             yield rf"&{latex.relation(relation)}\quad{self.when(latex)}"
 
     def when(self, latex: Latex) -> str:
-        """When a condition holds, in LaTeX, or else what it is."""
+        """Return the times at which a condition holds, in LaTeX, or its kind."""
         return rf"\text{{({self.argument})}}"
 
     def costs(self, control: Control, latex: Latex) -> Iterator[str]:
-        """Terms in LaTeX that are added to what is minimised."""
+        """Yield terms in LaTeX that are added to the cost."""
         yield from ()
 
 
 def listed(given: Any) -> Sequence[Any]:
-    """Relations without the names that an author may have given them."""
+    """Return relations without the author's names."""
     return list(given.values()) if isinstance(given, Mapping) else given
 
 
 def conditions_of(entries: Sequence[Entry], role: str) -> tuple[Condition, ...]:
-    """The relations of a role in the order in which they were written."""
+    """Return the relations of a role in the order in which they were written."""
     return tuple(Condition(entry.name, entry.expression, entry.equality) for entry in entries if entry.role == role)
 
 
 def is_constant(condition: Condition, symbols: Sequence[sympy.Symbol], points: Points) -> bool:
-    """Whether a condition does not depend on any of the symbols, wherever it is tried; short slopes come first."""
-    inside = [symbol for symbol in symbols if symbol in condition.expression.free_symbols]
-    inside.sort(key=lambda symbol: sympy.count_ops(sympy.diff(condition.expression, symbol)))
-    return all(dependent([condition], [symbol], points) for symbol in inside)
+    """Return True if a condition depends on none of the symbols at trial points; short derivatives come first."""
+    present = [symbol for symbol in symbols if symbol in condition.expression.free_symbols]
+    present.sort(key=lambda symbol: sympy.count_ops(sympy.diff(condition.expression, symbol)))
+    return all(dependent([condition], [symbol], points) for symbol in present)
 
 
 def dependent(conditions: Sequence[Condition], symbols: Sequence[sympy.Symbol], points: Points) -> str:
-    """The names of conditions that follow from each other to first order wherever they are tried, else nothing."""
+    """Return the names of conditions that depend on each other to first order at all trial points, or ""."""
     if not conditions:
         return ""
     slopes = [sympy.diff(c.expression, s) for c in conditions for s in symbols]

@@ -1,6 +1,4 @@
-"""Holonomic constraints c(q, t) = 0 of Lagrangian systems; `transcribe.conditions.holonomic` imposes them.
-
-Holonomic constraints c(q, t) = 0 by discrete multipliers, in the augmented form.
+"""Holonomic constraints c(q, t) = 0 of Lagrangian systems by discrete multipliers, in the augmented form.
 
 The discrete Lagrangian gains h/2 (kappa_k . c(q_k) + kappa_k1 . c(q_k1)), so that with G = dc/dq the equations of
 motion of an inner node read
@@ -12,10 +10,10 @@ multiplier of c(q_k) = 0. The ends have half the force. Source: Wendlandt and Ma
 West (2001), section 3.4; Leyendecker, Ober-Bloebaum, Marsden and Ortiz (2010), Discrete mechanics and optimal control
 for constrained systems (DMOCC), section 3.
 
-The count at an end. Momenta that are matched there determine its kappa along the normals of the constraint, so
-prescribing a full velocity does not over-determine; where no momentum is matched kappa has no meaning and is zero.
-When some velocities of a constraint's coordinates are prescribed and others are not, the others are unknowns of the
-end, all their momenta are matched, and the velocity is tangential, G v + dc/dt = 0 (the partial derivative by time).
+The count at an end. Matched momenta determine kappa of the end along the normals of the constraint, so that a
+prescribed full velocity does not over-determine the end. Where no momentum is matched, kappa has no meaning and is
+zero. If some velocities of a constraint's coordinates are prescribed and others are not, the others are unknowns of the
+end. All their momenta are matched, and the velocity is tangential, G v + dc/dt = 0 (the partial derivative by time).
 """
 
 from __future__ import annotations
@@ -37,15 +35,17 @@ from codegen.problem.problem import Control
 from codegen.problem.symbols import Coordinate, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
 
-_COORDINATES = "use generalised coordinates in problems of phases"
-
 
 class Holonomic(ConditionKind):
     """Equations between coordinates and time, which forces along their normals enforce."""
 
     argument, field, words = "constraint", "holonomic", "holonomic constraints"
     scope: ClassVar[Scope] = {"constraint": (Coordinate, Time, Parameter)}
-    not_in_phases = ExpressionError, "it has a holonomic constraint", _COORDINATES
+    not_in_phases = (
+        ExpressionError,
+        "it has a holonomic constraint",
+        "use generalised coordinates in problems of phases",
+    )
     check = "holonomic drift"
 
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
@@ -61,14 +61,14 @@ class Holonomic(ConditionKind):
         yield from ((f"constraint {text(c)}", c) for c in model.holonomic)
 
     def at(self, model: Model, end: str) -> Iterator[Condition]:
-        """The constraints, and that their rates of change vanish, which follows from them."""
+        """Yield the constraints and their time derivatives, which vanish too."""
         for c in model.holonomic:
             yield Condition(f"constraint {text(c)} = 0", c)
             rate = sympy.Add(*(sympy.diff(c, q) * v for q, v in zip(model.coordinates, model.rates, strict=True)))
             yield Condition(f"the rate of constraint {text(c)} = 0", rate + sympy.diff(c, model.time))
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse constraints that depend on each other, or leave nothing to move."""
+        """Refuse dependent constraints, and as many constraints as coordinates."""
         named = [Condition(f"{text(c)} = 0", c) for c in model.holonomic]
         for condition in named:
             if is_constant(condition, model.coordinates, points):
@@ -108,7 +108,7 @@ class Constraints:
         self.eta = nodal_equalities(model, conditions, "eta", names, Kind.CONSTRAINT)
 
     def force(self, suffix: str) -> list[Expr]:
-        """The impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""
+        """Return the impulse h/2 G^T kappa of a node's constraint force in one of its two intervals."""
         substitution = dict(zip(self.model.coordinates, at_nodes(self.model.coordinates, suffix), strict=True))
         if suffix == "_k1":
             substitution[self.model.time] = self.model.time + STEP
@@ -117,10 +117,10 @@ class Constraints:
         return [(STEP * sympy.diff(potential, q) / 2).xreplace(substitution) for q in self.model.coordinates]
 
     def nodal_terms(self, matched: tuple[set[int], set[int]], by_pi: tuple[set[int], set[int]]) -> NodalTerms:
-        """Unknowns and pins: a kappa is zero at an end where no momentum of its coordinates is matched.
+        """Return unknowns and pins: a kappa is zero at an end where no momentum of its coordinates is matched.
 
         Where both ends match the same unknown momenta, at the indices `by_pi` of the start and the end, only the sum of
-        both kappa acts, and that of the end is zero.
+        both kappa acts, and the kappa of the end is zero.
         """
         pairs = list(zip(self.kappa, self.touched, strict=True))
         return NodalTerms(
@@ -131,19 +131,27 @@ class Constraints:
             equations=self.eta.equations,
         )
 
-    def tangency(self, boundary: Boundary, matched: set[int], literal: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
-        """The conditions dc/dt = 0 at an end, for constraints with a matched velocity, unless its data say it already.
+    def tangency(self, boundary: Boundary, matched: set[int], values: Mapping[Symbol, Expr]) -> tuple[Condition, ...]:
+        """Return conditions dc/dt = 0 at an end for constraints with a matched velocity that the data do not satisfy.
 
-        `literal` gives the numbers behind the symbols of boundary values; a velocity of zero is always tangential.
+        `values` are the boundary values behind their symbols. A velocity of zero is always tangential. An end
+        determines the coordinates of a constraint if at most as many of them are free as constraints depend on them
+        alone.
         """
         conditions, time = [], self.model.time
         for constraint, touched in zip(self.model.holonomic, self.touched, strict=True):
             if not touched & matched:
                 continue
-            given = all(boundary.rates[i] is not None for i in touched)
-            placed = self._placed(boundary, touched)
-            at_rest = given and not constraint.has(time) and all(literal.get(boundary.rates[i]) == 0 for i in touched)
-            if (given and placed) or at_rest:
+            free = {i for i in touched if boundary.positions[i] is None}
+            others = [{i for i in t if boundary.positions[i] is None} for t in self.touched]
+            are_positions_known = len(free) <= sum(bool(other) and other <= free for other in others)
+            are_rates_fixed = all(boundary.rates[i] is not None for i in touched)
+            at_rest = (
+                are_rates_fixed
+                and not constraint.has(time)
+                and all(values.get(boundary.rates[i]) == 0 for i in touched)
+            )
+            if (are_rates_fixed and are_positions_known) or at_rest:
                 continue
             row = sum(
                 (sympy.diff(constraint, self.model.coordinates[i]) * self.model.rates[i] for i in sorted(touched)),
@@ -151,12 +159,6 @@ class Constraints:
             )
             conditions.append(Condition(f"velocity along the constraint {constraint}", row))
         return tuple(conditions)
-
-    def _placed(self, boundary: Boundary, touched: set[int]) -> bool:
-        """Whether an end gives the coordinates of a constraint, or as many that constraints determine the others."""
-        free = {i for i in touched if boundary.positions[i] is None}
-        others = [{i for i in t if boundary.positions[i] is None} for t in self.touched]
-        return len(free) <= sum(bool(other) and other <= free for other in others)
 
 
 def refuse(model: Model, method: str) -> None:

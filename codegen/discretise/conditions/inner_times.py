@@ -1,27 +1,35 @@
-"""Conditions at times between start and end, given or free; imposed by `transcribe.conditions.inner_times`.
+"""Conditions at times between start and end, fixed or free, imposed at nodes of one chain of intervals.
 
-Conditions at inner times, imposed at the nodes there, all on one chain of intervals.
-
-A condition g = 0 has a multiplier y on the node, and g <= 0 a slack s >= 0 beside it. Which nodes are at inner times is
-known when the module is run: every node has these unknowns, and numbers m, which are one where they mean something,
+A condition g = 0 has a multiplier y on the node, and g <= 0 also a slack s >= 0. Inner times become nodes when the
+module runs. Therefore every node has these unknowns, and numbers m that are one at inner times and zero elsewhere,
 
     l gains m y g + (1 - m) y^2/2    or    m y (g + s) + (1 - m) (y^2 + s^2)/2
 
-at the left node of each interval, so that they vanish at other nodes. Conditions that differ in numbers alone are one
-expression, whose numbers belong to the node as m does, and different ones at different times share their multiplier.
-Neither the code nor the time of a build grows with the number of times.
+at the left node of each interval, so that the unknowns vanish at other nodes. Conditions that differ in numbers alone
+are one expression, whose numbers belong to the node as m does, and different ones at different times share their
+multiplier. Neither the code nor the time of a build grows with the number of times.
+
+Where times are free, every node has its time e and a pace a > 0, the rate of time along the interval before it. The
+chain's own parameter runs from 0 to 1, with the same share of it between any two consecutive inner times. An interval
+of length h lasts a_k1 h, and its l gains
+
+    mu_e (e_k1 - e_k - a_k1 h) + mu_a (a_k1 - a_k),
+
+the second term only where its left node is not at an inner time: the pace is constant between two inner times. Each
+interval depends on its own length alone, so that the system stays narrow for any number of inner times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 import sympy
-from sympy import Expr, Integer, Rational, S, Symbol
+from sympy import Add, Expr, Integer, Mul, Pow, Rational, S, Symbol
 
 from codegen.discretise.conditions.base import (
     ConditionKind,
@@ -33,26 +41,28 @@ from codegen.discretise.conditions.base import (
     is_constant,
     listed,
 )
-from codegen.discretise.conditions.common_forms import Form, common_forms
-from codegen.discretise.conditions.free_times import Clock, with_given_times
+from codegen.discretise.conditions.ends import End
 from codegen.discretise.conditions.path import NodalTerms, nodal_conditions
+from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Condition, InnerCondition, InnerTime, Model
+from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, checked_sequence, entry_of, relation_entries, text
 from codegen.discretise.program import InnerTimes, Names, Unknown, symbols
 from codegen.errors import BoundaryError, ExpressionError
 from codegen.problem.problem import Control, Waypoint
 from codegen.problem.symbols import ControlInput, Parameter, Time
 from codegen.runtime.record import Kind, Meaning
-from codegen.symbolic import checks
 from codegen.symbolic import checks as expressions
 
 _SAME = 1e-9
-"""Parts of the duration by which two times differ at least."""
+"""Two times differ by at least this fraction of the duration."""
 _ORDER = "let each be before the next, and all before the end"
+_TRIALS = 30
+"""Points of each size at which an expression is tried."""
 
 
 class AtTimes(ConditionKind):
-    """Equations and inequalities at given times, which become nodes."""
+    """Equations and inequalities at fixed times, which become nodes."""
 
     argument, field, words = "at", "inner_conditions", "conditions at inner times"
     check = "inner times"
@@ -61,7 +71,7 @@ class AtTimes(ConditionKind):
     not_in_phases = BoundaryError, "it has conditions at inner times", "end a phase there, with end_conditions"
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """Each time, followed by the conditions there."""
+        """Yield each time, followed by the conditions at this time."""
         if not isinstance(control.at, Mapping):
             finding = f"at is a {type(control.at).__name__}"
             raise ExpressionError(finding, "write at as {time: [relation, ...], ...}, as in {2: [x >= 1]}")
@@ -77,7 +87,7 @@ class AtTimes(ConditionKind):
         return () if any(inner.time is None for inner in model.inner_times) else model.inner_conditions
 
     def added(self, model: Model, entries: Sequence[Entry]) -> Model:
-        """The times in their order at the default parameters, as far as they have numbers, and what holds there."""
+        """Add times, in their order at the default parameters, with their conditions."""
         times = [entry.expression for entry in entries if entry.role == "inner time"]
         numbers = [expressions.rounded_at(time, model.default_values) or 0.0 for time in times]
         order = sorted(range(len(times)), key=numbers.__getitem__)
@@ -104,22 +114,27 @@ class AtTimes(ConditionKind):
             if is_constant(condition, (*model.coordinates, *model.rates), points):
                 raise ExpressionError(f"the condition {condition} depends on nothing that moves", "leave it out")
         for number in range(len(model.inner_times)):
-            there = [c for c in model.inner_conditions if c.number == number and c.equality]
-            names = dependent([*always, *there], symbols, points) if there else ""
+            equations = [c for c in model.inner_conditions if c.number == number and c.equality]
+            names = dependent([*always, *equations], symbols, points) if equations else ""
             if names:
                 raise BoundaryError(f"the conditions {names} depend on each other", "leave out one of them")
 
     def sentences(self, model: Model) -> list[str]:
-        return [*(condition.name for condition in model.inner_conditions), *filter(None, _windows(model))]
+        lines = [condition.name for condition in model.inner_conditions]
+        for number, inner in enumerate(model.inner_times, start=1):
+            limits = [f">= {text(inner.earliest)}"] if inner.earliest is not None else []
+            limits += [f"<= {text(inner.latest)}"] if inner.latest is not None else []
+            lines += [f"the time of waypoint {number} {' and '.join(limits)}"] if limits else []
+        return lines
 
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
         for number, inner in enumerate(model.inner_times):
-            there = [c for c in model.inner_conditions if c.number == number]
+            conditions = [c for c in model.inner_conditions if c.number == number]
             where = f"waypoint {number + 1}" if inner.time is None else f"the inner time {text(inner.time)}"
             limits = (("earliest", inner.earliest), ("latest", inner.latest))
-            if equations := tuple(("0", c.expression) for c in there if c.equality):
+            if equations := tuple(("0", c.expression) for c in conditions if c.equality):
                 yield f"At {where}", equations
-            if inequalities := tuple((f"g_{i}", c.expression) for i, c in enumerate(there, 1) if not c.equality):
+            if inequalities := tuple((f"g_{i}", c.expression) for i, c in enumerate(conditions, 1) if not c.equality):
                 yield f"At {where}, not positive", inequalities
             if window := tuple((name, limit) for name, limit in limits if limit is not None):
                 yield f"The time of {where}", window
@@ -131,7 +146,7 @@ class AtTimes(ConditionKind):
 
 
 class Waypoints(ConditionKind):
-    """Equations and inequalities at times that are free, but in order; with given ones they are one field."""
+    """Equations and inequalities at times that are free, but in order; they share the fields of fixed times."""
 
     argument, field, words = "waypoints", "inner_conditions", "waypoints"
     check = AtTimes.check
@@ -145,14 +160,19 @@ class Waypoints(ConditionKind):
     not_in_phases = BoundaryError, "it has waypoints", "end a phase at each of them, with end_conditions"
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """The number of each, followed by its window and the conditions there."""
+        """Yield the number of each waypoint, followed by its window and its conditions."""
         if control.waypoints and control.bodies != 1:
             raise BoundaryError("waypoints beside bodies", "give times, as in at={time: [...]}, or use together(...)")
-        for number, given in enumerate(checked_sequence(self.argument, control.waypoints, "[relation, ...]")):
-            waypoint = given if isinstance(given, Waypoint) else Waypoint(given)
+        for number, written in enumerate(checked_sequence(self.argument, control.waypoints, "[relation, ...]")):
+            waypoint, what = _waypoint(written), f"waypoints[{number}]"
             yield entry_of("waypoint", f"waypoint {number + 1}", Integer(number))
-            yield from _window(f"waypoints[{number}]", waypoint.window)
-            yield from _conditions(self.argument, f"waypoints[{number}]", f"waypoint {number + 1}", waypoint.conditions)
+            if not isinstance(waypoint.window, (tuple, list)) or len(waypoint.window) != 2:
+                finding = f"the window of {what} is {waypoint.window!r}"
+                raise ExpressionError(finding, "write window=(earliest, latest)")
+            for role, limit in zip(("earliest", "latest"), waypoint.window, strict=True):
+                if limit is not None:
+                    yield entry_of(role, f"the {role} time of {what}", limit)
+            yield from _conditions(self.argument, what, f"waypoint {number + 1}", waypoint.conditions)
 
     def of_model(self, model: Model) -> tuple[Any, ...]:
         return model.inner_conditions if any(inner.time is None for inner in model.inner_times) else ()
@@ -162,26 +182,25 @@ class Waypoints(ConditionKind):
         for entry in entries:
             if entry.role == "waypoint":
                 times.append(InnerTime(None))
-            elif entry.role in ("earliest", "latest"):
-                limit: dict[str, Any] = {entry.role: entry.expression}
-                times[-1] = replace(times[-1], **limit)
+            elif entry.role == "earliest":
+                times[-1] = replace(times[-1], earliest=entry.expression)
+            elif entry.role == "latest":
+                times[-1] = replace(times[-1], latest=entry.expression)
+        conditions = _numbered(self.argument, "waypoint", entries, range(len(times)))
         return replace(
             model,
             inner_times=(*model.inner_times, *times),
-            inner_conditions=(
-                *model.inner_conditions,
-                *_numbered(self.argument, "waypoint", entries, range(len(times))),
-            ),
+            inner_conditions=(*model.inner_conditions, *conditions),
         )
 
     def values(self, model: Model) -> Iterator[tuple[str, Expr]]:
         yield from ()
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        """What holds at times that are to be found, which have numbers, and their order."""
+        """Yield the conditions at free times, which have numbers, and the order of the times."""
         times = [f"t_{{{number}}}" for number in range(1, len(control.waypoints) + 1)]
-        for given, time in zip(control.waypoints, times, strict=True):
-            waypoint = given if isinstance(given, Waypoint) else Waypoint(given)
+        for written, time in zip(control.waypoints, times, strict=True):
+            waypoint = _waypoint(written)
             conditions = r",\; ".join(map(latex.relation, listed(waypoint.conditions)))
             yield rf"&{conditions}\quad\text{{at }} t = {time}"
             if waypoint.window != (None, None):
@@ -190,43 +209,31 @@ class Waypoints(ConditionKind):
             yield "&" + " < ".join([latex.first, *times, latex.last])
 
 
+def _waypoint(written: Any) -> Waypoint:
+    return written if isinstance(written, Waypoint) else Waypoint(written)
+
+
 def _conditions(role: str, what: str, where: str, relations: Any) -> Iterator[Entry]:
-    """What holds at one inner time; ExpressionError where that is nothing."""
-    found = list(relation_entries(what, relations))
-    if not found:
+    """Yield the conditions at one inner time; ExpressionError where there are none."""
+    entries = list(relation_entries(what, relations))
+    if not entries:
         raise ExpressionError(f"{what} has no condition", "write what holds then, or leave it out")
-    yield from (replace(entry, role=role, name=f"{entry.name} at {where}") for entry in found)
-
-
-def _window(what: str, window: Any) -> Iterator[Entry]:
-    if not isinstance(window, (tuple, list)) or len(window) != 2:
-        raise ExpressionError(f"the window of {what} is {window!r}", "write window=(earliest, latest)")
-    for role, limit in zip(("earliest", "latest"), window, strict=True):
-        if limit is not None:
-            yield entry_of(role, f"the {role} time of {what}", limit)
+    yield from (replace(entry, role=role, name=f"{entry.name} at {where}") for entry in entries)
 
 
 def _numbered(role: str, time: str, entries: Sequence[Entry], order: Sequence[int]) -> list[InnerCondition]:
-    """The conditions of a role, each of which follows the entry of its time, by times in their order."""
-    found, number = list[InnerCondition](), -1
+    """Return the conditions of a role, each of which follows the entry of its time, by times in their order."""
+    conditions, number = list[InnerCondition](), -1
     for entry in entries:
         if entry.role == time:
             number += 1
         elif entry.role == role:
-            found.append(InnerCondition(entry.name, entry.expression, entry.equality, list(order).index(number)))
-    return sorted(found, key=lambda condition: condition.number)
-
-
-def _windows(model: Model) -> Iterator[str]:
-    """What windows say of times."""
-    for number, inner in enumerate(model.inner_times, start=1):
-        limits = [f">= {text(inner.earliest)}"] if inner.earliest is not None else []
-        limits += [f"<= {text(inner.latest)}"] if inner.latest is not None else []
-        yield f"the time of waypoint {number} {' and '.join(limits)}" if limits else ""
+            conditions.append(InnerCondition(entry.name, entry.expression, entry.equality, list(order).index(number)))
+    return sorted(conditions, key=lambda condition: condition.number)
 
 
 def _require_order(model: Model) -> None:
-    """Refuse times that are not in order between start and end, and windows that leave none, at the defaults."""
+    """Refuse times that are not in order between start and end, and empty windows, at the default parameters."""
     if not model.inner_times:
         return
     values = model.default_values
@@ -237,8 +244,8 @@ def _require_order(model: Model) -> None:
     def number(time: Expr | None) -> float | None:
         return None if time is None else expressions.rounded_at(time, values)
 
-    given = [(text(inner.time), number(inner.time) or 0.0) for inner in model.inner_times if inner.time is not None]
-    for name, time in given:
+    fixed = [(text(inner.time), number(inner.time) or 0.0) for inner in model.inner_times if inner.time is not None]
+    for name, time in fixed:
         if time <= _SAME * duration:
             raise BoundaryError(
                 f"the time {name} of at is {time:g}, not after the start", "write it into start or start_conditions"
@@ -248,7 +255,7 @@ def _require_order(model: Model) -> None:
                 f"the time {name} of at is {time:g}, not before the end, {duration:g}",
                 "write it into end or end_conditions",
             )
-    for (first, one), (second, other) in pairwise(given):
+    for (first, one), (second, other) in pairwise(fixed):
         if other - one <= _SAME * duration:
             finding = f"the times {first} and {second} of at are the same"
             raise BoundaryError(finding, "write the conditions there into one list")
@@ -265,33 +272,26 @@ def _require_order(model: Model) -> None:
             raise BoundaryError(f"waypoint {index} is to be at {earliest:g} or later, after the end", _ORDER)
 
 
-_TRIALS = 30
-"""Points of each size at which an expression is tried."""
-
-
 @dataclass(frozen=True)
 class InnerTerms:
-    """The unknowns of nodes with their share of l; and the times, where indices count these unknowns from zero."""
+    """The unknowns of nodes with their share of l, and the times, whose indices count these unknowns from zero."""
 
     nodal: NodalTerms
     times: InnerTimes
 
 
-def inner_terms(
-    original: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None = None
-) -> InnerTerms:
+def inner_terms(original: Model, at_left: Callable[[Expr], Expr], names: Names, clock: Clock | None) -> InnerTerms:
     """Impose the conditions of a model; `at_left` writes an expression in the symbols of an interval's left node.
 
     With a `clock` the times are free.
     """
     if not original.inner_conditions:
         return InnerTerms(NodalTerms(), InnerTimes())
-    model = with_given_times(original, clock)
-    lanes = _lanes(model.inner_conditions)
+    model = original if clock is None else clock.with_fixed_times(original)
     table = _Table(model, names, clock)
     unknowns, element = list[Unknown](), S.Zero if clock is None else clock.share(table.is_inner)
-    found, multipliers = dict[int, list[int]](), list[tuple[str, int, int]]()
-    for lane in lanes:
+    present, multipliers = dict[int, list[int]](), list[tuple[str, int, int]]()
+    for lane in _lanes(model.inner_conditions):
         first = len(unknowns)
         unknowns.append(Unknown(names.numbered("nu"), Meaning(Kind.INNER_CONDITION)))
         slack = S.Zero
@@ -301,18 +301,22 @@ def inner_terms(
         (multiplier,) = symbols([unknowns[first].name], "_k")
         element += table.share(lane, multiplier, slack, at_left)
         for c in lane:
-            found.setdefault(c.number, []).extend([first] if c.equality else [first, first + 1])
+            present.setdefault(c.number, []).extend([first] if c.equality else [first, first + 1])
             multipliers.append((c.name, c.number, first))
     pins = tuple(unknown.name for unknown in unknowns)
-    times = range(len(model.inner_times))
+    numbers = range(len(model.inner_times))
+    if clock is None:
+        times = tuple(inner.time for inner in model.inner_times if inner.time is not None)
+    else:  # equal shares of the chain
+        times = tuple(Rational(i + 1, len(numbers) + 1) for i in numbers)
     return InnerTerms(
         NodalTerms(tuple(unknowns), element, pins, pins),
         InnerTimes(
-            times=_times(model, clock),
+            times=times,
             symbols=tuple(table.rows),
-            numbers=tuple(tuple(row.get(time, S.Zero) for time in times) for row in table.rows.values()),
+            numbers=tuple(tuple(row.get(number, S.Zero) for number in numbers) for row in table.rows.values()),
             unknowns=tuple(range(len(unknowns))),
-            present=tuple(tuple(i in found.get(time, []) for i in range(len(unknowns))) for time in times),
+            present=tuple(tuple(i in present.get(number, []) for i in range(len(unknowns))) for number in numbers),
             multipliers=tuple(sorted(multipliers, key=lambda entry: entry[1:])),
             windows=tuple(
                 (number, inner.earliest, inner.latest)
@@ -324,46 +328,22 @@ def inner_terms(
     )
 
 
-def _times(model: Model, clock: Clock | None) -> tuple[Expr, ...]:
-    """Where inner times are: times, or where these are free parts of the chain, as many intervals between any two."""
-    count = len(model.inner_times) + 1
-    if clock is not None:
-        return tuple(Rational(i, count) for i in range(1, count))
-    return tuple(inner.time for inner in model.inner_times if inner.time is not None)
-
-
 def _lanes(conditions: Sequence[InnerCondition]) -> list[list[InnerCondition]]:
-    """The conditions in groups that share a multiplier, at most one of each time, so that few have slacks."""
+    """Group the conditions that share a multiplier, at most one of each time, so that few groups need slacks."""
     at: dict[int, list[InnerCondition]] = {}
     for condition in conditions:
         at.setdefault(condition.number, []).append(condition)
-    count = max(map(len, at.values()))
-    lanes: list[list[InnerCondition]] = [[] for _ in range(count)]
-    for there in at.values():
-        equations = [c for c in there if c.equality]
-        for lane, condition in zip(lanes, equations, strict=False):
+    lanes: list[list[InnerCondition]] = [[] for _ in range(max(map(len, at.values())))]
+    for simultaneous in at.values():
+        for lane, condition in zip(lanes, (c for c in simultaneous if c.equality), strict=False):
             lane.append(condition)
-        for lane, condition in zip(reversed(lanes), (c for c in there if not c.equality), strict=False):
+        for lane, condition in zip(reversed(lanes), (c for c in simultaneous if not c.equality), strict=False):
             lane.append(condition)
     return lanes
 
 
-def _regular_point(expression: Expr, moving: Sequence[Symbol], values: Mapping[Symbol, float]) -> dict[Symbol, Expr]:
-    """Values of the moving symbols at which an expression and its first two derivatives have values; or none at all."""
-    slopes = [sympy.diff(expression, x) for x in moving]
-    wanted = [expression, *slopes, *(sympy.diff(slope, x) for slope in slopes for x in moving)]
-    generator = np.random.default_rng(7)
-    for size in np.repeat((1.0, 10.0, 0.1, 100.0), _TRIALS):
-        drawn = size * generator.uniform(-0.3, 1.0, len(moving))
-        point = {x: Rational(str(round(float(number), 3))) for x, number in zip(moving, drawn, strict=True)}
-        at = {**values, **{x: float(number) for x, number in point.items()}}
-        if all(checks.rounded_at(value, at) is not None for value in wanted):
-            return point
-    return {}
-
-
 class _Table:
-    """The numbers that nodes have, a row for each of their symbols: the number of a time, and its value there."""
+    """The numbers of nodes, a row for each symbol: its value at each inner time, by the number of the time."""
 
     def __init__(self, model: Model, names: Names, clock: Clock | None) -> None:
         self._model, self._names = model, names
@@ -376,51 +356,220 @@ class _Table:
 
     @property
     def is_inner(self) -> Symbol:
-        """One at a node at an inner time, and zero elsewhere."""
+        """The symbol that is one at inner times, and zero elsewhere."""
         return self._symbol(dict.fromkeys(range(len(self._model.inner_times)), S.One))
 
     def share(
         self, lane: Sequence[InnerCondition], multiplier: Symbol, slack: Expr, at_left: Callable[[Expr], Expr]
     ) -> Expr:
-        """What l gains by conditions that have their multiplier, and perhaps a slack, in common."""
+        """Return the share of l of conditions with a common multiplier, and perhaps a common slack."""
         element, present, slacked = S.Zero, S.Zero, S.Zero
         for equality in (True, False):
             alike = [c for c in lane if c.equality == equality]
-            for form in common_forms([self._at_its_time(c) for c in alike], self._moving):
+            at_times = list[Expr]()
+            for c in alike:
+                time = self._model.inner_times[c.number].time
+                at_times.append(c.expression if time is None else c.expression.xreplace({self._model.time: time}))
+            for form in common_forms(at_times, self._moving):
                 members = {alike[i].number: values for i, values in form.members.items()}
-                here = self._symbol(dict.fromkeys(members, S.One))
+                is_here = self._symbol(dict.fromkeys(members, S.One))
                 columns = [{time: values[i] for time, values in members.items()} for i in range(len(form.places))]
                 numbers = dict(zip(form.places, (self._symbol(column) for column in columns), strict=True))
-                value = self._defined_everywhere(form, numbers, here)
-                element += here * multiplier * (at_left(value).xreplace(self._at_node) + (0 if equality else slack))
-                present, slacked = present + here, slacked + (0 if equality else here)
+                value = at_left(self._defined_everywhere(form, numbers, is_here)).xreplace(self._at_node)
+                element += is_here * multiplier * (value + (0 if equality else slack))
+                present, slacked = present + is_here, slacked + (0 if equality else is_here)
         absent = multiplier**2 + slack**2 - present * multiplier**2 - slacked * slack**2
         return element + sympy.expand(absent / 2)
 
-    def _defined_everywhere(self, form: Form, numbers: Mapping[Symbol, Symbol], here: Symbol) -> Expr:
-        """The expression of a form in numbers of the node, with slopes at other nodes as well, where it has no meaning.
+    def _defined_everywhere(self, form: Form, numbers: Mapping[Symbol, Symbol], is_here: Symbol) -> Expr:
+        """Return the expression of a form in numbers of the node, with finite derivatives at other nodes too.
 
-        A distance has none at zero, a root none below it; there it is taken at a point where it has: zero times what is
-        infinite is no number.
+        A distance has no derivative at zero, and a root has no value below it. At other nodes, where the condition has
+        no meaning, the expression is evaluated at a regular point: zero times infinity is no number.
         """
         moving = sorted(form.expression.free_symbols & self._moving, key=str)
         if form.expression.is_polynomial(*moving, *numbers):
             return form.expression.xreplace(numbers)
         first = dict(zip(numbers, next(iter(form.members.values())), strict=True))
         point = _regular_point(form.expression.xreplace(first), moving, self._model.default_values)
-        elsewhere = {x: here * x + (1 - here) * value for x, value in point.items()}
-        elsewhere |= {place: symbol + (1 - here) * first[place] for place, symbol in numbers.items()}
-        return form.expression.xreplace(elsewhere)
-
-    def _at_its_time(self, condition: InnerCondition) -> Expr:
-        time = self._model.inner_times[condition.number].time
-        return condition.expression if time is None else condition.expression.xreplace({self._model.time: time})
+        values = {x: is_here * x + (1 - is_here) * value for x, value in point.items()}
+        values |= {place: symbol + (1 - is_here) * first[place] for place, symbol in numbers.items()}
+        return form.expression.xreplace(values)
 
     def _symbol(self, row: Mapping[int, Expr]) -> Symbol:
-        """A new symbol for a number of nodes, or the one that has these numbers already."""
-        for symbol, known in self.rows.items():
-            if known == row:
+        """Return the symbol of a number of nodes; equal rows have one symbol."""
+        for symbol, numbers in self.rows.items():
+            if numbers == row:
                 return symbol
         symbol = Symbol(self._names.numbered("at"), real=True)
         self.rows[symbol] = dict(row)
         return symbol
+
+
+def _regular_point(expression: Expr, moving: Sequence[Symbol], values: Mapping[Symbol, float]) -> dict[Symbol, Expr]:
+    """Return values of the moving symbols at which an expression and two derivatives are finite; or no values."""
+    slopes = [sympy.diff(expression, x) for x in moving]
+    derivatives = [expression, *slopes, *(sympy.diff(slope, x) for slope in slopes for x in moving)]
+    generator = np.random.default_rng(7)
+    for size in np.repeat((1.0, 10.0, 0.1, 100.0), _TRIALS):
+        drawn = size * generator.uniform(-0.3, 1.0, len(moving))
+        point = {x: Rational(str(round(float(number), 3))) for x, number in zip(moving, drawn, strict=True)}
+        at = {**values, **{x: float(number) for x, number in point.items()}}
+        if all(expressions.rounded_at(value, at) is not None for value in derivatives):
+            return point
+    return {}
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The names of time and pace at nodes, and of the multipliers of their equations on intervals."""
+
+    model: Model
+    time: str
+    pace: str
+    multipliers: tuple[str, str]
+
+    @property
+    def node(self) -> tuple[Unknown, Unknown]:
+        """The unknowns of a node."""
+        return Unknown(self.time, Meaning(Kind.TIME)), Unknown(self.pace, Meaning(Kind.PACE), lower=S.Zero)
+
+    @property
+    def interval(self) -> tuple[Unknown, Unknown]:
+        """The unknowns of an interval."""
+        mu_time, mu_pace = self.multipliers
+        return Unknown(mu_time, Meaning(Kind.PASSING_TIME)), Unknown(mu_pace, Meaning(Kind.CONSTANT_PACE))
+
+    @property
+    def symbol(self) -> Symbol:
+        """The symbol of time in conditions at inner times."""
+        return Symbol(self.time, real=True)
+
+    @property
+    def guess(self) -> tuple[Expr, Expr]:
+        """Time and pace where all intervals have the same length."""
+        return self.model.time, DURATION
+
+    @property
+    def scales(self) -> tuple[tuple[Symbol, Expr], ...]:
+        """The length of an interval and the time at its left node, by the symbols that they replace."""
+        (pace,), (time,) = symbols([self.pace], "_k1"), symbols([self.time], "_k")
+        return (STEP, pace * STEP), (self.model.time, time)
+
+    def share(self, at_inner_time: Expr) -> Expr:
+        """Return the share of l before lengths are replaced; the symbol is one after an inner time, else zero."""
+        left, right = symbols([self.time, self.pace], "_k"), symbols([self.time, self.pace], "_k1")
+        mu_time, mu_pace = symbols(self.multipliers, "_k")
+        constant = mu_pace * (right[1] - left[1])
+        return mu_time * (right[0] - left[0] - STEP) + constant + at_inner_time * (mu_pace**2 / 2 - constant)
+
+    def start(self) -> End:
+        """Return the start, at time zero."""
+        return End(pins=((self.time, S.Zero),))
+
+    def end(self, names: Names) -> End:
+        """Return the end, at the duration."""
+        duration = self.model.duration
+        if not duration.free_symbols & {parameter.symbol for parameter in self.model.free_parameters}:
+            return End(pins=((self.time, duration),))
+        multiplier = Unknown(names.numbered("nu"), Meaning(Kind.DURATION))
+        (nu,), (time,) = symbols([multiplier.name], "_k1"), symbols([self.time], "_k1")
+        return End(
+            extra=(multiplier,), element=nu * (time - duration), conditions=((f"0 ({self.time})", time - duration),)
+        )
+
+    def with_fixed_times(self, model: Model) -> Model:
+        """Turn fixed times, and windows without length, into conditions on the clock."""
+        conditions, times = list(model.inner_conditions), list(model.inner_times)
+        for number, inner in enumerate(model.inner_times):
+            window = inner.earliest if inner.earliest == inner.latest else None
+            fixed = inner.time if inner.time is not None else window
+            if fixed is not None:
+                conditions.append(InnerCondition(f"the time {text(fixed)}", self.symbol - fixed, True, number))
+                times[number] = replace(inner, earliest=None, latest=None)
+        conditions = [replace(c, expression=c.expression.xreplace({model.time: self.symbol})) for c in conditions]
+        return replace(model, inner_conditions=tuple(conditions), inner_times=tuple(times))
+
+
+def clock_of(model: Model, names: Names) -> Clock | None:
+    """Return the clock of a model that has free times between start and end."""
+    if not model.has_free_times:
+        return None
+    time, pace = names.named("time", model.time), names.named("pace", model.time)
+    return Clock(model, time, pace, (names.numbered("mu_time"), names.numbered("mu_pace")))
+
+
+@dataclass(frozen=True)
+class Form:
+    """An expression in `places` for numbers, which several expressions share, such as x - 1 and x - 2.
+
+    `members` maps the indices of the expressions to values in the order of the places.
+    """
+
+    expression: Expr
+    places: tuple[Symbol, ...]
+    members: Mapping[int, tuple[Expr, ...]]
+
+
+def common_forms(expressions: Sequence[Expr], moving: AbstractSet[Symbol]) -> tuple[Form, ...]:
+    """Return the forms of expressions, in the order of their first occurrence.
+
+    A part without `moving` symbols is a number. Exponents belong to the form, and so does every number that all
+    expressions of the form share.
+    """
+    groups: dict[str, dict[int, tuple[Expr, tuple[Expr, ...]]]] = {}
+    for index, expression in enumerate(expressions):
+        values = list[Expr]()
+        pattern = _sum(expression, moving, values)
+        groups.setdefault(str(pattern), {})[index] = pattern, tuple(values)
+    forms = list[Form]()
+    for group in groups.values():
+        pattern, values_of_first = next(iter(group.values()))
+        numbers = range(len(values_of_first))
+        different = [i for i in numbers if any(values[i] != values_of_first[i] for _, values in group.values())]
+        shared = {_place(i): value for i, value in enumerate(values_of_first) if i not in different}
+        members = {index: tuple(values[i] for i in different) for index, (_, values) in group.items()}
+        forms.append(Form(pattern.xreplace(shared), tuple(map(_place, different)), members))
+    return tuple(forms)
+
+
+def _place(index: int) -> Symbol:
+    return Symbol(f"number[{index}]", real=True)
+
+
+def _placed(value: Expr, values: list[Expr]) -> Symbol:
+    """Append a number to `values`, and return its place."""
+    values.append(value)
+    return _place(len(values) - 1)
+
+
+def _pattern(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> Expr:
+    """Return the expression with places, and append its numbers to `values`."""
+    if not expression.free_symbols & moving:
+        return _placed(expression, values)
+    if not expression.args:
+        return expression
+    if isinstance(expression, Add):
+        return _sum(expression, moving, values)
+    if isinstance(expression, Mul):
+        number, rest = expression.as_independent(*moving, as_Add=False)
+        factors = [_pattern(factor, moving, values) for factor in _sorted(Mul.make_args(rest), moving)]
+        return Mul(_placed(number, values), *factors) if number != 1 else Mul(*factors)
+    if isinstance(expression, Pow) and not expression.exp.free_symbols & moving:
+        return Pow(_pattern(expression.base, moving, values), expression.exp)
+    return expression.func(*(_pattern(argument, moving, values) for argument in expression.args))
+
+
+def _sum(expression: Expr, moving: AbstractSet[Symbol], values: list[Expr]) -> Expr:
+    """Return the pattern of a sum, in which every term has a factor, with a constant that may be zero."""
+    constant, rest = expression.as_independent(*moving, as_Add=True)
+    pairs = [term.as_independent(*moving, as_Add=False) for term in Add.make_args(rest)]
+    factors = {part: number for number, part in pairs}
+    parts = _sorted(list(factors), moving)
+    terms = [_placed(factors[part], values) * _pattern(part, moving, values) for part in parts]
+    return Add(*terms, _placed(constant, values))
+
+
+def _sorted(parts: Sequence[Expr], moving: AbstractSet[Symbol]) -> list[Expr]:
+    """Sort parts in an order that does not depend on the numbers in them."""
+    return sorted(parts, key=lambda part: (str(_pattern(part, moving, [])), str(part)))

@@ -1,10 +1,8 @@
-"""Conditions on integrals over the whole duration, such as a length; `transcribe.conditions.integrals` imposes them.
+"""Conditions on integrals over the whole duration, such as a length or an amount of fuel.
 
-Conditions on integrals over the whole duration, such as a length or an amount of fuel.
-
-With the scheme's own quadrature Gd of the integrand over an interval, as for the cost, the sum of all Gd equals a value
-c, or stays below it. Neither a node nor an interval owns that equation: its multiplier is a shared unknown zeta, and
-with it, for an inequality, a slack s >= 0. Every interval's l gains zeta Gd, and the end's share zeta (s - c).
+With the scheme's quadrature Gd of the integrand over an interval, as for the cost, the sum of all Gd equals a value c,
+or does not exceed it. The equation belongs to no node and no interval. Its multiplier is a shared unknown zeta, and so
+is the slack s >= 0 of an inequality. Every interval's l gains zeta Gd, and the end's share zeta (s - c).
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ class Integrals(ConditionKind):
     scope: ClassVar[Scope] = {"integral": (*MOVING, Delayed, ControlInput, Time, *STATIC), "integral value": STATIC}
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """Each as an integrand and as the value that its integral has or does not exceed."""
+        """Yield integrands, each followed by the value of its integral or its limit."""
         given = named_relations(self.argument, getattr(control, self.argument))
         for entry, (_, written) in zip(super().written(control), given, strict=True):
             integrand, limit = _sides(written, entry.what)
@@ -70,9 +68,9 @@ class Integrals(ConditionKind):
 
 
 def _sides(value: Any, what: str) -> tuple[Expr, Expr]:
-    """The integrand, and what its integral equals or does not exceed, with the signs that say so.
+    """Return the integrand, and the value or upper limit of its integral, with matching signs.
 
-    The integrand is the side that moves. ExpressionError unless that is one side alone.
+    The integrand is the side that moves. Raises ExpressionError unless exactly one side moves.
     """
     left, right, sign = sides(value)
     left, right = (expressions.checked(side, what) for side in (left, right))
@@ -91,7 +89,7 @@ def _sides(value: Any, what: str) -> tuple[Expr, Expr]:
 
 
 def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ...]:
-    """The equations of the conditions on integrals, with names for their unknowns."""
+    """Return the equations of the conditions on integrals, with names for their unknowns."""
     equations = []
     for condition in model.integrals:
         multiplier = Symbol(names.numbered("zeta"), real=True)
@@ -101,7 +99,7 @@ def integral_equations(model: Model, names: Names) -> tuple[IntegralEquation, ..
 
 
 def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
-    """The multipliers and slacks, of which every body has its own."""
+    """Return the multipliers and slacks, of which every body has its own."""
     own = list[Own]()
     for equation in equations:
         name, symbol = equation.condition.name, equation.multiplier
@@ -112,30 +110,26 @@ def own_unknowns(equations: Sequence[IntegralEquation]) -> tuple[Own, ...]:
 
 
 def interval_share(equations: Sequence[IntegralEquation], quadratures: Sequence[Expr]) -> Expr:
-    """What an interval's l gains."""
+    """Return the terms of an interval's l."""
     return Add(*(equation.multiplier * value for equation, value in zip(equations, quadratures, strict=True)))
 
 
 def end_share(equations: Sequence[IntegralEquation]) -> End:
-    """What the end gains."""
+    """Return the terms of the end."""
     return End(element=Add(*(equation.multiplier * equation.excess for equation in equations)))
 
 
 def with_distinct_integral_names(programs: Sequence[ControlProgram], names: Names) -> list[ControlProgram]:
-    """The programs of all phases, in which no two conditions on integrals have unknowns of one name."""
-    return [_renamed(program, names) for program in programs]
-
-
-def _renamed(program: ControlProgram, names: Names) -> ControlProgram:
-    old = [own.symbol for own in own_unknowns(program.integrals)]
-    new = {symbol: Symbol(names.numbered(symbol.name.rpartition("_")[0]), real=True) for symbol in old}
-
-    def equation(found: IntegralEquation) -> IntegralEquation:
-        return replace(found, multiplier=new[found.multiplier], slack=found.slack and new[found.slack])
-
-    return replace(
-        program,
-        element=program.element.xreplace(new),
-        end=replace(program.end, element=program.end.element.xreplace(new)),
-        integrals=tuple(map(equation, program.integrals)),
-    )
+    """Rename the unknowns of conditions on integrals, so that no two phases use one name."""
+    renamed = []
+    for program in programs:
+        old = [own.symbol for own in own_unknowns(program.integrals)]
+        new = {symbol: Symbol(names.numbered(symbol.name.rpartition("_")[0]), real=True) for symbol in old}
+        integrals = (
+            replace(each, multiplier=new[each.multiplier], slack=each.slack and new[each.slack])
+            for each in program.integrals
+        )
+        end = replace(program.end, element=program.end.element.xreplace(new))
+        element = program.element.xreplace(new)
+        renamed.append(replace(program, element=element, end=end, integrals=tuple(integrals)))
+    return renamed

@@ -1,36 +1,60 @@
-"""Unknowns that belong to no node: static parameters of the problem, and each body's coordinates that are coupled.
+"""Linking variables: unknowns that belong to no node, and conditions between bodies.
 
-Segments of one motion that run side by side and meet: a quantity at the end is another one at the start.
+Linking variables are static parameters of the problem, coupled coordinates of each body at the end, and values where
+segments of one motion meet.
 
-The value w where two segments meet is a shared unknown: what begins there equals it, and for what ends there the end
-gains zeta (x - w), where the multiplier zeta is shared as well. Each segment by itself is then an initial value problem
-with a solution, also in what no control moves. A velocity is no unknown of a node: since all segments have the same
-Lagrangian, equal velocities mean equal momenta, and the discrete momenta of both match a shared unknown pi, the last
-one by a multiplier that is shared.
+The value w where two segments meet is a shared unknown. The quantity at the start of the later segment equals w. For
+the quantity x at the end of the earlier one the end gains zeta (x - w), with a shared multiplier zeta. Each segment by
+itself is then an initial value problem with a solution, also without controls. A velocity is no unknown of a node:
+since all segments have the same Lagrangian, equal velocities mean equal momenta. The discrete momenta of both segments
+match a shared unknown pi, that of the earlier segment by a shared multiplier.
+
+Couplings between bodies may be redundant although no two of them are alike: of the sides, centre, height and interior
+angles of a regular polygon with H corners, 2 H + 3 equations, only 2 H are independent. A solver needs independent
+equations. They are found numerically, at a configuration where all couplings hold.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+import sympy
+from numpy.typing import NDArray
 from sympy import Expr, Max, Min, S, Symbol
 
 from codegen.discretise.conditions.periodic import Alias, Own, Periodic
-from codegen.discretise.guesses import at_end, at_start, momentum_guess
-from codegen.discretise.model.definitions import Condition, Model
+from codegen.discretise.model.definitions import Model, prescribed
+from codegen.discretise.model.guesses import at_end, at_start, momentum_guess
+from codegen.discretise.model.values import values_at_guess
 from codegen.discretise.program import Coupling, Names, Unknown, symbols
-from codegen.discretise.redundant_couplings import independent_couplings
 from codegen.errors import BoundaryError
 from codegen.runtime.record import Kind, Meaning
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.terms import Kind as TermKind
+from codegen.symbolic.terms import sorted_terms
+
+_DEPENDENT = 1e-7
+"""Tolerance for the component of a gradient outside the span of earlier gradients, relative to its length."""
+_NAMED = 1e-6
+_HOLDS = 1e-8
+"""Tolerance for the distance to the set where a coupling holds, relative to the size of the configuration."""
+_EXACT = 1e-15
+_ITERATIONS = 50
+
+Array = NDArray[np.float64]
+System = Callable[[Array], tuple[Array, Array]]
+"""Residuals and their Jacobian at a configuration."""
 
 
 @dataclass(frozen=True)
 class Shared:
-    """Shared unknowns, first each body's own ones, then the common ones; and what couples bodies.
+    """Shared unknowns, first each body's own ones, then the common ones; and the couplings of bodies.
 
-    `start_aliases` and `end_aliases` say what equals them at the ends; `redundant` are the couplings that
-    follow from the others: numbers, from 1, among all of them, and names.
+    `start_aliases` and `end_aliases` are the unknowns of nodes that equal them at the ends. `redundant` are the
+    numbers, from 1, and names of the couplings that follow from the others.
     """
 
     own: tuple[Own, ...]
@@ -43,14 +67,15 @@ class Shared:
 
     @property
     def all(self) -> tuple[Own, ...]:
-        """All of them in order."""
+        """All shared unknowns in order."""
         return (*self.own, *self.common)
 
 
 def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], names: Names) -> Shared:
-    """Collect static parameters, what periodicity shares, and the coupled coordinates at the end.
+    """Collect static parameters, shared unknowns of periodicity, and the coupled coordinates at the end.
 
-    `guesses` are those of the coordinates. Raises BoundaryError when a coupled coordinate is given at the end.
+    `guesses` are those of the coordinates. Raises BoundaryError when a coupled coordinate is fixed at the end, and for
+    a coupling without a gradient, which no Newton step can reach.
     """
     common = tuple(
         Own(Unknown(p.symbol.name, Meaning(Kind.FREE_PARAMETER, p.symbol.name), p.lower, p.upper), p.symbol, p.guess)
@@ -76,7 +101,17 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         aliases.append((q.name, name, S.Zero))
     values = model.end_values
     shifted = {v.symbol: v.symbol + offset[v.coordinate] for v in values if offset[v.coordinate] != 0}
-    kept = _independent(model)
+    independent = independent_couplings(model)
+    couplings = tuple(model.couplings[i] for i in independent.kept)
+    if not independent.consistent:
+        # Couplings that follow from contradicting ones need not hold with them.
+        couplings = model.couplings
+    for dropped, sources in independent.dropped if independent.consistent else ():
+        if not sources:
+            raise BoundaryError(
+                f"the condition {model.couplings[dropped]} between bodies has no slope where it holds",
+                "write it without its square, or leave it out",
+            )
     tied_nodes = (*periodic.start_aliases, *periodic.end_aliases, *aliases)
     return Shared(
         own=tuple(o if o.follows else replace(o, unknown=_bounded(model, o.unknown, tied_nodes)) for o in own),
@@ -85,10 +120,10 @@ def shared_unknowns(model: Model, periodic: Periodic, guesses: Sequence[Expr], n
         end_aliases=(*periodic.end_aliases, *aliases),
         couplings=tuple(
             Coupling(Unknown(names.numbered("nu"), Meaning(Kind.COUPLING, c.name)), c.expression.xreplace(shifted))
-            for c in kept
+            for c in couplings
         ),
         coupling_symbols=tuple((v.symbol, v.body, index[v.coordinate]) for v in values),
-        redundant=tuple((i, c.name) for i, c in enumerate(model.couplings, start=1) if c not in kept),
+        redundant=tuple((i, c.name) for i, c in enumerate(model.couplings, start=1) if c not in couplings),
     )
 
 
@@ -101,56 +136,40 @@ def _bounded(model: Model, unknown: Unknown, aliases: Sequence[Alias]) -> Unknow
     return replace(unknown, lower=Max(*lower) if lower else None, upper=Min(*upper) if upper else None)
 
 
-def _independent(model: Model) -> tuple[Condition, ...]:
-    """The couplings without those that follow from the others, which would make the KKT matrix singular.
-
-    All of them where they seem to contradict each other: what follows from the others there need not hold with them.
-    Raises BoundaryError for a condition without a slope, which no Newton step can reach.
-    """
-    found = independent_couplings(model)
-    if not found.consistent:
-        return model.couplings
-    for index, others in found.dropped:
-        if not others:
-            raise BoundaryError(
-                f"the condition {model.couplings[index]} between bodies has no slope where it holds",
-                "write it without its square, or leave it out",
-            )
-    return tuple(model.couplings[i] for i in found.kept)
-
-
 def joined_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequence[Expr], names: Names) -> Periodic:
-    """What joins the quantities that are unknowns of the node: coordinates, and momenta where these are."""
-    out, known = Periodic(), dict(zip(quantities, guesses, strict=True))
+    """Join segments in the quantities that are unknowns of the node: coordinates, and momenta of a Hamiltonian."""
+    out, guess = Periodic(), dict(zip(quantities, guesses, strict=True))
     for group in (model.coordinates, model.rates):
-        for i, j in _indices(model) if group and set(group) <= set(quantities) else ():
+        for i, j in _joined_indices(model) if group and set(group) <= set(quantities) else ():
             last, first = group[i], group[j]
-            own = _own(
-                names.named("joined", first), Meaning(Kind.START_VALUE, first.name), at_start(model, known[first])
-            )
-            zeta = _multiplier(names.named("nu", first), Meaning(Kind.CONTINUITY, last.name))
-            (there,) = symbols([last.name], "_k1")
-            share = zeta.symbol * (there - own.symbol)
+            start = at_start(model, guess[first])
+            own = _own(names.named("joined", first), Meaning(Kind.START_VALUE, first.name), start)
+            zeta = _own(names.named("nu", first), Meaning(Kind.CONTINUITY, last.name), S.Zero)
+            (at_end_node,) = symbols([last.name], "_k1")
+            share = zeta.symbol * (at_end_node - own.symbol)
             out += Periodic((own, zeta), start_aliases=((first.name, own.unknown.name, S.Zero),), end_share=share)
     return out
 
 
 def joined_momenta(model: Model, names: Names) -> Periodic:
-    """What joins the rates of a model in Lagrangian form, whose momenta the discrete ones match."""
+    """Join segments in the rates of a model in Lagrangian form, whose momenta the discrete momenta match."""
     out = Periodic()
-    for i, j in _indices(model):
+    for i, j in _joined_indices(model):
         last, first = model.coordinates[i], model.coordinates[j]
         guess = at_start(model, momentum_guess(model)[j])
         own = _own(names.named("pi", first), Meaning(Kind.START_MOMENTUM, first.name), guess)
-        zeta = _multiplier(names.named("nu", model.rates[j]), Meaning(Kind.MOMENTUM_CONTINUITY, last.name))
-        alias = (f"lambda_{last}", zeta.unknown.name, S.Zero)
-        momenta = ((j, own.symbol),), ((i, own.symbol),)
-        out += Periodic((own, zeta), end_aliases=(alias,), start_momenta=momenta[0], end_momenta=momenta[1])
+        zeta = _own(names.named("nu", model.rates[j]), Meaning(Kind.MOMENTUM_CONTINUITY, last.name), S.Zero)
+        out += Periodic(
+            (own, zeta),
+            end_aliases=((f"lambda_{last}", zeta.unknown.name, S.Zero),),
+            start_momenta=((j, own.symbol),),
+            end_momenta=((i, own.symbol),),
+        )
     return out
 
 
-def _indices(model: Model) -> list[tuple[int, int]]:
-    """The coordinates that are joined: indices of that at the end and of that at the start."""
+def _joined_indices(model: Model) -> list[tuple[int, int]]:
+    """Return the indices of joined coordinates: of the one at the end and of the one at the start."""
     return [(model.coordinates.index(last), model.coordinates.index(first)) for last, first in model.joined]
 
 
@@ -158,5 +177,201 @@ def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
     return Own(Unknown(name, meaning), Symbol(name, real=True), guess, follows=True)
 
 
-def _multiplier(name: str, meaning: Meaning) -> Own:
-    return Own(Unknown(name, meaning), Symbol(name, real=True), S.Zero, follows=True)
+@dataclass(frozen=True)
+class IndependentCouplings:
+    """The couplings that are `kept` (indices in `Model.couplings`), and the reasons to drop the others.
+
+    `dropped` gives the index of each other coupling and the names of the equations from which it follows, or no names
+    where its gradient vanishes. The couplings are not `consistent` if no configuration was found where all of them
+    hold. Then `violated` is the name of the coupling with the largest violation, and dependence was judged at the
+    configuration with the smallest total violation.
+    """
+
+    kept: tuple[int, ...]
+    dropped: tuple[tuple[int, tuple[str, ...]], ...]
+    consistent: bool = True
+    violated: str = ""
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Equations between end values: names, expressions of the unknowns, and the initial guess of the unknowns.
+
+    The end conditions of each body by itself come first, the couplings last.
+    """
+
+    names: tuple[str, ...]
+    expressions: tuple[sympy.Expr, ...]
+    unknowns: tuple[sympy.Symbol, ...]
+    guess: Array
+
+
+def independent_couplings(model: Model) -> IndependentCouplings:
+    """Sort the couplings of a model into independent ones and ones that follow from those written before them.
+
+    A coupling may also follow from equations that hold at the end of each body by itself; those are always kept.
+    Dependence is judged to first order at the default parameters, at a configuration near the guess that satisfies all
+    equations, if one is found (Levenberg-Marquardt steps, from the guess and from points near it).
+    """
+    if not model.couplings:
+        return IndependentCouplings((), ())
+    equations = _equations(model)
+    system = _system(equations)
+    guess, generator = equations.guess, np.random.default_rng(1)
+    size = max(1.0, float(np.abs(guess).max()))
+    projections = []
+    for distance in (0.0, 1e-3, 1e-1, 1.0, 1.0, 1.0):
+        start = guess + distance * size * generator.uniform(-1.0, 1.0, guess.size) if distance else guess
+        projections.append(_projected(system, start))
+        # The guess may be special, such as bodies in one line, and so may the configuration that is found from it.
+        if distance and any(violation <= _HOLDS for _, violation in projections):
+            break
+    nearest, least = min(projections, key=lambda projection: projection[1])
+    typical = np.linalg.norm(system(start)[1], axis=1)
+    solutions = []
+    for point in [point for point, violation in projections if violation <= _HOLDS] or [nearest]:
+        jacobian = system(point)[1]
+        vanishes = np.linalg.norm(jacobian, axis=1) <= _DEPENDENT * typical
+        solutions.append(_sorted_rows(equations.names, np.where(vanishes[:, None], 0.0, jacobian)))
+    kept, dropped = max(solutions, key=lambda rows: len(rows[0]))
+    first = len(equations.names) - len(model.couplings)
+    couplings = IndependentCouplings(
+        tuple(index - first for index in kept if index >= first),
+        tuple((index - first, names) for index, names in dropped if index >= first),
+    )
+    if least <= _HOLDS:
+        return couplings
+    worst = int(np.argmax(np.abs(_scaled(*system(nearest))[0])))
+    return replace(couplings, consistent=False, violated=equations.names[worst])
+
+
+def _equations(model: Model) -> _Equations:
+    end_values = {(value.body, value.coordinate): value.symbol for value in model.end_values}
+    fixed = prescribed(model, "end")
+    equations, guess = [], dict[sympy.Symbol, float]()
+    conditions = [condition for condition in model.end_conditions if condition.equality]
+    present = {symbol for condition in conditions for symbol in condition.expression.free_symbols}
+    values = values_at_guess(model)
+    duration = expressions.rounded_at(model.duration, values)
+    assert duration is not None, "checked when the model was made"
+    values |= {model.time: duration}
+    # Motions from which the solver starts, or None.
+    motions = [dict(model.guess).get(q, x) for q, x in zip(model.coordinates, model.start.positions, strict=True)]
+    if model.form == "lagrangian":
+        motions += [None if motion is None else sympy.diff(motion, model.time) for motion in motions]
+    for body in range(model.bodies):
+        values |= {model.body: float(body)} if model.body is not None else {}
+        substitution: dict[sympy.Symbol, sympy.Expr] = {}
+        for index, symbol in enumerate((*model.coordinates, *model.rates)):
+            if symbol not in present and (body, index) not in end_values:
+                continue
+            number = expressions.rounded_at(fixed[symbol], values) if symbol in fixed else None
+            if number is not None:
+                substitution[symbol] = sympy.Float(number)
+                continue
+            unknown = end_values.get((body, index), sympy.Dummy(f"{symbol}_{body}", real=True))
+            motion = motions[index] if index < len(motions) else None
+            substitution[symbol] = unknown
+            guess[unknown] = 0.0 if motion is None else expressions.rounded_at(motion, values) or 0.0
+        equations += [(f"{g.name} of body {body}", g.expression.xreplace(substitution)) for g in conditions]
+    equations += [(condition.name, condition.expression) for condition in model.couplings]
+    guess |= {parameter.symbol: values[parameter.symbol] for parameter in model.free_parameters}
+    occurring = {symbol for _, expression in equations for symbol in expression.free_symbols}
+    unknowns = tuple(symbol for symbol in guess if symbol in occurring)
+    numbers = {symbol: sympy.Float(number) for symbol, number in model.default_values.items()}
+    return _Equations(
+        names=tuple(name for name, _ in equations),
+        expressions=tuple(expression.xreplace(numbers) for _, expression in equations),
+        unknowns=unknowns,
+        guess=np.array([guess[symbol] for symbol in unknowns]),
+    )
+
+
+def _system(equations: _Equations) -> System:
+    """Return residuals and Jacobian as a function; all terms of a kind are evaluated at once."""
+    size = len(equations.expressions), len(equations.unknowns)
+    kinds, instances = sorted_terms(equations.expressions, {s: j for j, s in enumerate(equations.unknowns)})
+    functions = [_with_slopes(kind) for kind in kinds]
+    groups = [[instance for instance in instances if instance.kind == kind] for kind in range(len(kinds))]
+    rows = [np.array([instance.row for instance in group]) for group in groups]
+    indices = [np.array([instance.indices for instance in group], dtype=int).T for group in groups]
+
+    def system(point: Array) -> tuple[Array, Array]:
+        residuals, jacobian = np.zeros(size[0]), np.zeros(size)
+        for function, row, read in zip(functions, rows, indices, strict=True):
+            with np.errstate(all="ignore"):
+                value, *slopes = function(*point[read])
+            np.add.at(residuals, row, value)
+            for index, slope in zip(read, slopes, strict=True):
+                np.add.at(jacobian, (row, index), slope)
+        return residuals, jacobian
+
+    return system
+
+
+def _with_slopes(kind: TermKind) -> Callable[..., Any]:
+    """Return a term and its derivatives by all its arguments, as a function of arrays."""
+    value = kind.expression
+    if value.has(sympy.Max, sympy.Min):  # numpy's maximum takes no array with a number
+        value = value.rewrite(sympy.Piecewise)
+    slopes = [sympy.diff(value, argument) for argument in kind.arguments]
+    return sympy.lambdify(kind.arguments, [value, *slopes], "numpy", cse=True)  # type: ignore[no-any-return]
+
+
+def _scaled(residuals: Array, jacobian: Array) -> tuple[Array, Array]:
+    """Divide equations by the lengths of their gradients, so that residuals are distances."""
+    length = np.linalg.norm(jacobian, axis=1)
+    length[~(length > 0.0)] = 1.0
+    return residuals / length, jacobian / length[:, None]
+
+
+def _projected(system: System, point: Array) -> tuple[Array, float]:
+    """Move a point to the set where all equations hold, and return it with its relative distance from the set.
+
+    The damping of the steps is the square of the residuals, with which they converge quadratically even where
+    equations are redundant (Yamashita and Fukushima, 2001, On the rate of convergence of the Levenberg-Marquardt
+    method). A line search takes the first of ever shorter steps that reduces the error.
+    """
+    residuals, jacobian = _scaled(*system(point))
+    error = float(np.linalg.norm(residuals))
+    for _ in range(_ITERATIONS):
+        if not np.isfinite(jacobian).all() or not _EXACT * np.abs(point).max() < error < np.inf:
+            break
+        damped = np.vstack([jacobian, min(error, 1.0) * np.eye(point.size)])
+        step = np.linalg.lstsq(damped, -np.concatenate([residuals, np.zeros(point.size)]), rcond=None)[0]
+        for length in 0.5 ** np.arange(12):
+            trial = point + length * step
+            trial_equations = _scaled(*system(trial))
+            trial_error = float(np.linalg.norm(trial_equations[0]))
+            if trial_error < error and np.isfinite(trial_equations[1]).all():
+                break
+        else:
+            break
+        point, (residuals, jacobian), error = trial, trial_equations, trial_error
+    size = max(1.0, float(np.abs(point).max()))
+    return point, error / size if np.isfinite(error) and np.isfinite(jacobian).all() else np.inf
+
+
+def _sorted_rows(
+    titles: Sequence[str], jacobian: Array
+) -> tuple[tuple[int, ...], tuple[tuple[int, tuple[str, ...]], ...]]:
+    """Gram-Schmidt in the order of the rows: the independent rows, and the others with the rows they depend on.
+
+    Each row is orthogonalised twice, which keeps the basis orthogonal to rounding.
+    """
+    kept: list[int] = []
+    dropped: list[tuple[int, tuple[str, ...]]] = []
+    basis = np.empty((0, jacobian.shape[1]))
+    _, rows = _scaled(np.zeros(len(jacobian)), jacobian)
+    for index, row in enumerate(rows):
+        rest = row - basis.T @ (basis @ row)
+        rest -= basis.T @ (basis @ rest)
+        length = float(np.linalg.norm(rest))
+        if length > _DEPENDENT:
+            basis = np.vstack([basis, rest / length])
+            kept.append(index)
+            continue
+        weights = np.linalg.lstsq(rows[kept].T, row, rcond=None)[0]
+        sources = tuple(titles[i] for i, weight in zip(kept, weights, strict=True) if abs(weight) > _NAMED)
+        dropped.append((index, sources))
+    return tuple(kept), tuple(dropped)

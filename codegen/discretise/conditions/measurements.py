@@ -1,20 +1,17 @@
-"""Measurements that a motion is to fit; `transcribe.conditions.samples` adds them to the cost.
-
-What a sample of measurements adds to the cost: how far the motion inside its interval is from it.
-"""
+"""Measurements that a motion is to fit: a sample adds the loss of its errors to the cost."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
 from sympy import Add, Expr, Piecewise, Symbol, sqrt, sstr
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Points, Remedies, Scope
-from codegen.discretise.guesses import measured_guess
 from codegen.discretise.interval import FRACTION
 from codegen.discretise.model.definitions import Model, Observed
+from codegen.discretise.model.guesses import measured_guess
 from codegen.discretise.model.relations import MOVING, STATIC, Entry, entry_of
 from codegen.discretise.program import Names, SampleElement
 from codegen.errors import ExpressionError, TableError
@@ -26,7 +23,7 @@ from codegen.symbolic import checks as expressions
 from codegen.symbolic.tables import LOSSES, require_within
 
 _LISTED = 6
-"""Files that a module names in its docstring."""
+"""Limit for the files that a module lists in its docstring."""
 
 
 class Observations(ConditionKind):
@@ -39,8 +36,8 @@ class Observations(ConditionKind):
     not_in_phases = ExpressionError, "it has observations", "give measurements to problems of one phase"
 
     def written(self, control: Control) -> Iterator[Entry]:
-        given = measurements_of(control)
-        for expression, column in given[0].values.items() if given else ():
+        measured = measurements_of(control)
+        for expression, column in measured[0].values.items() if measured else ():
             yield replace(entry_of(self.argument, f"what {column} measures", expression), name=column)
 
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
@@ -57,7 +54,7 @@ class Observations(ConditionKind):
         yield from ((f"what {observed.name} measures", observed.expression) for observed in model.observed)
 
     def require_regular(self, model: Model, points: Points) -> None:
-        """Refuse times outside the motion, and columns that measure nothing which moves."""
+        """Refuse times outside the motion, and columns of constant quantities."""
         for observed in model.observed:
             if not observed.expression.has(*model.coordinates, *model.rates):
                 raise ExpressionError(
@@ -65,15 +62,19 @@ class Observations(ConditionKind):
                     "measure states, or expressions of them",
                 )
         duration = expressions.number_at(model.duration, model.default_values)
-        assert duration is not None or not model.measurements, "a duration that is free was refused"
+        assert duration is not None or not model.measurements, "free durations were refused"
         for data in model.measurements:
             require_within(data, duration or 0.0)
 
     def sentences(self, model: Model) -> list[str]:
         if not model.observed:
             return []
+        errors = []
+        for observed, sigma in zip(model.observed, model.measurements[0].layout.sigmas, strict=True):
+            error = f"{sstr(observed.expression)} - {observed.name}"
+            errors.append(f"e = {error}" if sigma is None else f"e = ({error})/{sigma}")
         return [
-            f"to the cost is added {LOSSES[model.loss]} of {_errors(model)}",
+            f"to the cost is added {LOSSES[model.loss]} of {', '.join(errors)}",
             *(f"    {data.summary}" for data in model.measurements[:_LISTED]),
             *([f"    and {len(model.measurements) - _LISTED} files more"] if model.measurements[_LISTED:] else []),
         ]
@@ -87,9 +88,9 @@ class Observations(ConditionKind):
         yield from ()
 
     def costs(self, control: Control, latex: Latex) -> Iterator[str]:
-        """The sums over measured values, which are called as their columns are."""
-        given = control.observations
-        for measured in [given] if isinstance(given, Measurements) else given:
+        """Yield the sums over measured values, which have the names of their columns."""
+        observations = control.observations
+        for measured in [observations] if isinstance(observations, Measurements) else observations:
             form = r"\left({}\right)^2" if measured.loss == "squares" else rf"\text{{{measured.loss}}}\left({{}}\right)"
             for (value, column), sigma in zip(measured.values.items(), measured.data.layout.sigmas, strict=True):
                 name = in_latex(f"{column}_i") if column.isidentifier() else r"\text{measured}_i"
@@ -98,21 +99,14 @@ class Observations(ConditionKind):
                 yield rf"\sum_i {form.replace('{}', error)}"
 
 
-def _errors(model: Model) -> str:
-    sigmas = model.measurements[0].layout.sigmas
-    errors = []
-    for observed, sigma in zip(model.observed, sigmas, strict=True):
-        error = f"{sstr(observed.expression)} - {observed.name}"
-        errors.append(f"e = {error}" if sigma is None else f"e = ({error})/{sigma}")
-    return ", ".join(errors)
-
-
 def measurements_of(control: Control) -> tuple[Measurements, ...]:
-    """The measurements of a problem, of each body; TableError for what is none, or does not fit together."""
-    given: Any = control.observations
-    listed = (given,) if isinstance(given, Measurements) else given
+    """Return the measurements of each body; TableError for other objects, or for different layouts."""
+    observations: Any = control.observations
+    listed = (observations,) if isinstance(observations, Measurements) else observations
     if not isinstance(listed, (list, tuple)) or not all(isinstance(one, Measurements) for one in listed):
-        raise TableError(f"observations are {given!r}", 'write observations=Measurements("data.csv", values={x: "z"})')
+        raise TableError(
+            f"observations are {observations!r}", 'write observations=Measurements("data.csv", values={x: "z"})'
+        )
     if listed and len(listed) != control.bodies:
         raise TableError(
             f"there are {len(listed)} measurements and {control.bodies} bodies",
@@ -129,30 +123,31 @@ def measurements_of(control: Control) -> tuple[Measurements, ...]:
 
 
 def sample_element(model: Model, observed: Sequence[Expr], names: Names) -> SampleElement | None:
-    """The share of one sample, where there are measurements; `observed` are its values by the motion."""
+    """Return the share of one sample, if there are measurements; `observed` are its values by the motion."""
     if not observed:
         return None
     fraction = Symbol(names.numbered("fraction"), nonnegative=True)
     values = tuple(Symbol(names.numbered("measured"), real=True) for _ in observed)
     weights = tuple(Symbol(names.numbered("weight"), nonnegative=True) for _ in observed)
-    inside = [value.xreplace({FRACTION: fraction}) for value in observed]
-    errors = (w * (x - z) for w, x, z in zip(weights, inside, values, strict=True))
-    loss = Add(*map(_LOSSES[model.loss], errors))
-    return SampleElement(loss, tuple(inside), fraction, values, weights, measured_guess(model))
+    at_sample = [value.xreplace({FRACTION: fraction}) for value in observed]
+    errors = (w * (x - z) for w, x, z in zip(weights, at_sample, values, strict=True))
+    return SampleElement(
+        Add(*(_loss(model.loss, error) for error in errors)),
+        tuple(at_sample),
+        fraction,
+        values,
+        weights,
+        measured_guess(model),
+    )
 
 
-def _square(error: Expr) -> Expr:
+def _loss(name: str, error: Expr) -> Expr:
+    """Return a loss of a weighted error.
+
+    Source: Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35.
+    """
+    if name == "huber":
+        return Piecewise((2 * error - 1, error > 1), (-2 * error - 1, error < -1), (error**2, True))
+    if name == "soft-l1":  # 2 (sqrt(1 + e^2) - 1), in a form in which no digits cancel
+        return 2 * error**2 / (1 + sqrt(1 + error**2))
     return error**2
-
-
-def _huber(error: Expr) -> Expr:
-    """Source: Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35."""
-    return Piecewise((2 * error - 1, error > 1), (-2 * error - 1, error < -1), (error**2, True))
-
-
-def _soft_absolute(error: Expr) -> Expr:
-    """2 (sqrt(1 + e^2) - 1), of which no digits cancel."""
-    return 2 * error**2 / (1 + sqrt(1 + error**2))
-
-
-_LOSSES: dict[str, Callable[[Expr], Expr]] = {"squares": _square, "huber": _huber, "soft-l1": _soft_absolute}

@@ -1,21 +1,20 @@
-"""Conditions that hold at every time; `transcribe.conditions.path_conditions` imposes them.
-
-Conditions that hold at every time, on the intervals and at the nodes.
+"""Conditions that hold at every time, on the intervals and at the nodes.
 
 Where rates or controls occur, a condition holds at the points at which the scheme evaluates cost and dynamics:
-l gains y g for g = 0, and y (g + s) with a slack s >= 0 for g <= 0, both y and s being unknowns of the interval.
+l gains y g for g = 0, and y (g + s) with a slack s >= 0 for g <= 0. Both y and s are unknowns of the interval.
 
 A condition on coordinates and time alone holds at the nodes. An inequality is imposed at the right node of each
-interval, at the start unless the coordinates are given there, and where the scheme evaluates cost and dynamics as well.
-Otherwise nodes could alternate between two sides of a forbidden region, and the middle of every interval would lie
-inside it, where the cost is less. Between two nodes on a straight line it follows from theirs if it is convex.
+interval, and at the start unless the coordinates are fixed there. It is also imposed where the scheme evaluates cost
+and dynamics. Otherwise nodes could alternate between two sides of a forbidden region, with the middle of every interval
+inside it, where the cost is less. On a straight line between two nodes a convex condition follows from the nodes.
 A bound of a state holds at the nodes, and where an implicit scheme evaluates the dynamics inside the interval: kinetics
-may have another sign beyond it. A stage that is an unknown has the bound itself, and between two values with bounds it
-follows; elsewhere, as on a polynomial, it is an inequality with a slack. Stages of explicit schemes follow from the
-nodes with less accuracy than the step, and have no bounds (`solutions.stages` looks at them).
+may change sign beyond it. A stage that is an unknown has the bound itself. A value between two bounded values needs no
+bound. Other values, as on a polynomial, are limited by an inequality with a slack. Stages of explicit schemes follow
+from the nodes with less accuracy than the step, and have no bounds.
 
-An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2, because then each end can do without it
-where the coordinates are given (a condition on given numbers has no derivative, and the KKT matrix would be singular).
+An equality has its multiplier on the node, and l gains (y_k g_k + y_k1 g_k1)/2. In this form each end can do without
+the multiplier where the coordinates are fixed: a condition on fixed numbers has no derivative, and the KKT matrix would
+be singular.
 """
 
 from __future__ import annotations
@@ -75,20 +74,21 @@ class Path(ConditionKind):
 
 
 def is_nodal(model: Model, condition: Condition) -> bool:
-    """Whether neither rates nor controls occur in a condition."""
+    """Return True if neither rates nor controls occur in a condition."""
     return not condition.expression.free_symbols & {*model.rates, *model.controls}
 
 
 def nodal_conditions(model: Model, equality: bool) -> tuple[Condition, ...]:
-    """The path equalities, or the path inequalities, in which neither rates nor controls occur."""
+    """Return the path equalities, or the path inequalities, in which neither rates nor controls occur."""
     return tuple(g for g in model.path if is_nodal(model, g) and g.equality == equality)
 
 
 YIELDING = Rational(1, 10**8)
-"""By how much nodes may violate what holds inside intervals as well.
+"""Tolerated violation at nodes of inequalities that also hold inside intervals.
 
-Where a motion rests on a curved limit, both are met, and multipliers are not unique. The cost has its weight inside the
-intervals: with multipliers there, and none at nodes, the Hessian of the Lagrangian is that of a minimum.
+Where a motion rests on a curved limit, both inequalities are active, and multipliers are not unique. The cost has its
+weight inside the intervals: with multipliers there, and none at nodes, the Hessian of the Lagrangian has the inertia of
+a minimum.
 """
 
 
@@ -109,7 +109,7 @@ class IntervalTerms:
 
 @dataclass(frozen=True)
 class NodalTerms:
-    """Unknowns of every node, their share of l, and which of them have no meaning at the start and at the end."""
+    """Unknowns of every node, their share of l, and the unknowns without meaning at the start and at the end."""
 
     unknowns: tuple[Unknown, ...] = ()
     element: Expr = S.Zero
@@ -118,34 +118,37 @@ class NodalTerms:
     equations: tuple[tuple[str, Expr], ...] = ()
 
     def __add__(self, other: NodalTerms) -> NodalTerms:
-        """Both together."""
+        """Return the terms of both."""
         return NodalTerms(*(getattr(self, part.name) + getattr(other, part.name) for part in fields(NodalTerms)))
 
 
 def with_inner_path(model: Model) -> Model:
-    """The model with those path conditions only that hold inside an interval: all but equalities on coordinates."""
+    """Return the model with the path conditions that hold inside an interval: all but equalities on coordinates."""
     return replace(model, path=tuple(g for g in model.path if not (is_nodal(model, g) and g.equality)))
 
 
 def start_inequalities(model: Model) -> tuple[Condition, ...]:
-    """Path inequalities on coordinates at a start that is not given, nor also an end; right nodes leave it out."""
+    """Return path inequalities on coordinates for the start, which is no right node, unless it is fixed or repeated."""
+    inequalities = ((g, g.expression) for g in nodal_conditions(model, equality=False))
     return tuple(
         g
-        for g in nodal_conditions(model, equality=False)
-        if not (given_at(model, model.start, g.expression) or _is_repeated(model, g.expression))
+        for g, expression in inequalities
+        if not _fixed_at(model, model.start, expression)
+        and not _repeats_start(model, expression)
+        and not _repeats_segment(model, expression)
     )
 
 
 def bounded_stages(model: Model, inside: Sequence[StateValue], stages: Sequence[Unknown]) -> tuple[Unknown, ...]:
-    """Unknowns of an interval with the bounds of the states whose values they are."""
+    """Give unknowns of an interval the bounds of the states whose values they are."""
     quantities = {v.value.name: v.quantity for v in inside if isinstance(v.value, Symbol)}
     bounds = {bound.symbol: bound for bound in model.bounds}
-    found = ((unknown, bounds.get(quantities.get(unknown.name))) for unknown in stages)
-    return tuple(replace(u, lower=b.lower, upper=b.upper) if b else u for u, b in found)
+    pairs = ((unknown, bounds.get(quantities.get(unknown.name))) for unknown in stages)
+    return tuple(replace(u, lower=b.lower, upper=b.upper) if b else u for u, b in pairs)
 
 
 def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[PathValue, ...]:
-    """The bounds of states where dynamics are evaluated, as far as they do not follow from the bounds of unknowns.
+    """Return the bounds of states at evaluations of the dynamics that do not follow from the bounds of unknowns.
 
     Raises ExpressionError for a bound that differs from body to body.
     """
@@ -154,10 +157,10 @@ def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[Path
         bound = bounds.get(state.quantity)
         if bound is None or isinstance(state.value, Symbol):
             continue
-        own = {v.value for v in inside if v.quantity == state.quantity and isinstance(v.value, Symbol)}
-        own |= {x for suffix in ("_k", "_k1") for x in at_nodes([state.quantity], suffix)}
+        bounded = {v.value for v in inside if v.quantity == state.quantity and isinstance(v.value, Symbol)}
+        bounded |= {x for suffix in ("_k", "_k1") for x in at_nodes([state.quantity], suffix)}
         present = state.value.free_symbols
-        if present <= own and all(sympy.diff(state.value, x).is_nonnegative for x in present):
+        if present <= bounded and all(sympy.diff(state.value, x).is_nonnegative for x in present):
             continue
         for condition in bound.conditions:
             if model.body is not None and condition.expression.has(model.body):
@@ -172,8 +175,13 @@ def stage_inequalities(model: Model, inside: Sequence[StateValue]) -> tuple[Path
 
 
 def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: Names) -> IntervalTerms:
-    """Multipliers and slacks of all conditions of an interval; `first` unknowns of the interval come before them."""
-    values = _imposed(model, inner)
+    """Impose all conditions inside an interval and at its right node, behind its `first` unknowns.
+
+    Conditions inside that follow from conditions at the nodes are left out.
+    """
+    nodal = nodal_conditions(model, equality=False)
+    values = [v for v in inner if v.is_bound or v.condition not in nodal or not _follows_from_nodes(model, v)]
+    values += [PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal]
     multipliers, slacks, indices, equations = list[Unknown](), list[Unknown](), list[int](), list[tuple[str, Expr]]()
     element: Expr = S.Zero
     for value in values:
@@ -193,15 +201,8 @@ def interval_terms(model: Model, inner: Sequence[PathValue], first: int, names: 
     return IntervalTerms(tuple(multipliers), tuple(slacks), tuple(indices), inequalities, element, tuple(equations))
 
 
-def _imposed(model: Model, inner: Sequence[PathValue]) -> list[PathValue]:
-    """The values inside an interval and at its right node, without those that follow from values at nodes."""
-    nodal = nodal_conditions(model, equality=False)
-    values = [v for v in inner if v.is_bound or v.condition not in nodal or not _follows_from_nodes(model, v)]
-    return [*values, *(PathValue(g, S.One, _at_node(model, g, S.One)) for g in nodal)]
-
-
 def _follows_from_nodes(model: Model, value: PathValue) -> bool:
-    """Whether a value is that of a node, or on the straight line between two nodes with a convex condition."""
+    """Return True if a value is that of a node, or of a convex condition on the straight line between two nodes."""
     if value.value in [_at_node(model, value.condition, abscissa) for abscissa in (S.Zero, S.One)]:
         return True
     along = {model.time, STEP, *model.parameters, *(free.symbol for free in model.free_parameters)}
@@ -210,7 +211,7 @@ def _follows_from_nodes(model: Model, value: PathValue) -> bool:
 
 
 def _at_node(model: Model, condition: Condition, abscissa: Expr) -> Expr:
-    """The value of a condition on coordinates at the left (0) or right (1) node of an interval."""
+    """Return the value of a condition on coordinates at the left (0) or right (1) node of an interval."""
     values: dict[Symbol, Expr] = dict(
         zip(model.coordinates, at_nodes(model.coordinates, "_k1" if abscissa else "_k"), strict=True)
     )
@@ -219,7 +220,7 @@ def _at_node(model: Model, condition: Condition, abscissa: Expr) -> Expr:
 
 
 def is_convex(model: Model, condition: Condition) -> bool:
-    """Whether a condition is proved to be convex in the quantities of nodes: its second derivatives are numbers."""
+    """Return True if the second derivatives prove that a condition is convex in the quantities of nodes."""
     quantities = (*model.coordinates, *model.rates)
     present = [quantities[i] for i in sorted(occurring(quantities, condition.expression))]
     if not present:
@@ -235,9 +236,9 @@ def nodal_equalities(
 ) -> NodalTerms:
     """Impose conditions on coordinates and time at every node by multipliers `<stem>_<number>` of a kind.
 
-    A multiplier is pinned at an end where every coordinate of its condition is given, and at the end of a motion that
-    is periodic in all of them, where the condition at the start says the same, or at the start of a segment that
-    follows another one.
+    A multiplier is pinned at an end where every coordinate of its condition is fixed. It is also pinned where the
+    condition repeats another one: at the end of a motion that is periodic in all of its coordinates, and at the start
+    of a segment that follows another one.
     """
     unknowns, start_pins, end_pins, element = list[Unknown](), list[str](), list[str](), S.Zero
     equations = list[tuple[str, Expr]]()
@@ -248,33 +249,29 @@ def nodal_equalities(
         for suffix, abscissa in (("_k", S.Zero), ("_k1", S.One)):
             element += symbols([name], suffix)[0] * _at_node(model, condition, abscissa) / 2
         assert model.end is not None, "a control problem has an end"
-        if given_at(model, model.start, condition.expression) or is_repeated_at_start(model, condition.expression):
+        if _fixed_at(model, model.start, condition.expression) or _repeats_segment(model, condition.expression):
             start_pins.append(name)
-        if given_at(model, model.end, condition.expression) or repeated_at_end(model, condition.expression):
+        if _fixed_at(model, model.end, condition.expression) or _repeats_start(model, condition.expression):
             end_pins.append(name)
     return NodalTerms(tuple(unknowns), element, tuple(start_pins), tuple(end_pins), tuple(equations))
 
 
-def given_at(model: Model, boundary: Boundary, expression: Expr) -> bool:
-    """Whether an end gives all that an expression in coordinates depends on."""
+def _fixed_at(model: Model, boundary: Boundary, expression: Expr) -> bool:
+    """Return True if an end fixes all coordinates and parameters in an expression."""
     free = {parameter.symbol for parameter in model.free_parameters}
     indices = occurring(model.coordinates, expression)
     return not expression.free_symbols & free and all(boundary.positions[i] is not None for i in indices)
 
 
-def is_repeated_at_start(model: Model, expression: Expr) -> bool:
-    """Whether an expression in coordinates is at the start what that of the segment before is at the end."""
+def _repeats_segment(model: Model, expression: Expr) -> bool:
+    """Return True if an expression in coordinates at the start equals that of another segment at its end."""
     joined = {first for _, first in model.joined}
     present = [model.coordinates[i] for i in occurring(model.coordinates, expression)]
     return bool(present) and all(q in joined for q in present)
 
 
-def _is_repeated(model: Model, expression: Expr) -> bool:
-    return repeated_at_end(model, expression) or is_repeated_at_start(model, expression)
-
-
-def repeated_at_end(model: Model, expression: Expr) -> bool:
-    """Whether an expression in coordinates must have the same value at the end as at the start, by periodicity."""
+def _repeats_start(model: Model, expression: Expr) -> bool:
+    """Return True if an expression in coordinates has the same value at the end as at the start, by periodicity."""
     shifts = dict(model.periodic)
     present = [model.coordinates[i] for i in occurring(model.coordinates, expression)]
     periodic = bool(present) and all(q in shifts for q in present) and not expression.has(model.time)

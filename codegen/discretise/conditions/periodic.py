@@ -1,11 +1,11 @@
-"""What has the same value at the end as at the start, up to a shift; `transcribe.conditions.periodic` imposes it.
+"""Periodic motions: quantities with the same value at the end as at the start, up to a shift.
 
-Motions that end as they began: x(T) = x(0) + shift for coordinates, velocities, momenta and states.
+The condition is x(T) = x(0) + shift for coordinates, velocities, momenta and states.
 
-An unknown of the node is the same shared unknown at both ends, up to the shift. A velocity is no unknown of a node;
-where equal velocities mean equal momenta, the discrete momenta of both ends match a shared unknown pi: the end
-elements gain +lambda_0 pi and -lambda_N pi. Everything else becomes a condition at each end with a shared unknown w:
-x - w = 0 at the start, and x - w - shift = 0 at the end.
+An unknown of the node equals one shared unknown at both ends, up to the shift. A velocity is no unknown of a node. If
+equal velocities mean equal momenta, the discrete momenta of both ends match a shared unknown pi: the end elements gain
++lambda_0 pi and -lambda_N pi. Every other quantity has a condition at each end with a shared unknown w: x - w = 0 at
+the start, and x - w - shift = 0 at the end.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import sympy
 from sympy import Expr, S, Symbol, sstr
 
 from codegen.discretise.conditions.base import ConditionKind, Latex, Scope
-from codegen.discretise.guesses import at_start, coordinate_guess, momentum_guess
 from codegen.discretise.model.definitions import Condition, Model
+from codegen.discretise.model.guesses import at_start, coordinate_guess, momentum_guess
 from codegen.discretise.model.relations import Entry, checked_mapping, checked_sequence, entry_of, require_declared
 from codegen.discretise.program import Names, Unknown, is_invariant_under_shifts, occurring
 from codegen.errors import BoundaryError, ExpressionError
@@ -37,26 +37,24 @@ class PeriodicKind(ConditionKind):
     not_in_phases = BoundaryError, "it is periodic", SAME_AT_BOTH_ENDS
 
     def written(self, control: Control) -> Iterator[Entry]:
-        """What is periodic; a value that one end gives is given at the other end as well, and periodic no more."""
-        for entry in self._shifts(control.periodic):
-            symbol, shift = entry.key, entry.expression
+        """Yield the shifts of periodic quantities; a value that one end fixes is also fixed at the other end."""
+        periodic = control.periodic
+        if isinstance(periodic, Mapping):
+            shifts = list(checked_mapping("periodic", periodic, "symbol: shift").items())
+        else:
+            shifts = [(symbol, 0) for symbol in checked_sequence("periodic", periodic, "symbol")]
+        for index, (symbol, written) in enumerate(shifts):
+            require_declared("periodic", "lists", symbol)
+            if symbol in [other for other, _ in shifts[:index]]:
+                raise ExpressionError(f"periodic lists {symbol} twice", "list it once")
+            entry = entry_of("periodic", f"shift of {symbol}", written, symbol)
+            shift = entry.expression
             if symbol in control.start and symbol not in control.end:
                 yield entry_of("end", f"end of {symbol}", control.start[symbol] + shift, symbol)
             elif symbol in control.end and symbol not in control.start:
                 yield entry_of("start", f"start of {symbol}", control.end[symbol] - shift, symbol)
             else:
                 yield entry
-
-    def _shifts(self, periodic: Mapping[Symbol, Expr] | Sequence[Symbol]) -> Iterator[Entry]:
-        if isinstance(periodic, Mapping):
-            shifts = list(checked_mapping("periodic", periodic, "symbol: shift").items())
-        else:
-            shifts = [(symbol, 0) for symbol in checked_sequence("periodic", periodic, "symbol")]
-        for index, (symbol, shift) in enumerate(shifts):
-            require_declared("periodic", "lists", symbol)
-            if symbol in [other for other, _ in shifts[:index]]:
-                raise ExpressionError(f"periodic lists {symbol} twice", "list it once")
-            yield entry_of("periodic", f"shift of {symbol}", shift, symbol)
 
     def require_fitting(self, entry: Entry, control: Control, form: str) -> None:
         if entry.key in control.start:
@@ -74,7 +72,12 @@ class PeriodicKind(ConditionKind):
         yield from ((f"shift of {symbol}", shift) for symbol, shift in model.periodic)
 
     def sentences(self, model: Model) -> list[str]:
-        return [f"{q} at the end = {q} at the start{_added(shift)}" for q, shift in model.periodic]
+        lines = []
+        for q, shift in model.periodic:
+            written = sstr(shift)
+            term = f" - {written[1:]}" if written.startswith("-") and not shift.is_Add else f" + {written}"
+            lines.append(f"{q} at the end = {q} at the start{term if shift != 0 else ''}")
+        return lines
 
     def shown(self, model: Model) -> Iterator[tuple[str, tuple[tuple[str, Expr], ...]]]:
         if model.periodic:
@@ -82,15 +85,10 @@ class PeriodicKind(ConditionKind):
             yield "Periodic ends", rows
 
     def displayed(self, control: Control, latex: Latex) -> Iterator[str]:
-        given: Any = control.periodic
-        for symbol, shift in given.items() if isinstance(given, Mapping) else [(symbol, 0) for symbol in given]:
+        periodic: Any = control.periodic
+        for symbol, shift in periodic.items() if isinstance(periodic, Mapping) else [(s, 0) for s in periodic]:
             added = f" + {latex(shift)}" if shift else ""
             yield f"{latex.at(symbol, latex.last)} &= {latex.at(symbol, latex.first)}{added}"
-
-
-def _added(shift: Expr) -> str:
-    text = sstr(shift)
-    return "" if shift == 0 else f" - {text[1:]}" if text.startswith("-") and not shift.is_Add else f" + {text}"
 
 
 Alias = tuple[str, str, Expr]
@@ -99,9 +97,9 @@ Alias = tuple[str, str, Expr]
 
 @dataclass(frozen=True)
 class Own:
-    """A shared unknown that every body has for itself: what it is, its symbol, and where it starts.
+    """A shared unknown that every body has for itself, with its symbol and its guess.
 
-    One that `follows` an unknown of a node needs no bounds of its own.
+    A shared unknown that `follows` an unknown of a node needs no bounds of its own.
     """
 
     unknown: Unknown
@@ -112,10 +110,10 @@ class Own:
 
 @dataclass(frozen=True)
 class Periodic:
-    """Shared unknowns and what they do at both ends.
+    """Shared unknowns and their terms at both ends.
 
-    `start_momenta` and `end_momenta` give for a coordinate's index the momentum there that the discrete one matches.
-    `end_share` is what the end gains.
+    `start_momenta` and `end_momenta` give for a coordinate's index the momentum that the discrete momentum matches.
+    `end_share` is added to the end's share of the Lagrangian.
     """
 
     own: tuple[Own, ...] = ()
@@ -128,30 +126,30 @@ class Periodic:
     end_share: Expr = S.Zero
 
     def __add__(self, other: Periodic) -> Periodic:
-        """Both together."""
+        """Return the terms of both."""
         return Periodic(*(getattr(self, part.name) + getattr(other, part.name) for part in fields(Periodic)))
 
 
 def periodic_unknowns(model: Model, quantities: Sequence[Symbol], guesses: Sequence[Expr], names: Names) -> Periodic:
-    """Periodicity of the quantities that are unknowns of the node."""
+    """Return the periodicity of the quantities that are unknowns of the node."""
     out = Periodic()
     for quantity, shift in model.periodic:
         if quantity in quantities:
             guess = at_start(model, guesses[list(quantities).index(quantity)])
-            out += _tied(model, quantity, quantity, shift, guess, names)
+            out += _tied(quantity, shift, guess, names)
     return out
 
 
 def periodic_velocities(model: Model, names: Names) -> Periodic:
-    """Periodicity of the velocities of a model in Lagrangian form, by momenta where that says the same.
+    """Return the periodicity of the velocities of a model in Lagrangian form, by momenta where these are equivalent.
 
-    Where a condition or the terminal cost depends on a velocity, it is an unknown of the end and stands for itself.
+    A velocity in a condition or in the terminal cost is an unknown of the end, and keeps a condition of its own.
     """
     shifts = dict(model.periodic)
     chosen = [i for i, v in enumerate(model.rates) if v in shifts]
     conditions = (*model.start_conditions, *model.end_conditions)
-    wanted = occurring(model.rates, model.terminal_cost, *(condition.expression for condition in conditions))
-    by_momentum = set(equivalent_momenta(model, [i for i in chosen if i not in wanted]))
+    at_ends = occurring(model.rates, model.terminal_cost, *(condition.expression for condition in conditions))
+    by_momentum = set(equivalent_momenta(model, [i for i in chosen if i not in at_ends]))
     out = Periodic()
     for i in chosen:
         guess = at_start(model, momentum_guess(model)[i])
@@ -165,18 +163,17 @@ def periodic_velocities(model: Model, names: Names) -> Periodic:
 
 
 def periodic_momenta(original: Model, model: Model, names: Names) -> Periodic:
-    """Periodicity of the momenta of a Hamiltonian that is transcribed in Lagrangian form, by discrete momenta."""
+    """Return the periodicity of the momenta of a Hamiltonian that is transcribed in Lagrangian form."""
     shifts = dict(original.periodic)
     out = Periodic()
     for i, p in enumerate(original.rates):
-        if p not in shifts:
-            continue
-        out += _matched(model, i, shifts[p], at_start(model, momentum_guess(model)[i]), names)
+        if p in shifts:
+            out += _matched(model, i, shifts[p], at_start(model, momentum_guess(model)[i]), names)
     return out
 
 
 def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> Periodic:
-    """Periodicity of the velocities of a Lagrangian that is transcribed in Hamiltonian form."""
+    """Return the periodicity of the velocities of a Lagrangian that is transcribed in Hamiltonian form."""
     shifts = dict(model.periodic)
     chosen = [i for i, v in enumerate(model.rates) if v in shifts]
     by_momentum = set(equivalent_momenta(model, chosen))
@@ -184,7 +181,7 @@ def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> 
     for i in chosen:
         p, guess = phase.rates[i], at_start(model, momentum_guess(model)[i])
         if i in by_momentum:
-            out += _tied(model, p, p, S.Zero, guess, names)
+            out += _tied(p, S.Zero, guess, names)
         else:
             velocity = sympy.diff(phase.function, p)
             speed = at_start(model, sympy.diff(coordinate_guess(model)[i], model.time))
@@ -193,16 +190,25 @@ def periodic_velocities_in_momenta(model: Model, phase: Model, names: Names) -> 
 
 
 def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
-    """Those of the chosen indices at which equal velocities at both ends mean equal momenta dL/dv.
+    """Return those of the chosen indices at which equal velocities at both ends mean equal momenta dL/dv.
 
     The momenta must depend on periodic velocities and coordinates only and must not change under the coordinates'
-    shifts; with a holonomic constraint all of its coordinates are needed.
+    shifts. Of a holonomic constraint either all coordinates or none are returned.
     """
     shifts = dict(model.periodic)
     same = {i for i in chosen if shifts[model.rates[i]] == 0}
     momenta = gradient(model.function, model.rates)
+
+    def returns(momentum: Expr) -> bool:
+        present = [model.coordinates[i] for i in occurring(model.coordinates, momentum)]
+        if momentum.has(model.time) or not occurring(model.rates, momentum) <= same:
+            return False
+        return all(q in shifts for q in present) and is_invariant_under_shifts(
+            momentum, {q: shifts[q] for q in present}
+        )
+
     while True:
-        failing = {i for i in same if not _returns(model, momenta[i], same)}
+        failing = {i for i in same if not returns(momenta[i])}
         for constraint in model.holonomic:
             touched = occurring(model.coordinates, constraint)
             failing |= same & touched if not touched <= same else set()
@@ -211,34 +217,26 @@ def equivalent_momenta(model: Model, chosen: Sequence[int]) -> tuple[int, ...]:
         same -= failing
 
 
-def _returns(model: Model, momentum: Expr, same: set[int]) -> bool:
-    shifts = dict(model.periodic)
-    present = [model.coordinates[i] for i in occurring(model.coordinates, momentum)]
-    if momentum.has(model.time) or not occurring(model.rates, momentum) <= same:
-        return False
-    return all(q in shifts for q in present) and is_invariant_under_shifts(momentum, {q: shifts[q] for q in present})
-
-
-def _tied(model: Model, quantity: Symbol, unknown: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
-    """An unknown of the node, by aliases."""
+def _tied(quantity: Symbol, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    """Equate an unknown of the node at both ends to a shared unknown."""
     own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
     name = own.unknown.name
-    return Periodic((own,), ((unknown.name, name, S.Zero),), ((unknown.name, name, shift),))
+    return Periodic((own,), ((quantity.name, name, S.Zero),), ((quantity.name, name, shift),))
 
 
 def _matched(model: Model, index: int, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    """Match the discrete momenta of both ends to a shared unknown."""
     q = model.coordinates[index]
     own = _own(names.named("pi", q), Meaning(Kind.START_MOMENTUM, q.name), guess)
     return Periodic(own=(own,), start_momenta=((index, own.symbol),), end_momenta=((index, own.symbol + shift),))
 
 
 def _by_conditions(quantity: Symbol, value: Expr, shift: Expr, guess: Expr, names: Names) -> Periodic:
+    """Impose a condition at each end with a shared unknown."""
     own = _own(names.named("periodic", quantity), Meaning(Kind.START_VALUE, quantity.name), guess)
-    name = f"{quantity} is periodic"
-    first = Condition(name, value - own.symbol)
-    return Periodic(
-        own=(own,), start_conditions=(first,), end_conditions=(Condition(name, value - own.symbol - shift),)
-    )
+    at_ends = (Condition(f"{quantity} is periodic", value - own.symbol - offset) for offset in (S.Zero, shift))
+    start, end = at_ends
+    return Periodic(own=(own,), start_conditions=(start,), end_conditions=(end,))
 
 
 def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
@@ -246,7 +244,7 @@ def _own(name: str, meaning: Meaning, guess: Expr) -> Own:
 
 
 def require_constraints_return(model: Model, periodic: Periodic) -> None:
-    """Refuse velocities that are periodic while others of the same holonomic constraint are not, or are shifted."""
+    """Refuse periodic velocities of a holonomic constraint whose other velocities are not periodic, or are shifted."""
     conditions = (*periodic.start_conditions, *periodic.end_conditions)
     indices = occurring(model.rates, *(condition.expression for condition in conditions))
     for constraint in model.holonomic:

@@ -24,8 +24,8 @@ class Boundary:
 class Condition:
     """An expression that must vanish, or (`equality` false) must not be positive.
 
-    `name` is what its author called it, or else the condition as it was written, which messages shorten. `segment` is
-    the number, from 1, of the segment of a motion that delays cut, else 0.
+    `name` is the author's name of the condition, or else the condition as it was written, which messages shorten.
+    `segment` is the number, from 1, of the segment of a motion with delays, or else 0.
     """
 
     name: str
@@ -62,7 +62,7 @@ class InnerCondition(Condition):
 
 @dataclass(frozen=True)
 class Observed:
-    """What a column of measurements, `name`, holds: the value of `expression` at the time of the sample."""
+    """The quantity of a column of measurements, `name`: the value of `expression` at the time of the sample."""
 
     name: str
     expression: sympy.Expr
@@ -70,7 +70,7 @@ class Observed:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Least and greatest value of a coordinate, momentum, state or control at every time; None where there is none."""
+    """Bounds of a coordinate, momentum, state or control at every time; None where a side has no bound."""
 
     symbol: sympy.Symbol
     lower: sympy.Expr | None
@@ -78,7 +78,7 @@ class Bounds:
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """The same as conditions."""
+        """Return the bounds as inequalities."""
         signed = [(-1, ">=", self.lower), (1, "<=", self.upper)]
         return tuple(
             Condition(f"{self.symbol} {relation} {text(limit)}", sign * (self.symbol - limit), equality=False)
@@ -99,7 +99,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class EndValue:
-    """The symbol that stands in a coupling condition for one body's coordinate at the end of the time interval."""
+    """The symbol of one body's coordinate at the end of the time interval, in coupling conditions."""
 
     symbol: sympy.Symbol
     coordinate: int
@@ -108,9 +108,9 @@ class EndValue:
 
 @dataclass(frozen=True)
 class Delay:
-    """A value of the past: `symbol` stands for that of `quantity` at the time t - `lag`.
+    """A delayed value: `symbol` stands for `quantity` at the time t - `lag`.
 
-    `history` is what it was before t = 0, in the time t at which the quantity had it.
+    `history` is the quantity before t = 0, as a function of the time t.
     """
 
     symbol: sympy.Symbol
@@ -121,11 +121,11 @@ class Delay:
 
 @dataclass(frozen=True)
 class Segments:
-    """How a motion with delays was cut into `number` segments of equal length, which run side by side.
+    """The division of a motion with delays into `number` segments of equal length, which run side by side.
 
-    `whole` is the problem as its author gave it; in the order of its quantities, each segment has them all. A delayed
-    value is that of `steps_back` segments before, in the order of the delays. `names` has for every quantity of a
-    segment its name there, its name in the whole problem and the number of the segment, from 1.
+    `whole` is the problem as its author gave it. Each segment has all of its quantities, in the same order. In the
+    order of the delays, a delayed value is the value `steps_back` segments before. `names` has for every quantity of a
+    segment its name in the segment, its name in the whole problem and the number of the segment, from 1.
     """
 
     number: int
@@ -141,29 +141,28 @@ class Model:
     `form` is lagrangian, hamiltonian or first-order. In first-order form coordinates are the states, there are no
     rates, `function` is zero and `dynamics` holds the right-hand sides of x' = f(x, u, t); `force` is empty.
 
-    `path` holds at every time and may depend on coordinates, rates, controls, time and parameters; bounds on
-    velocities arrive there as well. `integrals` are conditions on integrals over the duration. `inner_conditions` hold
-    at one of the `inner_times` each, which are in this order. `start_conditions` and
-    `end_conditions` are conditions on coordinates and rates of one end, beside the values of `start` and `end`.
+    `path` conditions hold at every time and may depend on coordinates, rates, controls, time and parameters. They
+    include bounds on velocities. `integrals` are conditions on integrals over the duration. Each of the
+    `inner_conditions` holds at one of the `inner_times`, and both are in the order of the times. `start_conditions` and
+    `end_conditions` are conditions on coordinates and rates of one end, in addition to the values of `start` and `end`.
     `terminal_cost` is added to the integral of `cost` and depends on coordinates and rates at the end and on
-    parameters; both are negated where the author asked for a greatest value, which `maximised` says. `holonomic`
-    constraints c(q) = 0 hold at every time. The `loss` of what is `observed`, less `measurements`, is added to the
-    cost; these are files of one layout, one for each body.
-    `periodic` gives pairs (coordinate or rate, shift): its value at the end is that at the start plus the shift.
-    `joined` gives pairs of coordinates: the value of the one at the end is that of the other at the start, and the same
-    holds for their rates.
-    With `delays` the values of the past are symbols of their own; only the whole problem behind `segments` has them.
+    parameters. Both are negated where the author asked for a maximum (`maximised`). `holonomic` constraints c(q) = 0
+    hold at every time. The `loss` of the differences between `observed` expressions and `measurements` is added to the
+    cost. The measurements are files of one layout, one file for each body.
+    `periodic` gives pairs (coordinate or rate, shift): the value at the end is the value at the start plus the shift.
+    `joined` gives pairs of coordinates: the first one at the end equals the second one at the start, and so do their
+    rates. Models with `delays` have symbols for delayed values; only the whole problem behind `segments` has them.
 
-    With `bodies` > 1 the system is that many identical bodies without interaction; `body` is the symbol for a body's
+    With `bodies` > 1 the system is that many identical bodies without interaction. `body` is the symbol of a body's
     number 0, 1, ... in boundary values, guesses and bounds. `couplings` tie bodies together at the end, in the symbols
-    of `end_values` and parameters. The duration may depend on free parameters. `scales` are typical sizes of unknowns
-    that the author knows. `drawing` is for pictures alone, and so are `units`: names of coordinates, rates, momenta,
-    controls, parameters, of the time `t`, and of `cost` and `energy`, with texts.
+    of `end_values` and parameters. The duration may depend on free parameters. `scales` are the author's typical sizes
+    of unknowns. `drawing` and `units` serve pictures alone. `units` pairs names with texts: of coordinates, rates,
+    momenta, controls, parameters, the time `t`, `cost` and `energy`.
 
-    A problem of several phases has a model for each in `phases`; with P of them, the P - 1 `jumps` give pairs
-    (coordinate or rate, value after the switch in terms of those before). The model itself then holds what belongs to
-    all phases, the start of the first and the end of the last one; controls, parameters and free parameters are those
-    of any phase, `duration` is the sum of all, and the time runs through.
+    A problem of P phases has a model for each phase in `phases`. The P - 1 `jumps` give pairs (coordinate or rate,
+    value after the switch as an expression of the values before). The model of the problem itself has the start of the
+    first phase, the end of the last one, and the sum of all durations. Its controls, parameters and free parameters
+    are those of any phase, and its time runs through all phases.
     """
 
     task: str
@@ -216,29 +215,29 @@ class Model:
 
     @property
     def with_free_ends(self) -> Model:
-        """The same model with nothing given at its ends, where a Legendre transform could fail for their sake."""
+        """Return the model with free ends, since a Legendre transform may fail for fixed rates."""
         free = Boundary((None,) * len(self.coordinates), (None,) * len(self.rates))
         return replace(self, start=free, end=free if self.end else None)
 
     @property
     def authored(self) -> Model:
-        """The problem as its author gave it, with its values of the past."""
+        """Return the problem as its author gave it, with delays."""
         return self.segments.whole if self.segments else self
 
     @property
     def has_free_times(self) -> bool:
-        """Whether it is to be found how the duration is shared out between the inner times."""
+        """Return True if the lengths of the intervals between inner times are unknowns."""
         free = {parameter.symbol for parameter in self.free_parameters}
         return any(inner.time is None or self.duration.free_symbols & free for inner in self.inner_times)
 
     @property
     def default_values(self) -> dict[sympy.Symbol, float]:
-        """The parameters with their default values."""
+        """Return the parameters with their default values."""
         return dict(zip(self.parameters, self.defaults, strict=True))
 
 
 def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
-    """The coordinates and rates that `start` or `end` gives values to."""
+    """Return the values of coordinates and rates that `start` or `end` fixes."""
     boundary = model.start if end == "start" else model.end
     if boundary is None:
         return {}
@@ -247,7 +246,7 @@ def prescribed(model: Model, end: str) -> dict[sympy.Symbol, sympy.Expr]:
 
 
 def expressions_of(model: Model) -> Iterator[sympy.Expr]:
-    """What holds all along a motion: cost, Lagrangian or Hamiltonian, forces, dynamics, path conditions, integrals."""
+    """Yield cost, Lagrangian or Hamiltonian, forces, dynamics, and the expressions of path and integral conditions."""
     yield from (e for e in (model.cost, model.function, *model.force, *model.dynamics) if e is not None)
     yield from (condition.expression for condition in model.path)
     yield from (integral.expression for integral in model.integrals)

@@ -14,7 +14,7 @@ import sympy
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
 from sympy.simplify.fu import TR8
 
-from codegen.discretise.model.definitions import Boundary, Model
+from codegen.discretise.model.definitions import Boundary, Model, prescribed
 from codegen.errors import BoundaryError, DegenerateError, SizeError, SymbolError
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.derivatives import gradient
@@ -33,9 +33,9 @@ _WRITTEN_LIMIT = 100_000
 def hamiltonian_form(model: Model) -> Model:
     """Return the model with H(q, p, t) in place of L(q, v, t); force, cost and boundary are rewritten in (q, p, u, t).
 
-    The momenta are called `p_<coordinate>`. What has no Lagrangian is returned as it is. Raises SymbolError when such a
-    name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError when a fixed end velocity
-    does not determine its momentum.
+    The momenta are called `p_<coordinate>`. A model without Lagrangian is returned unchanged. Raises SymbolError when
+    such a name is taken, DegenerateError when p = dL/dv has no unique solution, and BoundaryError when a fixed end
+    velocity does not determine its momentum.
     """
     return _transformed(model, "hamiltonian") if model.form == "lagrangian" else model
 
@@ -51,9 +51,9 @@ def lagrangian_form(model: Model) -> Model:
 
 
 def in_phase_space(model: Model) -> Model:
-    """Return a Lagrangian model with momenta as its rates and with its ends in them, but with no function of these.
+    """Return a Lagrangian model with momenta as rates and boundary values, but without the Hamiltonian.
 
-    This is all of the Hamiltonian form that does not want p = dL/dv to be solved for v. Raises SymbolError and
+    This part of the Hamiltonian form does not need the solution of p = dL/dv for v. Raises SymbolError and
     BoundaryError as `hamiltonian_form` does.
     """
     conjugates, slopes = conjugate_symbols(model), gradient(model.function, model.rates)
@@ -112,11 +112,12 @@ def new_symbols(model: Model, prefix: str, of: Sequence[sympy.Symbol]) -> tuple[
 def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
     """Solve a regular square symbolic system, one connected block of the matrix at a time.
 
-    A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and
-    the expressions stay small. Entries are simplified first, because a zero that is not seen joins two blocks.
-    Raises DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
+    A block is the set of unknowns that its entries couple, so a diagonal matrix costs one division an unknown and the
+    expressions stay small. Entries are simplified first, because a hidden zero joins two blocks. Raises
+    DegenerateError, naming the first row, when a block is singular, and SizeError when one is too large.
     """
-    _require_affordable(matrix)
+    if _inverse_operations(matrix) > _WRITTEN_LIMIT:
+        _require_affordable_blocks(matrix)
     matrix = matrix.applyfunc(_simplified_entry)
     solution = [sympy.S.Zero] * len(right)
     for block in matrix.connected_components():
@@ -127,22 +128,20 @@ def solve_blocks(matrix: sympy.Matrix, right: Sequence[sympy.Expr]) -> tuple[sym
             determinant = _simplified_entry(part.det(method="berkowitz"))
             if identically_zero(determinant):
                 raise DegenerateError(f"a linear system is singular in row {rows[0] + 1}", "check that it is regular")
-            found = part.adjugate() * values / determinant
+            unknowns = part.adjugate() * values / determinant
         else:
-            found = part.LUsolve(values, iszerofunc=identically_zero)
-        for row, value in zip(rows, found, strict=True):
+            unknowns = part.LUsolve(values, iszerofunc=identically_zero)
+        for row, value in zip(rows, unknowns, strict=True):
             solution[row] = value
     return tuple(solution)
 
 
-def _require_affordable(matrix: sympy.Matrix) -> None:
-    """Refuse an inverse that would be too long when it is written out, before hours go into it."""
-    if _written_out(matrix) <= _WRITTEN_LIMIT:
-        return
+def _require_affordable_blocks(matrix: sympy.Matrix) -> None:
+    """Refuse a block whose inverse would be too long when it is written out, before hours go into it."""
     matrix = matrix.applyfunc(lambda entry: sympy.S.Zero if identically_zero(entry) else entry)
     for block in matrix.connected_components():
         rows = sorted(block)
-        operations = _written_out(matrix.extract(rows, rows))
+        operations = _inverse_operations(matrix.extract(rows, rows))
         if operations > _WRITTEN_LIMIT:
             quantities = ", ".join(sorted(map(str, matrix.free_symbols)))
             raise SizeError(
@@ -152,8 +151,8 @@ def _require_affordable(matrix: sympy.Matrix) -> None:
             )
 
 
-def _written_out(matrix: sympy.Matrix) -> float:
-    """About how many operations an inverse has, of which every row of an elimination quadruples the terms."""
+def _inverse_operations(matrix: sympy.Matrix) -> float:
+    """Estimate the operations of an inverse: every row of an elimination quadruples the terms."""
     if matrix.rows <= _ADJUGATE_LIMIT:
         return 0.0
     return float(4**matrix.rows * sum(int(entry.count_ops()) for entry in matrix) / matrix.rows**2)
@@ -247,15 +246,14 @@ def _inverts(
     slopes: Sequence[sympy.Expr],
     conjugates: Sequence[sympy.Symbol],
 ) -> bool:
-    """Whether a candidate x(y) gives back x at trial points of both signs; sympy may return spurious branches."""
+    """Return True if a candidate x(y) gives back x at trial points; sympy may return spurious branches."""
     tried = False
     for point in _trial_points(model):
         image = [expressions.number_at(slope, point) for slope in slopes]
-        known = [value for value in image if value is not None]
-        if len(known) < len(image):
+        if None in image:
             continue  # outside the domain of the function, as above the speed of light
         tried = True
-        inverse_point = point | dict(zip(conjugates, known, strict=True))
+        inverse_point = point | dict(zip(conjugates, image, strict=True))
         for x in model.rates:
             value = expressions.number_at(candidate[x], inverse_point)
             if value is None or abs(value - point[x]) > 1e-6 * (1.0 + abs(point[x])):
@@ -272,17 +270,14 @@ def _boundary(
     conjugates: Sequence[sympy.Symbol],
 ) -> Boundary:
     """Rewrite the fixed rates at one end; a free rate leaves its conjugate free."""
-    symbols = [*model.coordinates, *model.rates]
-    values = [*boundary.positions, *boundary.rates]
-    fixed = {symbol: value for symbol, value in zip(symbols, values, strict=True) if value is not None}
-    fixed[model.time] = instant
+    fixed = {**prescribed(model, where), model.time: instant}
     rates: list[sympy.Expr | None] = []
     for rate, slope, y, value in zip(model.rates, slopes, conjugates, boundary.rates, strict=True):
         if value is None:
             rates.append(None)
             continue
         determined = slope.xreplace(fixed)
-        unknown = sorted(determined.free_symbols & set(symbols), key=str)
+        unknown = sorted(determined.free_symbols & {*model.coordinates, *model.rates}, key=str)
         if unknown:
             raise BoundaryError(
                 f"{where} fixes {rate} but leaves {' '.join(map(str, unknown))} free, so it does not determine {y}",

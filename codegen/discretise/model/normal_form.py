@@ -1,4 +1,4 @@
-"""From what an author wrote to the canonical form: collect, check what may be where, build, check with numbers."""
+"""The canonical form of a problem of one phase: collect expressions, check their symbols, build, check numbers."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import sympy
 from codegen import identifiers
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.conditions.measurements import measurements_of
-from codegen.discretise.model import delays, drawings, smoothness, values
+from codegen.discretise.model import delays, scope, smoothness, values
 from codegen.discretise.model.definitions import Boundary, Bounds, Condition, EndValue, FreeParameter, Model
+from codegen.discretise.model.delays import in_segments
 from codegen.discretise.model.relations import Entry, text
 from codegen.discretise.model.scope import Kinds, kinds_of, require_keys, require_scope
-from codegen.discretise.model.segments import in_segments
 from codegen.discretise.model.smoothness import with_regular_guesses
 from codegen.discretise.model.units import units_of
 from codegen.discretise.model.written import maximises, used_quantities, written_costs, written_entries
@@ -33,8 +33,8 @@ from codegen.symbolic.terms import value_counts
 def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
     """Check an author's problem and bring it into canonical form.
 
-    `declared` are the quantities that were declared while the problem was made; the model names those that are not
-    used. Raises a kind of CodegenError that names the symbol or expression and the remedy.
+    `declared` are the quantities that were declared while the problem was made; the model lists the unused ones.
+    Raises a kind of CodegenError that names the symbol or expression and the remedy.
     """
     if not isinstance(problem, (Simulate, Control)):
         raise ProblemFileError(
@@ -46,10 +46,10 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
         raise ExpressionError("the simulation is given by dynamics", remedy)
     entries = written_entries(problem, form)
     used = used_quantities(entries)
-    drawing = drawings.checked_drawing(problem)
-    drawings.require_derived(drawing, used)
+    drawing = scope.checked_drawing(problem)
+    scope.require_derived(drawing, used)
     require_unique_names([*used, *declared])
-    unused = unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
+    unused = unused_names([*used, *scope.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     if isinstance(problem, Control):
         require_cost([problem], kinds)
@@ -57,13 +57,13 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
     model = checked_model(problem, entries, kinds, plain, name, title)
     values.require_agreement(model)
     model = with_positive_durations(replace(model, unused=unused, units=units_of(used, entries, plain)))
-    return in_segments(with_regular_guesses(drawings.with_drawing(model, drawing, plain)))
+    return in_segments(with_regular_guesses(scope.with_drawing(model, drawing, plain)))
 
 
 def with_positive_durations(model: Model) -> Model:
-    """The model in which a free parameter that is the duration, and has no lower bound, is at least zero.
+    """Bound a free parameter that is the duration, and has no lower bound, by zero from below.
 
-    Periodic motions are left alone: with a bound the search may end in one that takes no time.
+    Periodic motions keep their free duration: with the bound the search may end in a motion without length.
     """
     durations = {phase.duration for phase in model.phases or (model,) if not phase.periodic}
     free = tuple(
@@ -83,7 +83,7 @@ def checked_model(
     title: str = "",
     elsewhere: Mapping[sympy.Symbol, float] | None = None,
 ) -> Model:
-    """Check one problem and build its model; whether boundary values agree with conditions is still to be seen.
+    """Check one problem and build its model; `values.require_agreement` checks boundary values later.
 
     `elsewhere` has values of states that the problem leaves open, from the phases before it.
     """
@@ -104,7 +104,7 @@ def checked_model(
 
 
 def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.Symbol]:
-    """The symbols of a model that stand for the author's quantities; names that generated code needs have a mark."""
+    """Return the symbol of the model for each quantity; names that generated code needs are marked."""
     names = {symbol.name for symbol in used if not isinstance(symbol, symbols.EndValue)}
     plain: dict[Quantity, sympy.Symbol] = {}
     for symbol in used:
@@ -121,7 +121,7 @@ def plain_symbols(used: Sequence[Quantity], task: str) -> dict[Quantity, sympy.S
 
 
 def require_cost(problems: Sequence[Control], kinds: Kinds) -> None:
-    """Refuse controls of which nothing says how they are best, in any of the problems."""
+    """Refuse controls that no cost and no condition of any of the problems determines."""
     limits = [kind.argument for kind in CONDITIONS if symbols.ControlInput in kind.scope[kind.argument]]
     if not kinds.controls or any(getattr(problem, argument) for problem in problems for argument in limits):
         return
@@ -142,18 +142,18 @@ def require_unique_names(quantities: Sequence[Quantity]) -> None:
     seen: dict[str, Quantity] = {}
     for symbol in quantities:
         if isinstance(symbol, symbols.EndValue):
-            continue  # it has a name that nobody chose
+            continue  # its name was not chosen by the author
         if seen.setdefault(symbol.name, symbol) != symbol:
             raise SymbolError(f"two symbols are called {symbol.name}", "give one of them another name")
 
 
 def unused_names(used: Sequence[Quantity], declared: Sequence[Quantity]) -> tuple[str, ...]:
-    """The names of quantities that were declared to no purpose."""
+    """Return the names of the declared quantities that the problem does not use."""
     return tuple(symbol.name for symbol in declared if symbol not in used)
 
 
 def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
-    """Refuse arguments that contradict each other, whatever the numbers are."""
+    """Refuse arguments that contradict each other, independently of numbers."""
     for what, number in [("steps", problem.steps), ("bodies", getattr(problem, "bodies", 1))]:
         if isinstance(number, bool) or not isinstance(number, Integral) or number < 1:
             raise ExpressionError(f"{what} is {number!r}", "give a positive integer")
@@ -167,11 +167,8 @@ def _require_fitting(problem: Problem, form: str, entries: Sequence[Entry], kind
             raise ExpressionError(f"dynamics lacks {', '.join(missing)}", "give the derivative of every state")
         if problem.force:
             raise ExpressionError("force beside dynamics", "add what acts on the system to its right-hand sides")
-    if isinstance(problem, Control):
-        _require_fitting_control(problem, form, entries, kinds)
-
-
-def _require_fitting_control(problem: Control, form: str, entries: Sequence[Entry], kinds: Kinds) -> None:
+    if not isinstance(problem, Control):
+        return
     for kind in CONDITIONS:
         for entry in (entry for entry in entries if entry.role == kind.argument):
             kind.require_fitting(entry, problem, form)
@@ -197,17 +194,37 @@ def _built(
     name: str,
     title: str,
 ) -> Model:
+    """Build the model of a problem whose entries are in plain symbols."""
     coordinates, rates, controls, parameters, free = (
         tuple(plain[symbol] for symbol in symbols)
         for symbols in (kinds.coordinates, kinds.rates, kinds.controls, kinds.parameters, kinds.free)
     )
-    start, tied_at_start = _boundary(entries, "start", coordinates, rates, free)
-    end, tied_at_end = _boundary(entries, "end", coordinates, rates, free)
+
+    def value(role: str) -> sympy.Expr:
+        return next((entry.expression for entry in entries if entry.role == role), sympy.S.Zero)
+
+    def per_coordinate(role: str) -> tuple[sympy.Expr, ...]:
+        components = dict(_pairs(entries, role))
+        return tuple(components.get(x, sympy.S.Zero) for x in coordinates)
+
+    def boundary(end: str) -> tuple[Boundary, tuple[Condition, ...]]:
+        """Return the values at one end; values that depend on free parameters become conditions."""
+        fixed = dict(_pairs(entries, end))
+        tied = {symbol: fixed.pop(symbol) for symbol in [s for s in fixed if fixed[s].free_symbols & set(free)]}
+        conditions = tuple(Condition(f"{symbol} = {text(value)}", symbol - value) for symbol, value in tied.items())
+        return Boundary(tuple(map(fixed.get, coordinates)), tuple(map(fixed.get, rates))), conditions
+
+    start, start_conditions = boundary("start")
+    end, end_conditions = boundary("end")
     time = plain[kinds.time] if kinds.time is not None else sympy.Symbol("t", real=True)
-    is_control = isinstance(problem, Control)
-    first_order = form == "dynamics"
+    guesses, lower, upper = (dict(_pairs(entries, role)) for role in ("first guess", "lower bound", "upper bound"))
+    scales = tuple((symbol, float(size)) for symbol, size in _pairs(entries, "scale"))
+    for symbol, size in scales:
+        if not 0.0 < size < math.inf:
+            raise ExpressionError(f"scale of {symbol} is {size:g}", "give its typical size, a positive number")
+    is_control, is_first_order = isinstance(problem, Control), form == "dynamics"
     # In Lagrangian form velocities are no unknowns of their own.
-    of_velocities = _bounds_of(entries, rates if form == "lagrangian" else ())
+    velocity_bounds = _bounds_of(entries, rates if form == "lagrangian" else ())
     model = Model(
         task=problem.task,
         name=name,
@@ -219,89 +236,47 @@ def _built(
         parameters=parameters,
         defaults=tuple(p.value for p in kinds.parameters),
         time=time,
-        function=_value(entries, form) if not first_order else sympy.S.Zero,
-        force=_each(entries, "force", coordinates) if not first_order else (),
-        cost=_value(entries, "cost") if is_control else None,
-        duration=_value(entries, "duration"),
+        function=value(form) if not is_first_order else sympy.S.Zero,
+        force=per_coordinate("force") if not is_first_order else (),
+        cost=value("cost") if is_control else None,
+        duration=value("duration"),
         start=start,
         end=end if is_control else None,
         guess=_pairs(entries, "guess"),
         steps=int(problem.steps),
         delays=delays.delays_of(entries, kinds.delayed, plain, time),
-        dynamics=_each(entries, "dynamics", coordinates) if first_order else (),
+        dynamics=per_coordinate("dynamics") if is_first_order else (),
         bounds=_bounds_of(entries, (*coordinates, *(rates if form == "hamiltonian" else ()), *controls)),
-        path=tuple(condition for bound in of_velocities for condition in bound.conditions),
-        start_conditions=tied_at_start,
-        end_conditions=tied_at_end,
-        terminal_cost=_value(entries, "terminal_cost"),
+        path=tuple(condition for bound in velocity_bounds for condition in bound.conditions),
+        start_conditions=start_conditions,
+        end_conditions=end_conditions,
+        terminal_cost=value("terminal_cost"),
         maximised=isinstance(problem, Control) and maximises(problem),
-        free_parameters=_free_parameters_of(entries, free),
+        free_parameters=tuple(FreeParameter(s, guesses[s], lower.get(s), upper.get(s)) for s in free),
         bodies=int(getattr(problem, "bodies", 1)),
         body=plain[kinds.body] if kinds.body is not None else None,
         end_values=tuple(
             EndValue(plain[value], kinds.coordinates.index(value.partner), value.body) for value in kinds.end_values
         ),
-        scales=_scales(entries),
+        scales=scales,
     )
     for kind in CONDITIONS:
         model = kind.added(model, entries)
-    given = measurements_of(problem) if isinstance(problem, Control) else ()
-    return replace(model, measurements=tuple(one.data for one in given), loss=given[0].loss) if given else model
-
-
-def _bounds_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[Bounds, ...]:
-    """Bounds of the given symbols, without those that have none."""
-    lower, upper = dict(_pairs(entries, "lower bound")), dict(_pairs(entries, "upper bound"))
-    return tuple(Bounds(s, lower.get(s), upper.get(s)) for s in symbols if s in lower or s in upper)
-
-
-def _free_parameters_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[FreeParameter, ...]:
-    """The given symbols with their first guesses and bounds."""
-    guess, lower, upper = (dict(_pairs(entries, role)) for role in ("first guess", "lower bound", "upper bound"))
-    return tuple(FreeParameter(s, guess[s], lower.get(s), upper.get(s)) for s in symbols)
-
-
-def _scales(entries: Sequence[Entry]) -> tuple[tuple[sympy.Symbol, float], ...]:
-    """The sizes that the author gives, which are positive numbers."""
-    found = []
-    for symbol, value in _pairs(entries, "scale"):
-        size = float(value)
-        if not 0.0 < size < math.inf:
-            raise ExpressionError(f"scale of {symbol} is {size:g}", "give its typical size, a positive number")
-        found.append((symbol, size))
-    return tuple(found)
+    measured = measurements_of(problem) if isinstance(problem, Control) else ()
+    return replace(model, measurements=tuple(m.data for m in measured), loss=measured[0].loss) if measured else model
 
 
 def in_plain_symbols(entry: Entry, plain: Mapping[Quantity, sympy.Symbol]) -> Entry:
-    """An entry in the symbols of a model, with decimal numbers as rationals."""
+    """Return an entry in the symbols of a model, with decimal numbers as rationals."""
     expression = expressions.tidied(entry.expression.xreplace(plain))
     return replace(entry, expression=expression, key=plain[entry.key] if entry.key is not None else None)
 
 
-def _each(entries: Sequence[Entry], role: str, symbols: Sequence[sympy.Symbol]) -> tuple[sympy.Expr, ...]:
-    given = dict(_pairs(entries, role))
-    return tuple(given.get(symbol, sympy.S.Zero) for symbol in symbols)
-
-
-def _value(entries: Sequence[Entry], role: str) -> sympy.Expr:
-    return next((entry.expression for entry in entries if entry.role == role), sympy.S.Zero)
+def _bounds_of(entries: Sequence[Entry], symbols: Sequence[sympy.Symbol]) -> tuple[Bounds, ...]:
+    """Return the bounds of those symbols that have any."""
+    lower, upper = dict(_pairs(entries, "lower bound")), dict(_pairs(entries, "upper bound"))
+    return tuple(Bounds(s, lower.get(s), upper.get(s)) for s in symbols if s in lower or s in upper)
 
 
 def _pairs(entries: Sequence[Entry], role: str) -> tuple[tuple[sympy.Symbol, sympy.Expr], ...]:
     return tuple((entry.key, entry.expression) for entry in entries if entry.role == role and entry.key is not None)
-
-
-def _boundary(
-    entries: Sequence[Entry],
-    end: str,
-    coordinates: Sequence[sympy.Symbol],
-    rates: Sequence[sympy.Symbol],
-    free: Sequence[sympy.Symbol],
-) -> tuple[Boundary, tuple[Condition, ...]]:
-    """The values at one end, and as conditions those that depend on free parameters, which are no given numbers."""
-    values = dict(_pairs(entries, end))
-    tied = {symbol: value for symbol, value in values.items() if value.free_symbols & set(free)}
-    for symbol in tied:
-        del values[symbol]
-    conditions = tuple(Condition(f"{symbol} = {text(value)}", symbol - value) for symbol, value in tied.items())
-    return Boundary(tuple(map(values.get, coordinates)), tuple(map(values.get, rates))), conditions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ class ParticleSymbols:
 
     @property
     def moving(self) -> tuple[Symbol, ...]:
-        """Coordinates, then momenta."""
+        """Return coordinates, then momenta."""
         return (*self.q, *self.p)
 
 
@@ -42,14 +42,14 @@ class ParticleSymbols:
 class PairwiseModel:
     """A pairwise Hamiltonian in canonical form: H = sum_i self_term(z_i) + sum_{i<j} pair_term(z_i, z_j).
 
-    `coordinates`, `momenta` and `own` are the names of a particle's quantities without the marks `_i` and `_j` that
-    tell the symbols of `first` and `second` apart. `domain` holds expressions in coordinates of `first` that are
-    positive where a particle may be. `limit` is the value to which the pair term tends where particles meet, None if
-    it has none there, and `smooth` says that its gradient tends to that of the limit.
+    `coordinates`, `momenta` and `own` are the names of a particle's quantities. The symbols of `first` and `second` add
+    the marks `_i` and `_j`. `domain` holds expressions in coordinates of `first` that are positive where a particle may
+    be. `limit` is the limit of the pair term at coincidence of the particles, or None. `smooth` is True if the gradient
+    of the pair term tends to the gradient of the limit.
 
     A connect problem has `points`, the default file, and `path`, the guessed position after a FRACTION of the way, in
-    coordinates of `first` for the start and of `second` for the target, is `passive` if it carries points without
-    momenta, and `parallel` if threads share its gradient; a simulation has the arrays `start` of shape (2, n, d) and
+    coordinates of `first` for the start and of `second` for the target. It is `passive` if it carries points without
+    momenta, and `parallel` if threads share its gradient. A simulation has the arrays `start` of shape (2, n, d) and
     `own_values` of shape (n, k).
     """
 
@@ -81,12 +81,12 @@ class PairwiseModel:
 
     @property
     def connects(self) -> bool:
-        """Whether particles are connected with their targets, not followed."""
+        """Return True if particles are connected with their targets, False in a simulation."""
         return self.task == "connect"
 
 
 def is_pairwise(problem: Any) -> bool:
-    """Whether an author's problem is about particles that interact in pairs."""
+    """Return True if an author's problem is about particles that interact in pairs."""
     return isinstance(problem, Connect) or isinstance(getattr(problem, "hamiltonian", None), Pairwise)
 
 
@@ -95,60 +95,69 @@ def normalise_pairwise(problem: Any, declared: Sequence[Quantity], name: str, ti
 
     Raises a kind of CodegenError that names the symbol or expression and the remedy.
     """
-    system = _pairwise_of(problem)
+    system = problem.hamiltonian
+    if not isinstance(system, Pairwise):
+        raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
+    if not isinstance(problem, (Connect, Simulate)):
+        raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
     terms = _terms(system, problem.duration)
-    _require_symbols(terms, system.pair, declared)
-    inside = set().union(*(e.free_symbols for e in terms.values()))
-    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in inside)
+    particle_symbols = {s for one in system.pair for s in (*one.q, *one.p, *one.own)}
+    for what, expression in terms.items():
+        for symbol in sorted(expression.free_symbols, key=str):
+            if symbol not in particle_symbols and not isinstance(symbol, Parameter):
+                raise SymbolError(
+                    f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
+                )
+    require_unique_names(declared)
+    present = set().union(*(e.free_symbols for e in terms.values()))
+    parameters = tuple(symbol for symbol in declared if isinstance(symbol, Parameter) and symbol in present)
     plain = _plain_symbols(system.pair, parameters, problem.task)
     first, second = (
         ParticleSymbols(*(tuple(plain[s] for s in g) for g in (one.q, one.p, one.own))) for one in system.pair
     )
-    pair = expressions.tidied(terms["pair_term"].xreplace(plain))
-    self_term = expressions.tidied(terms["self_term"].xreplace(plain)) if "self_term" in terms else None
+    tidied = {what: expressions.tidied(term.xreplace(plain)) for what, term in terms.items()}
+    pair, self_term = tidied["pair_term"], tidied.get("self_term")
     _require_scope(pair, self_term, first, second)
     limit, smooth = Invariants.of(pair, first.moving, second.moving).coincidence()
-    domain = tuple(expressions.tidied(terms[f"domain[{k}]"].xreplace(plain)) for k in range(len(system.domain)))
     start, own_values = _particles_at_start(problem, system.pair[0]) if isinstance(problem, Simulate) else ((), ())
+    if self_term is None:
+        if limit is None:
+            raise ExpressionError("self_term is missing", "pair_term has no limit at coincidence that could replace it")
+        # Half of the interaction with another particle at the same point.
+        of_first = zip((*second.own, *second.p), (*first.own, *first.p), strict=True)
+        self_term = limit.xreplace(dict(of_first)) / 2
+    if isinstance(problem.steps, bool) or not isinstance(problem.steps, int) or problem.steps < 1:
+        raise ExpressionError(f"steps is {problem.steps!r}", "give a positive integer")
     return PairwiseModel(
         task=problem.task,
         name=name,
         title=title,
-        coordinates=_names(first.q),
-        momenta=_names(first.p),
-        own=_names(first.own),
+        coordinates=tuple(symbol.name.removesuffix("_i") for symbol in first.q),
+        momenta=tuple(symbol.name.removesuffix("_i") for symbol in first.p),
+        own=tuple(symbol.name.removesuffix("_i") for symbol in first.own),
         first=first,
         second=second,
         parameters=tuple(plain[s] for s in parameters),
         defaults=tuple(s.value for s in parameters),
-        self_term=_half_limit(limit, first, second) if self_term is None else self_term,
+        self_term=self_term,
         pair_term=pair,
-        domain=domain,
+        domain=tuple(tidied[f"domain[{k}]"] for k in range(len(system.domain))),
         limit=limit,
         smooth=smooth,
-        duration=expressions.tidied(terms["duration"].xreplace(plain)),
-        steps=_count(problem.steps),
+        duration=tidied["duration"],
+        steps=problem.steps,
         points=Path(problem.points).as_posix() if isinstance(problem, Connect) else "",
         path=_guessed_path(problem, first, second) if isinstance(problem, Connect) else (),
         passive=isinstance(problem, Connect) and problem.passive,
         parallel=isinstance(problem, Connect) and problem.parallel,
         start=start,
         own_values=own_values,
-        unused=tuple(s.name for s in declared if isinstance(s, Parameter) and s not in inside),
+        unused=tuple(s.name for s in declared if isinstance(s, Parameter) and s not in present),
     )
 
 
-def _pairwise_of(problem: Any) -> Pairwise:
-    """The pairwise Hamiltonian of a problem; ProblemFileError where it has none, or cannot have one."""
-    if not isinstance(problem.hamiltonian, Pairwise):
-        raise ProblemFileError("Connect needs a pairwise Hamiltonian", "write hamiltonian=Pairwise(...)")
-    if not isinstance(problem, (Connect, Simulate)):
-        raise ProblemFileError("a pairwise Hamiltonian in a control problem", "return Connect(...) or Simulate(...)")
-    return problem.hamiltonian
-
-
 def _terms(system: Pairwise, duration: Any) -> dict[str, Expr]:
-    """The expressions that an author gave, by what messages call them."""
+    """Return the author's expressions by their names in messages."""
     terms = {"pair_term": expressions.checked(system.term_of_pair, "pair_term")}
     if system.self_term is not None:
         terms["self_term"] = expressions.checked(system.self_term, "self_term")
@@ -161,19 +170,10 @@ def _terms(system: Pairwise, duration: Any) -> dict[str, Expr]:
     return terms
 
 
-def _half_limit(limit: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> Expr:
-    """What a particle has by itself, unless its author says so: half of what it has with another in its place."""
-    if limit is None:
-        raise ExpressionError("self_term is missing", "pair_term has no limit at coincidence that could replace it")
-    own = dict(zip(second.own, first.own, strict=True))
-    momenta = dict(zip(second.p, first.p, strict=True))
-    return limit.xreplace(own | momenta) / 2
-
-
 def _plain_symbols(
     pair: tuple[Particle, Particle], parameters: Sequence[Parameter], task: str
 ) -> dict[Quantity, Symbol]:
-    """The symbols of a model; names that generated code needs are marked, in front of a particle's own mark."""
+    """Return the symbols of a model; names that generated code needs are marked, before the mark of a particle."""
     task = "particles" if task == "simulate" else task
     of_particles = [s for one in pair for s in (*one.q, *one.p, *one.own)]
     names = {symbol.name[:-2] for symbol in of_particles} | {symbol.name for symbol in parameters}
@@ -181,32 +181,10 @@ def _plain_symbols(
         p: Symbol(identifiers.marked(p.name, task, names, moving=False), real=True) for p in parameters
     }
     for symbol in of_particles:
-        own = any(symbol in one.own for one in pair)
-        name = identifiers.marked(symbol.name[:-2], task, names, moving=not own)
+        moving = not any(symbol in one.own for one in pair)
+        name = identifiers.marked(symbol.name[:-2], task, names, moving=moving)
         plain[symbol] = Symbol(f"{name}{symbol.name[-2:]}", real=True)
     return plain
-
-
-def _names(symbols: Sequence[Symbol]) -> tuple[str, ...]:
-    return tuple(symbol.name.removesuffix("_i") for symbol in symbols)
-
-
-def _count(number: Any) -> int:
-    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-        raise ExpressionError(f"steps is {number!r}", "give a positive integer")
-    return number
-
-
-def _require_symbols(terms: Mapping[str, Expr], pair: tuple[Particle, Particle], declared: Sequence[Quantity]) -> None:
-    """Every symbol is a parameter or belongs to one of the two particles; names are unique."""
-    known = {s for one in pair for s in (*one.q, *one.p, *one.own)}
-    for what, expression in terms.items():
-        for symbol in sorted(expression.free_symbols, key=str):
-            if symbol not in known and not isinstance(symbol, Parameter):
-                raise SymbolError(
-                    f"{symbol} in {what} is no parameter and belongs to no particle", "use particles(...)"
-                )
-    require_unique_names(declared)
 
 
 def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, second: ParticleSymbols) -> None:
@@ -225,17 +203,17 @@ def _require_scope(pair: Expr, self_term: Expr | None, first: ParticleSymbols, s
 def _guessed_path(problem: Connect, first: ParticleSymbols, second: ParticleSymbols) -> tuple[Expr, ...]:
     if problem.path is None:
         return tuple(x + FRACTION * (y - x) for x, y in zip(first.q, second.q, strict=True))
-    positions = problem.path(first.q, second.q, FRACTION)
-    found = tuple(
-        expressions.tidied(expressions.checked(position, f"path[{axis}]")) for axis, position in enumerate(positions)
+    path = tuple(
+        expressions.tidied(expressions.checked(position, f"path[{axis}]"))
+        for axis, position in enumerate(problem.path(first.q, second.q, FRACTION))
     )
-    if len(found) != len(first.q):
-        raise ExpressionError(f"path gives {len(found)} coordinates", f"give {len(first.q)}")
-    return found
+    if len(path) != len(first.q):
+        raise ExpressionError(f"path gives {len(path)} coordinates", f"give {len(first.q)}")
+    return path
 
 
 def _particles_at_start(problem: Simulate, one: Particle) -> tuple[Any, Any]:
-    """The initial values of a simulation: arrays by quantity of the first particle, all of the same length."""
+    """Return the initial values of a simulation, whose arrays have one number for each particle."""
     for key in problem.start:
         if key not in (*one.q, *one.p, *one.own):
             raise BoundaryError(f"start gives {key}", "give coordinates, momenta and own parameters of the first one")

@@ -1,4 +1,4 @@
-"""What an author writes, checked: values of symbols, and relations as expressions that vanish or are not positive."""
+"""Values of symbols, and relations as expressions that vanish or are not positive, as the author wrote them."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from codegen.problem.symbols import Coordinate, FreeParameter, Momentum, Paramet
 from codegen.symbolic import checks as expressions
 
 MOVING = (Coordinate, Velocity, Momentum, State)
+"""Kinds of symbols whose values change along the motion."""
 STATIC = (Parameter, FreeParameter)
-"""Kinds of symbols: what moves with the system, and what has one value for the whole motion."""
+"""Kinds of symbols that have one value for the whole motion."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An expression: its `role` in the problem, `what` messages call it, the symbol that it is the value of, if any.
+    """An expression of a problem.
 
-    Relations have a `name` and are either equalities (the expression vanishes) or not (it is not positive).
+    `role` is its part in the problem, `what` its name in messages, and `key` the symbol whose value it is, if any.
+    Relations have a `name`. They are equalities (the expression vanishes) or inequalities (it is not positive).
     """
 
     role: str
@@ -36,12 +38,12 @@ class Entry:
 
 
 def entry_of(role: str, what: str, value: Any, key: Quantity | None = None) -> Entry:
-    """The entry of an expression; ExpressionError where it is none, or none that can be generated."""
+    """Return the entry of an expression; ExpressionError where the value is no expression that can be generated."""
     return Entry(role, what, expressions.checked(value, what), key)
 
 
 def checked_mapping(what: str, mapping: Any, entry: str) -> Mapping[Quantity, Any]:
-    """A mapping whose keys were declared; ExpressionError, or SymbolError for a key, that shows how to write it."""
+    """Return a mapping with declared keys; ExpressionError, or SymbolError for a key, shows the notation."""
     if not isinstance(mapping, Mapping):
         relations = f", and relations as {what}_conditions=[...]" if what in ("start", "end") else ""
         raise ExpressionError(f"{what} is a {type(mapping).__name__}", f"write {what} as {{{entry}, ...}}{relations}")
@@ -54,10 +56,8 @@ def require_declared(what: str, has: str, symbol: Any) -> None:
     """Raise SymbolError for a key or an entry of `what` that is no declared symbol."""
     if isinstance(symbol, Quantity):
         return
-    is_known = (
-        isinstance(symbol, sympy.Expr) and symbol.atoms(Quantity) and symbol.free_symbols <= symbol.atoms(Quantity)
-    )
-    if what == "bounds" and is_known:
+    quantities = symbol.atoms(Quantity) if isinstance(symbol, sympy.Expr) else set()
+    if what == "bounds" and quantities and symbol.free_symbols <= quantities:
         raise SymbolError(f"bounds has the key {symbol}, which is no symbol", f"write path=[{symbol} <= ...]")
     raise SymbolError(
         f"{what} {has} {symbol!r}, which was never declared",
@@ -66,17 +66,17 @@ def require_declared(what: str, has: str, symbol: Any) -> None:
 
 
 def checked_sequence(what: str, values: Any, entry: str) -> Sequence[Any]:
-    """A list or tuple; ExpressionError that shows how to write it."""
+    """Return a list or tuple; ExpressionError shows the notation."""
     if not isinstance(values, (list, tuple)):
-        found = type(values).__name__
+        kind = type(values).__name__
         if isinstance(values, sympy.Basic):
-            found = "single relation" if isinstance(values, relational.Relational) else "single expression"
-        raise ExpressionError(f"{what} is a {found}", f"write {what} as [{entry}, ...]")
+            kind = "single relation" if isinstance(values, relational.Relational) else "single expression"
+        raise ExpressionError(f"{what} is a {kind}", f"write {what} as [{entry}, ...]")
     return values
 
 
 def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
-    """The values that an argument, which is its role, gives to symbols."""
+    """Yield the values that an argument gives to symbols; the argument is their role."""
     for key, value in checked_mapping(what, mapping, "symbol: value").items():
         if what in ("start", "end") and isinstance(value, (tuple, list)):
             raise ExpressionError(
@@ -87,32 +87,31 @@ def value_entries(what: str, mapping: Any) -> Iterator[Entry]:
 
 
 def relation_entries(what: str, values: Any) -> Iterator[Entry]:
-    """The relations of an argument, which is their role; ExpressionError for names or relations that occur twice."""
+    """Yield the relations of an argument, which is their role; ExpressionError for equal names or relations."""
     seen, named = set[sympy.Expr](), set[str]()
-    for index, (given_name, written) in enumerate(named_relations(what, values)):
-        found = relation(written, f"{what}[{given_name or index!r}]")
-        name = given_name or found.name
-        if given_name in named:
-            raise ExpressionError(f"{what} has two relations of the name {given_name!r}", "give each another name")
-        named |= {given_name} if given_name else set()
-        if found.expression in seen:
+    for index, (chosen_name, written) in enumerate(named_relations(what, values)):
+        checked = relation(written, f"{what}[{chosen_name or index!r}]")
+        name = chosen_name or checked.name
+        if chosen_name in named:
+            raise ExpressionError(f"{what} has two relations of the name {chosen_name!r}", "give each another name")
+        named |= {chosen_name} if chosen_name else set()
+        if checked.expression in seen:
             raise ExpressionError(f"{what} lists {short(name)} twice", "list it once")
-        seen.add(found.expression)
-        yield Entry(what, f"{what} {short(name)}", found.expression, None, name, found.equality)
+        seen.add(checked.expression)
+        yield Entry(what, f"{what} {short(name)}", checked.expression, None, name, checked.equality)
 
 
 def named_relations(what: str, values: Any) -> Iterator[tuple[str, Any]]:
-    """Relations, each after the name that its author gave it, or nothing."""
+    """Yield pairs of the author's name of a relation, or "", and the relation."""
     for value in [*values.items()] if isinstance(values, Mapping) else checked_sequence(what, values, "relation"):
-        # A pair is a relation with its name, as mappings have them.
-        name, written = value if isinstance(value, tuple) and len(value) == 2 else ("", value)
-        yield _given_name(what, name) if isinstance(value, tuple) else "", written
-
-
-def _given_name(what: str, name: Any) -> str:
-    if not isinstance(name, str) or not name.strip() or not name.isprintable():
-        raise ExpressionError(f"{what} has the name {name!r}", f'write {what} as {{"name": relation, ...}}')
-    return name.strip()
+        if not isinstance(value, tuple):
+            yield "", value
+            continue
+        # A pair is a relation with its name, as in the items of a mapping.
+        name, written = value if len(value) == 2 else ("", value)
+        if not isinstance(name, str) or not name.strip() or not name.isprintable():
+            raise ExpressionError(f"{what} has the name {name!r}", f'write {what} as {{"name": relation, ...}}')
+        yield name.strip(), written
 
 
 @dataclass(frozen=True)
@@ -125,12 +124,12 @@ class Relation:
 
 
 def text(expression: sympy.Expr) -> str:
-    """An expression on one line, with decimal numbers no longer than their author wrote them."""
+    """Return an expression on one line, with decimal numbers no longer than their author wrote them."""
     return str(sympy.sstr(expression, full_prec=False))
 
 
 def short(name: str, limit: int = 60) -> str:
-    """The beginning of a long condition, as messages show it; a name that its author gave it says more."""
+    """Return the beginning of the name of a condition, for messages."""
     return name if len(name) <= limit else f"{name[:limit].rstrip()} ..."
 
 
@@ -156,7 +155,7 @@ def relation(value: Any, what: str) -> Relation:
     left, right = (expressions.checked(side, what) for side in (left, right))
     name = f"{text(left)} {sign} {text(right)}"
     difference = right - left if sign == ">=" else left - right
-    # Cancellation shows whether anything is left to hold; the expression stays as its author wrote it.
+    # Cancellation shows a relation between numbers; the expression itself stays as its author wrote it.
     remainder = _expanded_to_number(expressions.tidied(difference))
     if remainder is not None:
         raise _decided(f"{what}, {name},", bool(remainder == 0 or (sign != "=" and remainder.is_negative)))
@@ -164,11 +163,11 @@ def relation(value: Any, what: str) -> Relation:
 
 
 def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
-    """The number to which an expression cancels, if it does."""
+    """Return the number to which an expression cancels, or None."""
     terms = sympy.Add.make_args(expression)
     counts = Counter(symbol for term in terms for symbol in term.free_symbols)
     for term in terms:
-        # What a single term depends on cannot cancel with the others; expanding them all takes longer.
+        # A symbol of one term alone cannot cancel with other terms; it is faster to expand this term than all.
         alone = {symbol for symbol in term.free_symbols if counts[symbol] == 1}
         if alone:
             if sympy.expand(term).free_symbols & alone:
@@ -179,7 +178,7 @@ def _expanded_to_number(expression: sympy.Expr) -> sympy.Expr | None:
 
 
 def sides(value: Any) -> tuple[Any, Any, str]:
-    """Left side, right side and sign of a relation; what is none is to vanish."""
+    """Return left side, right side and sign of a relation; an expression is to vanish."""
     if isinstance(value, relational.Equality):
         return value.lhs, value.rhs, "="
     if isinstance(value, (relational.LessThan, relational.StrictLessThan)):

@@ -1,15 +1,23 @@
-"""Which symbols may be what: where each kind of symbol may occur, and what may be fixed, bounded, guessed or forced."""
+"""The scope of symbols: where each kind may occur, and which symbols may be fixed, bounded, guessed or forced.
+
+A drawing never changes the derivation: all its symbols must occur in the problem without it. Exceptions are the time
+and the body's number.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import sympy
 
 from codegen.discretise.conditions import CONDITIONS
+from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.relations import MOVING, STATIC, Entry
+from codegen.drawing import Item
 from codegen.errors import BoundaryError, ExpressionError, SymbolError
+from codegen.problem.problem import Problem
 from codegen.problem.symbols import (
     BodyNumber,
     ControlInput,
@@ -24,6 +32,7 @@ from codegen.problem.symbols import (
     Time,
     Velocity,
 )
+from codegen.symbolic import checks as expressions
 from codegen.symbolic.functions import tables_of
 
 _ALLOWED: dict[str, tuple[type[Quantity], ...]] = {
@@ -56,9 +65,13 @@ _WORDS: tuple[tuple[tuple[type[Quantity], ...], str], ...] = (
 )
 
 
+_CONSTANT = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic")
+"""Roles whose values are numbers before a solver has tables."""
+
+
 @dataclass(frozen=True)
 class Kinds:
-    """The quantities of a problem by kind, each in the order of declaration; rates are velocities or momenta."""
+    """The quantities of a problem by kind, in the order of declaration; rates are velocities or momenta."""
 
     coordinates: tuple[Coordinate | State, ...]
     rates: tuple[Velocity | Momentum, ...]
@@ -73,7 +86,26 @@ class Kinds:
 
 def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
     """Sort the quantities that a problem uses; SymbolError for those that do not belong to its form."""
-    coordinates = _coordinates(used, form)
+    moving_kinds: dict[str, tuple[type[Quantity], ...]] = {
+        "lagrangian": (Coordinate, Velocity),
+        "hamiltonian": (Coordinate, Momentum),
+        "dynamics": (State,),
+    }
+    moving = [symbol for symbol in used if isinstance(symbol, MOVING)]
+    # Rates first: the class of a coordinate does not distinguish Lagrangian and Hamiltonian problems.
+    for symbol in sorted(moving, key=lambda symbol: (isinstance(symbol, Coordinate), symbol.name)):
+        if not isinstance(symbol, moving_kinds[form]):
+            article = "" if form == "dynamics" else "a "
+            raise SymbolError(
+                f"{symbol} is a {type(symbol).__name__.lower()}, but the problem is given by {article}{form}",
+                "declare coordinates(...) for a Lagrangian, canonical_pairs(...) for a Hamiltonian, states(...) for "
+                "dynamics",
+            )
+    coordinates = tuple(symbol for symbol in used if isinstance(symbol, (Coordinate, State)))
+    if not coordinates:
+        if form == "dynamics":
+            raise ExpressionError("dynamics gives no state", "declare states(...) and write dynamics={x: ...}")
+        raise ExpressionError(f"the {form} has no coordinate", "declare coordinates(...) and use them")
     times = [symbol for symbol in used if isinstance(symbol, Time)]
     if len(times) > 1:
         raise SymbolError(f"two times are declared ({times[0]}, {times[1]})", "use one")
@@ -91,40 +123,28 @@ def kinds_of(used: Sequence[Quantity], form: str) -> Kinds:
     )
 
 
-def _coordinates(used: Sequence[Quantity], form: str) -> tuple[Coordinate | State, ...]:
-    own: dict[str, tuple[type[Quantity], ...]] = {
-        "lagrangian": (Coordinate, Velocity),
-        "hamiltonian": (Coordinate, Momentum),
-        "dynamics": (State,),
-    }
-    moving = [symbol for symbol in used if isinstance(symbol, MOVING)]
-    # Rates first: a coordinate does not tell whether it came with a velocity or with a momentum.
-    for symbol in sorted(moving, key=lambda symbol: (isinstance(symbol, Coordinate), symbol.name)):
-        if not isinstance(symbol, own[form]):
-            article = "" if form == "dynamics" else "a "
-            raise SymbolError(
-                f"{symbol} is a {type(symbol).__name__.lower()}, but the problem is given by {article}{form}",
-                "declare coordinates(...) for a Lagrangian, canonical_pairs(...) for a Hamiltonian, states(...) for "
-                "dynamics",
-            )
-    found = tuple(symbol for symbol in used if isinstance(symbol, (Coordinate, State)))
-    if not found:
-        if form == "dynamics":
-            raise ExpressionError("dynamics gives no state", "declare states(...) and write dynamics={x: ...}")
-        raise ExpressionError(f"the {form} has no coordinate", "declare coordinates(...) and use them")
-    return found
-
-
 def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control: bool) -> None:
-    """Each expression may hold only the kinds of symbols that make sense in it, and each control must act."""
-    if not is_control:
-        _require_simulation(entries)
+    """Require that each expression holds only symbols of its scope, and that each control acts."""
+    for symbol in (s for e in entries for s in sorted(e.expression.free_symbols, key=str) if not is_control):
+        if isinstance(symbol, ControlInput):
+            raise SymbolError(f"control {symbol} in a simulation", "return codegen.Control, or make it a parameter")
+        if isinstance(symbol, FreeParameter):
+            remedy = "return codegen.Control, or declare a parameter"
+            raise SymbolError(f"free parameter {symbol} in a simulation", remedy)
+        if isinstance(symbol, (BodyNumber, EndValue)):
+            raise SymbolError(f"{symbol} in a simulation, which has one body", "return codegen.Control")
     for entry in entries:
         for symbol in sorted(entry.expression.free_symbols, key=str):
             if not isinstance(symbol, _ALLOWED[entry.role]):
-                raise _misplaced(symbol, entry, form)
-        _require_common(entry)
-        _require_tables(entry)
+                raise _out_of_scope(symbol, entry, form)
+        _require_common_to_bodies(entry)
+        for table in tables_of(entry.expression):
+            name = table.shape.name
+            if entry.role in _CONSTANT:
+                raise ExpressionError(f"{entry.what} reads table {name}", "make it a number or a parameter")
+            if table.shape.kind == "steps" and entry.role != "guess":
+                remedy = "give the table another kind; steps, which have no slope, are for guesses"
+                raise ExpressionError(f"{entry.what} reads table {name} of steps", remedy)
     acting = {s for e in entries if e.role in ("force", "dynamics", "path") for s in e.expression.free_symbols}
     acting |= {symbol.partner for symbol in acting if isinstance(symbol, Delayed)}
     for u in kinds.controls:
@@ -132,27 +152,14 @@ def require_scope(entries: Sequence[Entry], kinds: Kinds, form: str, is_control:
             where = "right-hand side of the dynamics" if form == "dynamics" else "force"
             remedy = "add it to dynamics={...}" if form == "dynamics" else "add it to force={...}"
             raise SymbolError(f"control {u} is in no {where}, so it moves nothing", f"{remedy}, or remove it")
-    inside = {s for e in entries for s in e.expression.free_symbols}
+    present = {s for e in entries for s in e.expression.free_symbols}
     for free in kinds.free:
-        if free not in inside:
+        if free not in present:
             raise SymbolError(f"free parameter {free} occurs in no expression", "remove it, or use it")
 
 
-def _require_simulation(entries: Sequence[Entry]) -> None:
-    for entry in entries:
-        for symbol in sorted(entry.expression.free_symbols, key=str):
-            if isinstance(symbol, ControlInput):
-                raise SymbolError(f"control {symbol} in a simulation", "return codegen.Control, or make it a parameter")
-            if isinstance(symbol, FreeParameter):
-                raise SymbolError(
-                    f"free parameter {symbol} in a simulation", "return codegen.Control, or declare a parameter"
-                )
-            if isinstance(symbol, (BodyNumber, EndValue)):
-                raise SymbolError(f"{symbol} in a simulation, which has one body", "return codegen.Control")
-
-
-def _require_common(entry: Entry) -> None:
-    """What is common to all bodies cannot depend on a body's number."""
+def _require_common_to_bodies(entry: Entry) -> None:
+    """Refuse a body's number in expressions that are common to all bodies."""
     symbols = entry.expression.free_symbols
     if not any(isinstance(symbol, BodyNumber) for symbol in symbols):
         return
@@ -160,28 +167,14 @@ def _require_common(entry: Entry) -> None:
         kind = "velocity" if isinstance(entry.key, Velocity) else "free parameter"
         raise ExpressionError(f"{entry.what} depends on body", f"give a {kind} the same bounds for all bodies")
     free = [str(symbol) for symbol in symbols if isinstance(symbol, FreeParameter)]
-    if free and entry.role != "guess":  # where it has its first guess
+    if free and entry.role != "guess":  # where the parameter has its first guess
         raise ExpressionError(
             f"{entry.what} depends on body and on the free parameter {min(free)}", "let it depend on one of them"
         )
 
 
-_NUMBERS = ("duration", "start", "end", "lower bound", "upper bound", "first guess", "scale", "periodic")
-"""Roles of what is a number before a solver has tables."""
-
-
-def _require_tables(entry: Entry) -> None:
-    """Tables belong into what kernels evaluate, and those of steps, which have no slope, into guesses."""
-    for table in tables_of(entry.expression):
-        name = table.shape.name
-        if entry.role in _NUMBERS:
-            raise ExpressionError(f"{entry.what} reads table {name}", "make it a number or a parameter")
-        if table.shape.kind == "steps" and entry.role != "guess":
-            remedy = "give the table another kind; steps, which have no slope, are for guesses"
-            raise ExpressionError(f"{entry.what} reads table {name} of steps", remedy)
-
-
-def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | ExpressionError:
+def _out_of_scope(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | ExpressionError:
+    """Return the error for a symbol that may not occur in an expression, with the remedy for its kind."""
     if isinstance(symbol, ControlInput) and entry.role in ("lagrangian", "hamiltonian"):
         return SymbolError(f"control {symbol} in the {form}", "let controls act through force={...}")
     finding = f"{entry.what} depends on {symbol}"
@@ -203,32 +196,106 @@ def _misplaced(symbol: sympy.Symbol, entry: Entry, form: str) -> SymbolError | E
 
 
 def require_keys(entries: Sequence[Entry], kinds: Kinds) -> None:
-    """Only what moves may be fixed, bounded, guessed, forced or periodic, each in the places that make sense."""
+    """Require that the keys of values, bounds, guesses, forces and shifts are quantities that may have them."""
     rates = "momenta" if any(isinstance(v, Momentum) for v in kinds.rates) else "velocities"
     moving = f"coordinates and {rates}" if kinds.rates else "states"
-    own = "coordinate" if kinds.rates else "state"
+    position = "coordinate" if kinds.rates else "state"
     for entry in entries:
-        key = entry.key
-        is_position, is_rate = key in kinds.coordinates, key in kinds.rates
-        if entry.role == "force" and not is_position:
-            raise SymbolError(f"force acts on {key}, which is no {own}", "use a coordinate as key")
-        if entry.role == "dynamics" and not is_position:
+        key, role = entry.key, entry.role
+        is_position, is_control = key in kinds.coordinates, key in kinds.controls
+        is_moving = is_position or key in kinds.rates
+        if role == "force" and not is_position:
+            raise SymbolError(f"force acts on {key}, which is no {position}", "use a coordinate as key")
+        if role == "dynamics" and not is_position:
             raise SymbolError(f"dynamics gives {key}, which is no state", "use states as keys")
-        if entry.role == "guess" and not (is_position or key in kinds.controls):
-            raise SymbolError(f"guess gives {key}, which is no {own} or control", f"guess {own}s and controls")
-        if entry.role == "scale" and not (is_position or isinstance(key, (Momentum, ControlInput, FreeParameter))):
-            raise SymbolError(f"scale gives {key}, which is no unknown", f"scale {own}s, controls, free parameters")
-        if entry.role in ("start", "end") and not (is_position or is_rate):
-            raise BoundaryError(f"{entry.role} fixes {key}", f"fix {moving} only")
-        if entry.role == "history" and not (is_position or is_rate or key in kinds.controls):
+        if role == "guess" and not (is_position or is_control):
+            finding = f"guess gives {key}, which is no {position} or control"
+            raise SymbolError(finding, f"guess {position}s and controls")
+        if role == "scale" and not (is_position or isinstance(key, (Momentum, ControlInput, FreeParameter))):
+            remedy = f"scale {position}s, controls, free parameters"
+            raise SymbolError(f"scale gives {key}, which is no unknown", remedy)
+        if role in ("start", "end") and not is_moving:
+            raise BoundaryError(f"{role} fixes {key}", f"fix {moving} only")
+        if role == "history" and not (is_moving or is_control):
             raise SymbolError(f"history gives {key}, which does not move", f"give that of {moving} and controls")
-        if entry.role == "periodic" and not (is_position or is_rate):
+        if role == "periodic" and not is_moving:
             raise BoundaryError(f"periodic lists {key}", f"list {moving} only")
-        if entry.role == "jump" and not (is_position or is_rate):
+        if role == "jump" and not is_moving:
             raise BoundaryError(f"{entry.what} at a switch", f"let {moving} jump only")
-        if entry.role.endswith("bound") and not (
-            is_position or is_rate or isinstance(key, (ControlInput, FreeParameter))
-        ):
-            raise SymbolError(
-                f"bounds gives {key}, which cannot be bounded", f"bound {moving}, controls, free parameters"
-            )
+        if role.endswith("bound") and not (is_moving or isinstance(key, (ControlInput, FreeParameter))):
+            remedy = f"bound {moving}, controls, free parameters"
+            raise SymbolError(f"bounds gives {key}, which cannot be bounded", remedy)
+
+
+def checked_drawing(problem: Problem) -> tuple[Item, ...]:
+    """Return the author's items of a drawing with every expression sympified.
+
+    Raises ExpressionError for objects that are no items, for a point without two coordinates, and for rates and end
+    values, which a solution does not hold at every time; SymbolError for symbols that were never declared.
+    """
+    if not isinstance(problem.drawing, (list, tuple)):
+        raise ExpressionError(
+            f"drawing is a {type(problem.drawing).__name__}",
+            "write drawing=[...] with items of codegen.drawing",
+        )
+    return tuple(_checked_item(item, f"drawing[{index}]") for index, item in enumerate(problem.drawing))
+
+
+def drawn_quantities(items: Sequence[Item]) -> set[Quantity]:
+    """Return all quantities that occur in a drawing."""
+    return {symbol for item in items for _, expression in item.expressions() for symbol in expression.free_symbols}
+
+
+def require_derived(items: Sequence[Item], used: Sequence[Quantity]) -> None:
+    """Refuse a drawing of quantities that the problem itself does not use; SymbolError names one of them."""
+    times = [symbol for symbol in used if isinstance(symbol, Time)]
+    for symbol in sorted(drawn_quantities(items) - set(used), key=lambda symbol: symbol.declared):
+        if isinstance(symbol, Time) and times:
+            raise SymbolError(f"two times are declared ({times[0]}, {symbol})", "use one")
+        if not isinstance(symbol, (Time, BodyNumber)):
+            remedy = "write a number" if not isinstance(symbol, (Coordinate, State)) else "remove it"
+            raise SymbolError(f"{symbol} occurs in the drawing only", f"{remedy}, or let the problem depend on it")
+
+
+def with_drawing(model: Model, items: Sequence[Item], plain: Mapping[Quantity, sympy.Symbol]) -> Model:
+    """Return the model with its drawing in plain symbols; ExpressionError when a size is not positive."""
+    symbols: dict[Quantity, sympy.Symbol] = {}
+    for symbol in drawn_quantities(items):
+        alone = model.time if isinstance(symbol, Time) else sympy.Symbol(symbol.name, real=True)
+        symbols[symbol] = plain.get(symbol, alone)
+    drawing = tuple(item.mapped(lambda expression: expression.xreplace(symbols)) for item in items)
+    for index, item in enumerate(drawing):
+        for name in ("radius", "width", "height"):
+            size = expressions.rounded_at(getattr(item, name, sympy.S.One), model.default_values)
+            if size is not None and size <= 0.0:
+                raise ExpressionError(
+                    f"{name} of drawing[{index}], a {type(item).__name__}, is {size:g}", "give a positive length"
+                )
+    return replace(model, drawing=drawing)
+
+
+def _checked_item(item: Any, where: str) -> Item:
+    if not isinstance(item, Item) or type(item) is Item:
+        raise ExpressionError(f"{where} is a {type(item).__name__}", "use items of codegen.drawing, such as Rod")
+    where = f"{where}, a {type(item).__name__},"
+    if not isinstance(item.label, str):
+        raise ExpressionError(f"{where} has the label {item.label!r}", "give text")
+    points = {field.name for field in fields(item) if field.type == "Point"}
+    changes = dict[str, Any]()
+    for name, value in item.parts():
+        what = f"{where} {name}"
+        if name not in points:
+            changes[name] = expressions.checked(value, what)
+            continue
+        if not isinstance(value, (list, tuple)) or len(value) != 2:
+            raise ExpressionError(f"{what} is {value!r}", "give two coordinates (x, y); project a point in space")
+        changes[name] = tuple(expressions.checked(part, what) for part in value)
+    checked = replace(item, **changes)
+    for name, expression in checked.expressions():
+        for symbol in sorted(expression.free_symbols, key=str):
+            if not isinstance(symbol, Quantity):
+                raise SymbolError(f"{symbol} in {where} {name} was never declared", "declare it, or write a number")
+            if isinstance(symbol, (Velocity, Momentum, EndValue, Delayed)):
+                remedy = "draw with coordinates or states, controls, parameters, time and the body's number"
+                raise ExpressionError(f"{where} {name} depends on {symbol}", remedy)
+    return checked

@@ -1,14 +1,15 @@
-"""Units that an author gives: what follows from them, and whether they agree.
+"""Units that an author gives: the units that follow from them, and their agreement.
 
-Where every quantity of an expression has a unit, the expression has one, by pint: terms must agree in dimension and in
-size, so that metres beside kilometres are refused like metres beside seconds, and functions such as sin take pure
-numbers. An angle has none, and a degree is no radian. Where a unit is missing nothing is said, and nothing refused.
-Numbers are taken as pure numbers in dynamics, forces and costs; values, bounds and sides of relations may be plain
-numbers, which count in the units of what they are compared with.
+Where every quantity of an expression has a unit, pint gives the unit of the expression. Terms must agree in dimension
+and in size: metres beside kilometres are refused like metres beside seconds. Functions such as sin take pure numbers.
+An angle is a pure number in radians, and a degree is no radian. An expression with a quantity without a unit has no
+unit and is accepted. Numbers are pure numbers in dynamics, forces and costs. Values, bounds and sides of relations may
+be plain numbers: they count in the units of the quantity that they are compared with.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from tokenize import TokenError
@@ -22,28 +23,28 @@ from codegen.identifiers import written_unit
 from codegen.problem.symbols import Coordinate, Delayed, EndValue, Quantity, Time, Velocity
 
 _EQUAL = 1e-9
-"""Factors between units that differ from one by less are one; pint rounds."""
+"""Rounding of pint, relative to one, in the factor between two equal units."""
 _SECONDS = "s"
-"""The unit of the time where no symbol of time has another one."""
-_KEPT = (sympy.Abs, sympy.Min, sympy.Max, sympy.Piecewise)
+"""The default unit of the time."""
+_UNIT_OF_ARGUMENTS = (sympy.Abs, sympy.Min, sympy.Max)
 _NUMBERS = "write a number that has a unit as a parameter, as in parameters(g=(9.81, 'm/s**2'))"
 _VALUES = frozenset(
     {"start", "end", "guess", "first guess", "lower bound", "upper bound", "history", "jump", "scale", "duration"}
 )
-_OF_TIME_AND_ANGLE: tuple[dict[str, int], ...] = ({}, {"[time]": 1})
+_TIME_AND_ANGLE: tuple[dict[str, int], ...] = ({}, {"[time]": 1})
 _DYNAMICS = frozenset({"lagrangian", "hamiltonian", "dynamics", "force", "cost", "terminal_cost"})
 
 
 @cache
 def _registry() -> Any:
-    """The units of pint, which takes a while to import."""
+    """Return the registry of units of pint, whose import takes a while."""
     import pint
 
     return pint.UnitRegistry()
 
 
 def checked_unit(text: str, name: str) -> Any:
-    """The unit that a text names; UnitError for one that is unknown, or whose zero is none, as degrees Celsius."""
+    """Return the unit that a text names; UnitError for an unknown unit, or with an offset, as degrees Celsius."""
     import pint
 
     registry = _registry()
@@ -61,58 +62,58 @@ def checked_unit(text: str, name: str) -> Any:
 def units_of(
     quantities: Sequence[Quantity], entries: Iterable[Entry], plain: Mapping[Quantity, sympy.Symbol]
 ) -> tuple[tuple[str, str], ...]:
-    """Pairs of a name and the text of its unit, in the author's order; then `t`, `cost` and `energy` where they follow.
+    """Return pairs of a name and the text of its unit, in the author's order; then `t`, momenta, `energy` and `cost`.
 
-    Nothing where no quantity has a unit. Raises UnitError for units that do not agree.
+    The result is empty where no quantity has a unit. Raises UnitError for units that do not agree.
     """
     if not any(hasattr(symbol, "unit") for symbol in quantities):
         return ()
-    found = _Found(quantities)
-    entries = list(entries)
+    units = _Units(quantities)
     for entry in entries:
-        found.look_at(entry)
-    own = [symbol for symbol in quantities if not isinstance(symbol, (Time, EndValue, Delayed))]
+        units.read(entry)
     pairs = [
-        (plain[symbol].name, written_unit(symbol.unit) if hasattr(symbol, "unit") else _text(found.unit(symbol)))
-        for symbol in own
+        (plain[symbol].name, written_unit(symbol.unit) if hasattr(symbol, "unit") else _text(units.unit(symbol)))
+        for symbol in quantities
+        if not isinstance(symbol, (Time, EndValue, Delayed))
     ]
-    pairs += [("t", _text(found.time)), *((name, _text(unit)) for name, unit in found.others())]
+    pairs.append(("t", _text(units.time)))
+    if (energy := units.energy) is not None:
+        for q in quantities:
+            if isinstance(q, Coordinate) and isinstance(q.partner, Velocity):
+                rate = units.unit(q.partner)
+                pairs += [(f"p_{q.name}", _text(energy / rate))] if rate is not None else []
+        pairs.append(("energy", _text(energy)))
+    pairs.append(("cost", _text(units.running * units.time if units.running is not None else units.terminal)))
     return tuple((name, text) for name, text in pairs if text)
 
 
-class _Found:
-    """Units by quantities, and of what is integrated; all of one problem."""
+class _Units:
+    """The units of the quantities of one problem, of its energy, and of its running and terminal cost."""
 
     def __init__(self, quantities: Sequence[Quantity]) -> None:
-        self.time: Any = None
-        self.units: dict[Quantity, Any] = {}
-        for symbol in quantities:
-            if isinstance(symbol, Time):
-                self.time = checked_unit(getattr(symbol, "unit", _SECONDS), symbol.name)
-        self.time = checked_unit(_SECONDS, "the time") if self.time is None else self.time
-        for symbol in quantities:
-            if hasattr(symbol, "unit"):
-                self.units[symbol] = checked_unit(symbol.unit, symbol.name)
+        times = [symbol for symbol in quantities if isinstance(symbol, Time)]
+        self.time: Any = checked_unit(_SECONDS, "the time")
+        for symbol in times:
+            self.time = checked_unit(getattr(symbol, "unit", _SECONDS), symbol.name)
+        self.units = {s: checked_unit(s.unit, s.name) for s in quantities if hasattr(s, "unit")}
         self.energy: Any = None
         self.running: Any = None
         self.terminal: Any = None
-        self.coordinates = [symbol for symbol in quantities if isinstance(symbol, Coordinate)]
 
     def unit(self, symbol: sympy.Symbol) -> Any:
-        """The unit of a quantity, as it was given or as it follows; None where nothing tells."""
+        """Return the unit of a quantity as the author gave it, or as it follows; None where it does not."""
         if isinstance(symbol, Time):
             return self.time
         if isinstance(symbol, (EndValue, Delayed)):
             return self.unit(symbol.partner)
         if symbol not in self.units and isinstance(symbol, Velocity):
-            own = self.units.get(symbol.partner)
-            return None if own is None else own / self.time
+            unit = self.units.get(symbol.partner)
+            return None if unit is None else unit / self.time
         return self.units.get(symbol)
 
-    def look_at(self, entry: Entry) -> None:
-        """Check an entry, and note what it says of the energy and of the cost."""
-        is_strict = entry.role in _DYNAMICS
-        unit = self._of(entry.expression, entry.what, is_strict)
+    def read(self, entry: Entry) -> None:
+        """Check an entry, and set the units of the energy and of the cost."""
+        unit = self._of(entry.expression, entry.what, entry.role in _DYNAMICS)
         if entry.role in ("lagrangian", "hamiltonian"):
             self.energy = unit
         elif entry.role == "cost":
@@ -120,37 +121,27 @@ class _Found:
         elif entry.role == "terminal_cost":
             self.terminal = unit
         else:
-            self._compare(entry, unit)
+            self._require_unit_of_key(entry, unit)
         if self.running is not None and self.terminal is not None:
             whole = self.running * self.time
             _require_same(whole, self.terminal, "the integral of the cost", "the terminal cost")
 
-    def _compare(self, entry: Entry, unit: Any) -> None:
-        """Refuse a value in other units than those of what it is the value of."""
-        key = self.time if entry.role == "duration" else self.unit(entry.key) if entry.key is not None else None
-        if entry.role == "force" and key is not None and self.energy is not None:
-            key = self.energy / key
+    def _require_unit_of_key(self, entry: Entry, unit: Any) -> None:
+        """Refuse a value whose unit is not that of its quantity."""
+        key, described = (self.unit(entry.key) if entry.key is not None else None), str(entry.key)
+        if entry.role == "duration":
+            key, described = self.time, "the time"
+        elif entry.role == "force" and key is not None and self.energy is not None:
+            key, described = self.energy / key, f"the Lagrangian by {entry.key}"
         elif entry.role == "dynamics" and key is not None:
-            key = key / self.time
+            key, described = key / self.time, f"the rate of {entry.key}"
         elif entry.role not in _VALUES:
             return
-        if unit is None or key is None or entry.expression.is_number:
-            return
-        _require_same(unit, key, entry.what, _wanted(entry))
-
-    def others(self) -> list[tuple[str, Any]]:
-        """Units of momenta, of the energy and of the cost, as far as they follow."""
-        found = []
-        if self.energy is not None:
-            of_pairs = [q for q in self.coordinates if isinstance(getattr(q, "partner", None), Velocity)]
-            rates = [(q, self.unit(q.partner)) for q in of_pairs]
-            found += [(f"p_{q.name}", self.energy / rate) for q, rate in rates if rate is not None]
-            found.append(("energy", self.energy))
-        cost = self.running * self.time if self.running is not None else self.terminal
-        return [*found, *([("cost", cost)] if cost is not None else [])]
+        if unit is not None and key is not None and not entry.expression.is_number:
+            _require_same(unit, key, entry.what, described)
 
     def _of(self, expression: sympy.Expr, where: str, is_strict: bool) -> Any:
-        """The unit of an expression; None where a part has none that is known."""
+        """Return the unit of an expression; None where a part has no unit."""
         if isinstance(expression, sympy.Symbol):
             return self.unit(expression)
         if expression.is_number:
@@ -159,58 +150,36 @@ class _Found:
             return self._sum(expression.args, where, is_strict)
         parts = [self._of(part, where, True) for part in expression.args]
         if isinstance(expression, sympy.Mul):
-            return None if any(part is None for part in parts) else _product(parts)
+            return None if any(part is None for part in parts) else math.prod(parts[1:], start=parts[0])
         if isinstance(expression, sympy.Pow):
-            return self._power(expression, parts[0], parts[1], where)
-        if isinstance(expression, _KEPT[:3]):
+            base, exponent = parts
+            if exponent is not None:
+                _require_pure(exponent, f"the exponent of {expression}", where)
+            if base is None or not expression.exp.is_number:
+                if base is not None:
+                    _require_pure(base, f"the base of {expression}", where)
+                return base
+            return base ** float(expression.exp)
+        if isinstance(expression, _UNIT_OF_ARGUMENTS):
             return self._sum(expression.args, where, is_strict)
         if isinstance(expression, sympy.Function) and type(expression).__module__.startswith("sympy."):
-            return self._function(expression, parts, where)
-        return None  # tables and values of bodies say nothing of their units
+            if isinstance(expression, sympy.atan2):
+                self._sum(expression.args, where, True)
+                return _registry().Unit("dimensionless")
+            for part, unit in zip(expression.args, parts, strict=True):
+                if unit is not None:
+                    _require_pure(unit, f"{part} in {expression.func.__name__}", where)
+            return _registry().Unit("dimensionless")
+        return None  # tables and values of bodies have no units
 
     def _sum(self, terms: Sequence[sympy.Expr], where: str, is_strict: bool) -> Any:
-        """The unit that all terms have."""
+        """Return the common unit of all terms."""
         counted = terms if is_strict else [term for term in terms if not term.is_number]
         units = [self._of(term, where, True) for term in counted]
-        known = [(term, unit) for term, unit in zip(counted, units, strict=True) if unit is not None]
-        for term, unit in known[1:]:
-            _require_same(unit, known[0][1], f"{where}: {term}", str(known[0][0]))
-        return known[0][1] if known and len(known) == len(counted) else None
-
-    def _power(self, expression: sympy.Pow, base: Any, exponent: Any, where: str) -> Any:
-        if exponent is not None:
-            _require_pure(exponent, f"the exponent of {expression}", where)
-        if base is None:
-            return None
-        if expression.exp.is_number:
-            return base ** float(expression.exp)
-        _require_pure(base, f"the base of {expression}", where)
-        return base
-
-    def _function(self, expression: sympy.Function, parts: Sequence[Any], where: str) -> Any:
-        if isinstance(expression, sympy.atan2):
-            self._sum(expression.args, where, True)
-            return _registry().Unit("dimensionless")
-        for part, unit in zip(expression.args, parts, strict=True):
-            if unit is not None:
-                _require_pure(unit, f"{part} in {expression.func.__name__}", where)
-        return _registry().Unit("dimensionless")
-
-
-def _wanted(entry: Entry) -> str:
-    """What the units of an entry are compared with."""
-    if entry.role == "duration":
-        return "the time"
-    if entry.role == "force":
-        return f"the Lagrangian by {entry.key}"
-    return f"the rate of {entry.key}" if entry.role == "dynamics" else str(entry.key)
-
-
-def _product(units: Sequence[Any]) -> Any:
-    product = units[0]
-    for unit in units[1:]:
-        product = product * unit
-    return product
+        present = [(term, unit) for term, unit in zip(counted, units, strict=True) if unit is not None]
+        for term, unit in present[1:]:
+            _require_same(unit, present[0][1], f"{where}: {term}", str(present[0][0]))
+        return present[0][1] if present and len(present) == len(counted) else None
 
 
 def _ratio(unit: Any, other: Any) -> Any:
@@ -231,13 +200,13 @@ def _require_pure(unit: Any, what: str, where: str) -> None:
 
 
 def _text(unit: Any) -> str:
-    """A unit as it stands on axes, such as kg·m²/s; radians beside others are left out, and newtons are named."""
+    """Return a unit as axes show it, such as kg·m²/s, without radians among other units; J, N and W are named."""
     if unit is None:
         return ""
     registry = _registry()
     # A rate of an angle keeps its radian, a moment of inertia loses it.
     powers = dict(registry.Quantity(1.0, unit).unit_items())
-    if powers.get("radian", 0) and not all(registry.Unit(name).dimensionality in _OF_TIME_AND_ANGLE for name in powers):
+    if powers.get("radian", 0) and not all(registry.Unit(name).dimensionality in _TIME_AND_ANGLE for name in powers):
         unit = unit / registry.Unit("radian") ** powers["radian"]
     for name in ("joule", "newton", "watt"):
         ratio = _ratio(unit, registry.Unit(name))

@@ -1,4 +1,4 @@
-"""The registry of schemes: names to data, by the method or the kind of system that they are for."""
+"""The registry of schemes: names to data, by the method or the kind of system."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import difflib
 
 from sympy import Rational
 
-from codegen.discretise.schemes import adaptive, compositions, discrete_lagrangians, one_step, runge_kutta
+from codegen.discretise.schemes import compositions, discrete_lagrangians, one_step, runge_kutta
 from codegen.discretise.schemes.base import FIRST_ORDER, PARTICLES, Scheme
 from codegen.errors import SchemeError
 
 __all__ = ["ALIASES", "FIRST_ORDER", "METHODS", "PARTICLES", "Scheme", "find", "of_method"]
 
-_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions, adaptive)
-"""Each has SCHEMES by method; those of a method are listed in this order."""
+_FAMILIES = (discrete_lagrangians, one_step, runge_kutta, compositions)
+"""The families, each with its SCHEMES by method; the schemes of a method are listed in this order."""
 _ALL: dict[str, dict[str, Scheme]] = {
     method: {scheme.name: scheme for family in _FAMILIES for scheme in family.SCHEMES.get(method, ())}
     for method in ("variational", "hamiltonian", FIRST_ORDER, PARTICLES)
@@ -34,7 +34,7 @@ ALIASES = {
 
 
 def find(name: str, method: str) -> Scheme:
-    """The scheme of that name for that method; SchemeError tells which names there are.
+    """Return the scheme of that name for that method; SchemeError lists the schemes.
 
     `alpha-<a>`, with a a decimal or a fraction in [0, 1], names a member of the alpha family, and
     `<composition>-of-<base>`, as in yoshida-4-of-midpoint, a composition of a symmetric scheme of order 2.
@@ -71,7 +71,7 @@ def find(name: str, method: str) -> Scheme:
 
 
 def is_known(name: str, method: str) -> bool:
-    """Whether `find` finds it."""
+    """Return True if `find` returns a scheme."""
     try:
         return bool(find(name, method))
     except SchemeError:
@@ -79,12 +79,12 @@ def is_known(name: str, method: str) -> bool:
 
 
 def of_method(method: str) -> tuple[Scheme, ...]:
-    """Every scheme of a method by itself, without families and aliases."""
+    """Return every scheme of a method by itself, without families and aliases."""
     return tuple(_ALL[method].values())
 
 
 def _repeated(name: str, method: str) -> Scheme:
-    """The scheme `<n>-steps-of-<base>`."""
+    """Return the scheme `<n>-steps-of-<base>`."""
     count, inner = name.split("-steps-of-", 1)
     base = find(inner, method)
     if base.parts or base.adaptive:
@@ -96,14 +96,14 @@ def _repeated(name: str, method: str) -> Scheme:
 
 
 def _composition(name: str, method: str) -> Scheme:
-    """The scheme `<composition>-of-<base>`."""
+    """Return the scheme `<composition>-of-<base>`."""
     outer, inner = name.split("-of-", 1)
     bases = {n: s for n, s in _ALL[method].items() if s.symmetric and s.order == 2}
     base = bases.get(ALIASES.get((method, inner), inner))
-    found = compositions.composed(outer, base) if base else None
-    if found is None:
+    composition = compositions.composed(outer, base) if base else None
+    if composition is None:
         raise SchemeError(
             f"there is no scheme {name!r} for the {method} method",
             f"give one of {', '.join(compositions.NAMES)}, then -of-, then one of {', '.join(bases)}",
         )
-    return found
+    return composition

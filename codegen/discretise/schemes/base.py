@@ -1,8 +1,8 @@
-"""What a scheme is: data that says how one time interval is filled.
+"""The definition of a scheme: data that fill one time interval.
 
-Schemes come in families, one file each. A family says what a step is: either a discrete Lagrangian, which is a
-quadrature rule along a polynomial between two positions, or a `Step` in states at both ends. Nothing that works with
-schemes needs to know the family.
+Schemes come in families, one file each. A family defines a step, which is either a discrete Lagrangian, a quadrature
+rule along a polynomial between two positions, or a `Step` in states at both ends. Other modules do not depend on the
+family.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sympy import Expr, Rational, Symbol
 from codegen.errors import SchemeError
 
 Shares: TypeAlias = tuple[tuple[int, Expr], ...]
-"""Numbers of states, each with the factor with which it enters a sum."""
+"""Numbers of states, each with its factor in a sum."""
 Rows: TypeAlias = tuple[tuple[Expr, ...], ...]
 
 
@@ -25,7 +25,7 @@ Rows: TypeAlias = tuple[tuple[Expr, ...], ...]
 class FieldPoint:
     """A point X_j at the abscissa c of the step; the shares of states in its position and momentum add up to 1.
 
-    `weight` is that of the point in the integral of anything over the step.
+    `weight` is the weight of the point in quadratures over the step.
     """
 
     abscissa: Expr
@@ -54,10 +54,10 @@ class Tableau:
 
 @dataclass(frozen=True)
 class Step:
-    """A step through states 0, ..., s + 1, of which the first is that of the left node, the last of the right one.
+    """A step through states 0, ..., s + 1: the first state belongs to the left node, the last one to the right node.
 
-    Updates number n, of coordinates and of momenta, lead to state n + 1 at the fraction `abscissae[n]` of the step;
-    there is none where no point takes anything from that state.
+    Updates number n, of coordinates and of momenta, lead to state n + 1 at the fraction `abscissae[n]` of the step.
+    An update is None if no point reads the state.
     """
 
     points: tuple[FieldPoint, ...]
@@ -67,7 +67,7 @@ class Step:
 
     @property
     def is_chain(self) -> bool:
-        """Whether each state follows from the one before it alone, so that no stages depend on each other."""
+        """Return True if each state follows from the one before it alone, so that stages are independent."""
         for n, update in (*enumerate(self.positions), *enumerate(self.momenta)):
             if update is None or update.begin != n:
                 return False
@@ -78,7 +78,7 @@ class Step:
 
     @property
     def is_explicit(self) -> bool:
-        """True if each field depends on earlier fields of the step alone, so that stages need no equations."""
+        """Return True if each field depends on earlier fields of the step alone, so that stages need no equations."""
         tableau = self.tableau
         return not any(
             entry for table in (tableau.positions, tableau.momenta) for i, row in enumerate(table) for entry in row[i:]
@@ -86,18 +86,18 @@ class Step:
 
     @property
     def substeps(self) -> tuple[tuple[Expr, Expr, Expr], ...]:
-        """Of a chain with one point between each state and the next, fractions and shares of the next: (g, a, b)."""
+        """Return fractions, and shares of the next state, of a chain with one point between states: (g, a, b)."""
         links = enumerate(self.points, start=1)
         return tuple((point.weight, dict(point.position)[n], dict(point.momentum)[n]) for n, point in links)
 
     @property
     def tableau(self) -> Tableau:
-        """The same step as a Runge-Kutta method, whose stages are the points."""
+        """Return the step as a Runge-Kutta method, whose stages are the points."""
         weights, positions = self._rows(self.positions, [point.position for point in self.points])
         return Tableau(weights, positions, self._rows(self.momenta, [point.momentum for point in self.points])[1])
 
     def _rows(self, updates: Sequence[Update | None], points: Sequence[Shares]) -> tuple[tuple[Expr, ...], Rows]:
-        """With which weights fields lead from the left node to the right one, and to each point."""
+        """Return the weights of fields on the way from the left node to the right one, and to each point."""
         states = {0: sympy.zeros(1, len(points))}
         for n, update in enumerate(updates):
             if update:
@@ -109,15 +109,15 @@ class Step:
 FIRST_ORDER = "one-step"
 """The method for first-order systems x' = f(x, u, t)."""
 PARTICLES = "particles"
-"""Under which a family lists what is offered for pairwise systems, by themselves and with both ends given."""
+"""The key of the schemes for pairwise systems, in simulations and with both ends fixed."""
 
 
 @dataclass(frozen=True)
 class Scheme:
     """Name, order of consistency, structural flags and source of a scheme.
 
-    Where it repeats another scheme, `parts` has a row for each time: the lengths of that one's step, or of each of its
-    substeps, in parts of h. `adaptive` is the name in scipy of a code that chooses its own steps.
+    A scheme that repeats another one has a row of `parts` for each repetition: the length of the step, or of each of
+    its substeps, as a fraction of h. `adaptive` is the name in scipy of a code that chooses its own steps.
     """
 
     name: str
@@ -131,32 +131,32 @@ class Scheme:
 
     @property
     def variational(self) -> bool:
-        """Whether a step is a discrete Lagrangian of positions; else it is written in states."""
+        """Return True if a step is a discrete Lagrangian of positions, False if it is written in states."""
         return False
 
     @property
     def is_chain(self) -> bool:
-        """Whether a step is a chain of substeps, so that no stages inside it depend on each other."""
+        """Return True if a step is a chain of substeps, whose stages are independent."""
         return self.step().is_chain
 
     @property
     def dense_derivatives(self) -> int:
-        """How many derivatives at both nodes continue a motion inside a step, at the scheme's own order or better.
+        """Return the number of derivatives at both nodes that interpolate a motion with the scheme's order or better.
 
-        Without any it goes on along a straight line, as that of a midpoint or an Euler does by itself.
+        Without derivatives the motion is a straight line, as for the midpoint rule and the Euler methods.
         """
         return 0 if self.order <= 2 else 1 if self.order <= 4 else 2
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """What is repeated: one step whose substeps have the given lengths instead of fractions of the step."""
+        """Return the repeated scheme, whose substeps have the given lengths instead of fractions of the step."""
         return self
 
     def step(self) -> Step:
-        """One step in states; SchemeError where there is none."""
+        """Return one step in states; SchemeError where there is none."""
         raise SchemeError(f"scheme {self.name!r} does not belong to the hamiltonian method", "choose another method")
 
     def discrete_lagrangian(self) -> DiscreteLagrangian:
-        """The quadrature rule of one step; SchemeError where there is none."""
+        """Return the quadrature rule of one step; SchemeError where there is none."""
         raise SchemeError(f"scheme {self.name!r} does not belong to the variational method", "choose another method")
 
 
@@ -172,8 +172,8 @@ class QuadraturePoint:
 class DiscreteLagrangian(Scheme):
     """Ld(q0, q1) = ext h sum_i w_i L(q(c_i h), q'(c_i h)) over the inner values of the polynomial q.
 
-    q has its values at the fractions `nodes` of the step, of which the first is 0 with q0 and the last 1 with q1; with
-    no others it is the straight line, and nothing is left to extremise.
+    q has its values at the fractions `nodes` of the step. The first is 0 with q0 and the last 1 with q1. Without inner
+    nodes q is the straight line, and there are no inner values.
     """
 
     points: tuple[QuadraturePoint, ...]
@@ -181,14 +181,14 @@ class DiscreteLagrangian(Scheme):
 
     @property
     def variational(self) -> bool:
-        """A discrete Lagrangian is."""
+        """Return True."""
         return True
 
     @property
     def is_chain(self) -> bool:
-        """Whether nothing is left to extremise."""
+        """Return True if there are no inner values."""
         return len(self.nodes) == 2
 
     def discrete_lagrangian(self) -> DiscreteLagrangian:
-        """The scheme itself."""
+        """Return the scheme itself."""
         return self

@@ -4,8 +4,8 @@ With S a symmetric scheme of order 2, S(g_s h) ... S(g_1 h) with g_i = g_{s+1-i}
 the order conditions, whatever S is (Hairer, Lubich and Wanner 2006, section V.3.2). A partitioned method alternates
 steps of symplectic-euler-adjoint and symplectic-euler of lengths a_i h and b_i h; it is explicit where the Hamiltonian
 is separable, and has the same order where it is not (McLachlan 1995, On the numerical integration of ordinary
-differential equations by symmetric composition methods, section 2). `tests/schemes/test_orders.py` solves for the
-orders anew.
+differential equations by symmetric composition methods, section 2). `tests/discretise/test_orders.py` verifies
+the orders.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ class Composition(Scheme):
 
     @property
     def variational(self) -> bool:
-        """Whether the base is."""
+        """Return True if the base is variational."""
         return self.base.variational
 
     @property
     def is_chain(self) -> bool:
-        """Whether steps of the base are."""
+        """Return True if steps of the base are chains."""
         return self.base.is_chain
 
     def part(self, lengths: Sequence[Symbol], step: Symbol) -> Scheme:
-        """The base, or the base with these lengths of its substeps."""
+        """Return the base, or the base with these lengths of its substeps."""
         if len(lengths) == 1:
             return self.base
         pairs = zip(self._base().substeps, lengths, strict=True)
         return replace(self._base(), substeps=tuple(replace(s, fraction=length / step) for s, length in pairs))
 
     def step(self) -> Step:
-        """The steps of the base, one after the other; SchemeError where these are discrete Lagrangians."""
+        """Return the steps of the base, one after the other; SchemeError where these are discrete Lagrangians."""
         if not isinstance(self.base, OneStep) and not self.variational:
             return _joined(self.base.step(), [fraction for (fraction,) in self.parts])
         base, substeps = self._base(), list[Substep]()
@@ -71,7 +71,7 @@ class Composition(Scheme):
 
 
 def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
-    """One step that consists of the same step at these fractions of its length, one after the other."""
+    """Return the same step at these fractions of its length, one after the other, as one step."""
     size, count = len(step.abscissae), len(step.points)
     points, abscissae, updates = list[FieldPoint](), list[Expr](), (list[Update | None](), list[Update | None]())
     begin = S.Zero
@@ -92,11 +92,8 @@ def _joined(step: Step, fractions: Sequence[Expr]) -> Step:
 
 
 def repeated(count: int, base: Scheme) -> Composition:
-    """The scheme `<count>-steps-of-<base>`: so many equal steps of the base in one step, under one control."""
-    length = Rational(1, count)
-    rows = [(length,)] * count
-    if isinstance(base, OneStep):
-        rows = [tuple(length * s.fraction for s in base.substeps)] * count
+    """Return the scheme `<count>-steps-of-<base>`: so many equal steps of the base in one step, under one control."""
+    substeps = [s.fraction for s in base.substeps] if isinstance(base, OneStep) else [S.One]
     return Composition(
         name=f"{count}-steps-of-{base.name}",
         order=base.order,
@@ -105,50 +102,31 @@ def repeated(count: int, base: Scheme) -> Composition:
         source=base.source,
         summary=f"{count} equal steps of {base.name}",
         base=base,
-        parts=tuple(rows),
+        parts=(tuple(Rational(1, count) * s for s in substeps),) * count,
     )
-
-
-@dataclass(frozen=True)
-class _Symmetric:
-    """A symmetric composition of any symmetric scheme of order 2: the first half of its fractions, and the middle."""
-
-    name: str
-    order: int
-    source: str
-    half: tuple[Expr, ...]
-
-    @property
-    def fractions(self) -> tuple[Expr, ...]:
-        """All fractions; that of the middle makes the sum 1."""
-        return (*self.half, 1 - 2 * sum(self.half, S.Zero), *self.half[::-1])
 
 
 def _decimals(text: str) -> tuple[Expr, ...]:
     return tuple(Rational(number) for number in text.split())
 
 
-_SYMMETRIC = (
-    _Symmetric(
-        "yoshida-4",
+_SYMMETRIC: dict[str, tuple[int, str, tuple[Expr, ...]]] = {
+    "yoshida-4": (
         4,
         "Forest and Ruth (1990); Suzuki (1990); Yoshida (1990); Hairer, Lubich and Wanner (2006), (II.4.4)",
         (1 / (2 - Integer(2) ** Rational(1, 3)),),
     ),
-    _Symmetric(
-        "suzuki-4",
+    "suzuki-4": (
         4,
         "Suzuki (1990); Hairer, Lubich and Wanner (2006), (II.4.5)",
         (1 / (4 - Integer(4) ** Rational(1, 3)),) * 2,
     ),
-    _Symmetric(
-        "yoshida-6",
+    "yoshida-6": (
         6,
         "Yoshida (1990), solution A; Hairer, Lubich and Wanner (2006), (V.3.11)",
         _decimals("0.78451361047755726381949763 0.23557321335935813368479318 -1.17767998417887100694641568"),
     ),
-    _Symmetric(
-        "kahan-li-6",
+    "kahan-li-6": (
         6,
         "Kahan and Li (1997); McLachlan (1995); Hairer, Lubich and Wanner (2006), section V.3.2",
         _decimals(
@@ -156,8 +134,7 @@ _SYMMETRIC = (
             "0.08221359629355080023149045"
         ),
     ),
-    _Symmetric(
-        "yoshida-8",
+    "yoshida-8": (
         8,
         "Yoshida (1990); Suzuki and Umeno (1993); Hairer, Lubich and Wanner (2006), section V.3.2",
         _decimals(
@@ -166,8 +143,7 @@ _SYMMETRIC = (
             "0.31529309239676659663205666"
         ),
     ),
-    _Symmetric(
-        "kahan-li-8",
+    "kahan-li-8": (
         8,
         "Kahan and Li (1997); Hairer, Lubich and Wanner (2006), section V.3.2",
         _decimals(
@@ -176,43 +152,42 @@ _SYMMETRIC = (
             "0.25837438768632204729397911 0.29501172360931029887096624"
         ),
     ),
-)
-
-
-def _of(composition: _Symmetric, base: Scheme, name: str) -> Composition:
-    if isinstance(base, OneStep):
-        rows = [tuple(g * s.fraction for s in base.substeps) for g in composition.fractions]
-    else:
-        rows = [(g,) for g in composition.fractions]
-    return Composition(
-        name=name,
-        order=composition.order,
-        symmetric=True,
-        symplectic=base.symplectic,
-        source=composition.source,
-        summary=f"{len(rows)} steps of {base.name}",
-        base=base,
-        parts=tuple(rows),
-    )
+}
+"""Symmetric compositions of any symmetric scheme of order 2: order, source, and the fractions before the middle one."""
+NAMES = tuple(_SYMMETRIC)
+"""The names of the compositions that take any base."""
 
 
 def composed(name: str, base: Scheme) -> Composition | None:
-    """The composition of that name of a base scheme; None when there is none, or the base does not fit."""
-    found = [composition for composition in _SYMMETRIC if composition.name == name]
-    if not found or not base.symmetric or base.order != 2:
+    """Return the composition of that name of a base scheme; None for other names, or an unsuitable base."""
+    if name not in _SYMMETRIC or not base.symmetric or base.order != 2:
         return None
-    return _of(found[0], base, f"{name}-of-{base.name}")
+    return _of(name, base, f"{name}-of-{base.name}")
 
 
-NAMES = tuple(composition.name for composition in _SYMMETRIC)
-"""The names of the compositions that take any base."""
+def _of(composition: str, base: Scheme, name: str) -> Composition:
+    order, source, half = _SYMMETRIC[composition]
+    fractions = _mirrored(half, 2 * len(half) + 1)
+    substeps = [s.fraction for s in base.substeps] if isinstance(base, OneStep) else [S.One]
+    return Composition(
+        name=name,
+        order=order,
+        symmetric=True,
+        symplectic=base.symplectic,
+        source=source,
+        summary=f"{len(fractions)} steps of {base.name}",
+        base=base,
+        parts=tuple(tuple(g * s for s in substeps) for g in fractions),
+    )
+
+
 _EXPLICIT, _MIDPOINT = (
     next(scheme for scheme in ONE_STEPS if scheme.name == name) for name in ("position-verlet", "midpoint")
 )
 
 
 def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], kicks: tuple[Expr, ...]) -> Composition:
-    """A symmetric sequence drift, kick, drift, ..., each tuple up to its middle, where it counts once or twice.
+    """Return a symmetric sequence drift, kick, drift, ..., each tuple up to its middle, where it counts once or twice.
 
     Kick i is split into the one that ends a step of symplectic-euler-adjoint and the one that begins one of
     symplectic-euler.
@@ -235,9 +210,9 @@ def _partitioned(name: str, order: int, source: str, drifts: tuple[Expr, ...], k
 
 
 def _mirrored(half: tuple[Expr, ...], count: int) -> tuple[Expr, ...]:
-    """A palindrome of `count` numbers with sum 1 that begins with `half`; what is missing is in the middle."""
-    left = 1 - 2 * sum(half, S.Zero)
-    middle = (left,) if count % 2 else (left / 2, left / 2)
+    """Return a palindrome of `count` numbers with sum 1 that begins with `half`; the middle completes the sum."""
+    rest = 1 - 2 * sum(half, S.Zero)
+    middle = (rest,) if count % 2 else (rest / 2, rest / 2)
     return (*half, *middle, *half[::-1])
 
 
@@ -288,7 +263,7 @@ PARTITIONED = (
 )
 
 SCHEMES = {
-    "hamiltonian": (*(_of(composition, _EXPLICIT, composition.name) for composition in _SYMMETRIC), *PARTITIONED),
-    FIRST_ORDER: tuple(_of(composition, _MIDPOINT, composition.name) for composition in _SYMMETRIC),
+    "hamiltonian": (*(_of(name, _EXPLICIT, name) for name in NAMES), *PARTITIONED),
+    FIRST_ORDER: tuple(_of(name, _MIDPOINT, name) for name in NAMES),
 }
-"""Of position-verlet, so that they are explicit where the Hamiltonian is separable; of the midpoint rule."""
+"""Compositions of position-verlet, explicit where the Hamiltonian is separable, and of the midpoint rule."""

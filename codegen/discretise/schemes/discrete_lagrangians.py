@@ -11,9 +11,9 @@ _HALF = Rational(1, 2)
 
 
 def _galerkin(method: RungeKutta, degree: int, summary: str) -> DiscreteLagrangian:
-    """The Galerkin integrator with the quadrature rule of a Runge-Kutta method.
+    """Return the Galerkin integrator with the quadrature rule of a Runge-Kutta method.
 
-    It is the same map with Gauss quadrature, and with another where the mass matrix is constant.
+    Both are the same map for Gauss quadrature, and for other rules where the mass matrix is constant.
     """
     pairs = zip(method.weights, method.abscissae, strict=True)
     return DiscreteLagrangian(

@@ -1,4 +1,4 @@
-"""One-step methods: the Eulers, the alpha family, midpoint, Störmer-Verlet; those for first-order systems."""
+"""One-step methods: the Eulers, the alpha family, midpoint, Störmer-Verlet; and those for first-order systems."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class OneStep(Scheme):
 
     @property
     def dense_derivatives(self) -> int:
-        """One where the field is evaluated at both nodes, which makes the trapezoidal rule's motion a parabola."""
+        """Return one if the field is evaluated at both nodes: the motion of the trapezoidal rule is a parabola."""
         first, last = self.substeps[0], self.substeps[-1]
         at_nodes = first.position, first.momentum, last.position, last.momentum
         return int(at_nodes == (_ZERO, _ZERO, _ONE, _ONE))
 
     def step(self) -> Step:
-        """Substep n leads from state n to state n + 1, with one point between them."""
+        """Return the step in which substep n leads from state n to state n + 1, with one point between them."""
         points, updates, abscissae, elapsed = list[FieldPoint](), list[Update](), list[Expr](), S.Zero
         for n, s in enumerate(self.substeps):
             position, momentum = (((n, 1 - share), (n + 1, share)) for share in (s.position, s.momentum))
@@ -97,17 +97,17 @@ TRAPEZOIDAL = OneStep(
     summary="mean of the fields at x0 and x1; half a step of explicit-euler, then half a step of implicit-euler",
     substeps=(Substep(_HALF, _ZERO, _ZERO), Substep(_HALF, _ONE, _ONE)),
 )  # fmt: skip
-"""Offered for first-order systems; of a mechanical system the midpoint rule is the symplectic one of the two."""
+"""A scheme for first-order systems; for mechanical systems the midpoint rule is symplectic, and this one is not."""
 
 _SAME_POINT = (scheme for scheme in ONE_STEPS if all(s.position == s.momentum for s in scheme.substeps))
 SCHEMES = {"hamiltonian": ONE_STEPS, FIRST_ORDER: (*_SAME_POINT, TRAPEZOIDAL), PARTICLES: ONE_STEPS}
-"""For x' = f(x, u, t) those that have no momenta at another point than the coordinates."""
+"""The schemes by method; those for x' = f(x, u, t) evaluate coordinates and momenta at the same point."""
 
 
 def alpha(value: Rational) -> OneStep:
-    """The family with the field at ((1-a) q0 + a q1, a p0 + (1-a) p1), symplectic for every a.
+    """Return the member of the family with the field at ((1-a) q0 + a q1, a p0 + (1-a) p1), symplectic for every a.
 
-    For mechanical Hamiltonians that is the discrete Lagrangian h L((1-a) q0 + a q1, (q1 - q0)/h).
+    For mechanical Hamiltonians this is the discrete Lagrangian h L((1-a) q0 + a q1, (q1 - q0)/h).
     """
     half = value == _HALF
     return OneStep(

@@ -1,6 +1,7 @@
 """Runge-Kutta methods of higher order: collocation by Gauss, Radau and Lobatto, diagonally implicit and explicit ones.
 
-The tables are exact; `tests/schemes/test_orders.py` proves orders and symplecticity from them.
+The tables are exact; `tests/discretise/test_orders.py` proves orders and symplecticity from them. Codes with adaptive
+steps are references for particles whose ends are both fixed.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ class RungeKutta(Scheme):
 
     @property
     def abscissae(self) -> tuple[Expr, ...]:
-        """The fractions c_i of the step at which stages are, the row sums of the coordinates' table."""
+        """Return the fractions c_i of the step at the stages, the row sums of the coordinates' table."""
         return tuple(sum(row, S.Zero) for row in self.positions)
 
     def step(self) -> Step:
-        """Stage i is state i, unless the table says that it is that of a node."""
+        """Return the step in which stage i is state i, unless its row of the table is that of a node."""
         end, numbers = Update(0, S.One, self.weights), range(1, len(self.weights) + 1)
 
         def state(number: int, row: tuple[Expr, ...]) -> int:
             return 0 if not any(row) else numbers.stop if row == self.weights else number
 
         def updates(table: Rows) -> tuple[Update | None, ...]:
-            own = (Update(0, S.One, row) if state(i, row) == i else None for i, row in zip(numbers, table, strict=True))
-            return (*own, end)
+            rows = zip(numbers, table, strict=True)
+            return (*(Update(0, S.One, row) if state(i, row) == i else None for i, row in rows), end)
 
         rows = zip(numbers, self.abscissae, self.weights, self.positions, self.momenta, strict=True)
         points = (FieldPoint(c, b, ((state(i, a), S.One),), ((state(i, d), S.One),)) for i, c, b, a, d in rows)
@@ -90,7 +91,7 @@ _DORMAND_PRINCE = _table(
 
 
 def _gauss_8() -> Rows:
-    """The table of Kuntzmann and Butcher, whose outer points come first and last."""
+    """Return the table of Kuntzmann and Butcher, whose outer points come first and last."""
     outer, inner = (sqrt((15 + sign * 2 * _ROOT_30) / 35) / 2 for sign in (1, -1))
     half = [Rational(1, 8) - sign * _ROOT_30 / 144 for sign in (1, -1)]
     third = [outer * (Rational(1, 6) + _ROOT_30 / 24), inner * (Rational(1, 6) - _ROOT_30 / 24)]
@@ -175,9 +176,34 @@ HERMITE_SIMPSON = RungeKutta(
     weights=_table("1/6 2/3 1/6")[0], positions=_LOBATTO_IIIA, momenta=_LOBATTO_IIIA,
 )  # fmt: skip
 
+
+@dataclass(frozen=True)
+class Adaptive(Scheme):
+    """A code of scipy that chooses its steps by a tolerance."""
+
+    def step(self) -> Step:
+        """Return the step of the classical Runge-Kutta method, which serves for derivatives alone."""
+        return RK4.step()
+
+
+ADAPTIVE = (
+    Adaptive(
+        name="dop853", order=8, symmetric=False, symplectic=False,
+        source="Hairer, Norsett and Wanner (1993), II.5 (scipy.integrate.DOP853)",
+        summary="explicit Runge-Kutta method of order 8 with step-size control",
+        adaptive="DOP853",
+    ),
+    Adaptive(
+        name="lsoda", order=12, symmetric=False, symplectic=False,
+        source="Petzold (1983), SIAM Journal on Scientific and Statistical Computing 4 (scipy.integrate.LSODA)",
+        summary="multistep methods of Adams and backward differentiation formulas, order and step by error control",
+        adaptive="LSODA",
+    ),
+)  # fmt: skip
+
 SCHEMES = {
     "hamiltonian": (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_5, HERMITE_SIMPSON, LOBATTO_4, RK4),
     FIRST_ORDER: (GAUSS_4, GAUSS_6, GAUSS_8, RADAU_3, RADAU_5, SDIRK_4, HERMITE_SIMPSON, RK4, DORMAND_PRINCE_5),
-    PARTICLES: (RK4, BUTCHER_6),
+    PARTICLES: (RK4, BUTCHER_6, *ADAPTIVE),
 }
-"""Those for particles have explicit steps."""
+"""The schemes of this family by method; those for particles have explicit steps."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from codegen.discretise.connect import PairwiseProgram
+from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import ControlDerivatives, ControlSensitivities, StepDerivatives
 from codegen.emit.lower.control.module import lower_control

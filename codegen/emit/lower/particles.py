@@ -8,7 +8,8 @@ from typing import Any
 
 from sympy import Rational, S, Symbol, sstr
 
-from codegen.discretise.connect import PairwiseProgram
+from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.particles import PairwiseProgram
 from codegen.emit.lower.blocks import BLOCK, GROUP, BlockLoop, gathered_loops, tracer_loops
 from codegen.emit.lower.kernels import Line
 from codegen.emit.lower.module import Argument, Module, arguments_of, record_fields

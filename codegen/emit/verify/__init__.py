@@ -6,7 +6,7 @@ unchanged. The comparison shares only these expressions with the stages that mad
 
 from __future__ import annotations
 
-from codegen.discretise.connect import PairwiseProgram
+from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.lower.control.layout import parameters
 from codegen.emit.verify.execution import Text, verify_tables

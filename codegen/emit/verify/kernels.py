@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from sympy import Expr, S, Symbol
 
-from codegen.discretise.connect import PairwiseProgram
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.pairwise import PairwiseModel
+from codegen.discretise.particles import PairwiseProgram
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.emit.differentiation import data_of
 from codegen.emit.lower.control.kernels import named_elements

@@ -12,7 +12,7 @@ from sympy import Expr, Symbol
 from codegen.discretise import schemes, transcribe
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
 from codegen.discretise.schemes.one_step import alpha
 from codegen.errors import ArgumentError

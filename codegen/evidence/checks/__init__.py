@@ -12,8 +12,8 @@ from typing import TypeAlias
 from codegen.discretise import schemes
 from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.from_file import load_problem
-from codegen.discretise.model.segments import in_names_of_the_whole
+from codegen.discretise.model.delays import in_names_of_the_whole
+from codegen.discretise.model.from_problem import load_problem
 from codegen.emit import naming, rendering
 from codegen.emit.deadline import CHECK, Overdue, interrupted_after
 from codegen.emit.naming import Choices

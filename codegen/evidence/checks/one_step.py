@@ -27,7 +27,7 @@ from sympy import Expr, Matrix, S, Symbol
 from codegen.discretise.interval import STEP, at_nodes, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.phases import normalise
+from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import METHODS
 from codegen.discretise.schemes.base import Scheme, Tableau
 from codegen.errors import DegenerateError, NumericsError

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from sympy import Expr
 
 from codegen.discretise import transcribe
-from codegen.discretise.model.from_file import load_problem
+from codegen.discretise.model.from_problem import load_problem
 from codegen.discretise.model.pairwise import PairwiseModel
-from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.emit import differentiation, lower, naming, rendering
 from codegen.emit.naming import Choices
 from codegen.evidence.checks import layout

@@ -8,8 +8,8 @@ from typing import Any
 
 from codegen.discretise import schemes
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.model.from_file import load_problem
-from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+from codegen.discretise.model.from_problem import load_problem
+from codegen.discretise.particles import PARTICLE_SCHEMES
 from codegen.discretise.transcribe import methods_for
 from codegen.errors import CodegenError
 

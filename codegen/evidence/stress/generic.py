@@ -48,7 +48,7 @@ def _schemes(module: Any) -> Sequence[tuple[str | None, str]]:
     from codegen.discretise.schemes.base import FIRST_ORDER
 
     if is_of_particles(module):
-        from codegen.discretise.schemes.particles import PARTICLE_SCHEMES
+        from codegen.discretise.particles import PARTICLE_SCHEMES
 
         return [(None, name) for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
     if module.metadata.form == Form.FIRST_ORDER:

@@ -1,6 +1,6 @@
 """The motion of a problem with delays, put together from its segments.
 
-A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.segments`). Its
+A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.delays`). Its
 module has columns for the quantities of each segment. A user sees the author's quantities over the whole duration.
 """
 

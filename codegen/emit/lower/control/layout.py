@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import sympy
 from sympy import Expr, Symbol
 
-from codegen.discretise.guesses import DURATION
+from codegen.discretise.model.guesses import DURATION
 from codegen.discretise.program import ControlProgram, EndElement, Unknown
 from codegen.emit.differentiation import ControlDerivatives
 from codegen.emit.lower.kernels import Line

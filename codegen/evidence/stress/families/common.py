@@ -6,8 +6,7 @@ import math
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from codegen.discretise import schemes
-from codegen.discretise.schemes import particles
+from codegen.discretise import particles, schemes
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Setup
 from codegen.evidence.stress.systems import limit, swing
@@ -39,7 +38,7 @@ def setup(problem: str, scheme: SchemeOf | None = None, **arguments: Any) -> Set
 def registered(scheme: SchemeOf) -> Scheme:
     """What the registry says of a scheme."""
     method, name = scheme
-    return schemes.find(name, method) if method else particles.find(name, "connect")
+    return schemes.find(name, method) if method else particles.particle_scheme(name, "connect")
 
 
 def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:

@@ -1,4 +1,8 @@
-"""Problems of one phase or of several: the phases' models, what is common to them, and the jumps between them."""
+"""From a problem, of one phase or of several, to its canonical model.
+
+A problem of several phases has a model for each phase, the quantities that are common to all phases, and the jumps at
+the switches between them.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import sympy
 
 from codegen.discretise.conditions import CONDITIONS
-from codegen.discretise.model import delays, drawings, normal_form, smoothness, values
+from codegen.discretise.model import delays, normal_form, scope, smoothness, values
 from codegen.discretise.model.definitions import FreeParameter, Model, prescribed
+from codegen.discretise.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.discretise.model.relations import Entry
 from codegen.discretise.model.scope import Kinds, kinds_of
 from codegen.discretise.model.units import units_of
@@ -21,18 +27,36 @@ from codegen.discretise.model.written import jump_entries, maximises, used_quant
 from codegen.errors import BoundaryError, CodegenError, ExpressionError, ProblemFileError, SymbolError
 from codegen.problem.bodies import has_path_couplings, written_out
 from codegen.problem.problem import Control, Phases, form_of
+from codegen.problem.problem_file import with_location
+from codegen.problem.sources import Source, source_of
 from codegen.problem.symbols import Quantity
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.checks import rounding_of
 
-Jump = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+
+def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:
+    """Run a problem file's `problem(...)` with the given `--set` arguments, and check and normalise the result.
+
+    The model has the name of the file, and as its title the first line of the file's docstring. The source of an
+    object has both. Raises ProblemFileError when the file cannot be read, imported or called; ArgumentError when an
+    argument does not fit `problem`; another CodegenError when the problem is not well posed. All errors name the file
+    or the object, in one line.
+    """
+    source = source_of(problem)
+    title, written, declared = source.written(arguments)
+    try:
+        if is_pairwise(written):
+            return normalise_pairwise(written, declared, name=source.name, title=title)
+        return normalise(written, declared, name=source.name, title=title)
+    except CodegenError as error:
+        raise with_location(error, source.location) from error
 
 
 def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "problem", title: str = "") -> Model:
     """Check an author's problem, of one phase or several, and bring it into canonical form.
 
-    `declared` are the quantities that were declared while the problem was made; each must be used. Raises a kind of
-    CodegenError that names the symbol or expression and the remedy.
+    `declared` are the quantities that were declared while the problem was made. Raises a kind of CodegenError that
+    names the symbol or expression and the remedy.
     """
     delays.require_supported(problem)
     if has_path_couplings(problem):
@@ -41,22 +65,31 @@ def normalise(problem: Any, declared: Sequence[Quantity] = (), name: str = "prob
         return normal_form.normalise(problem, declared, name, title)
     form = _common_form(problem)
     jumps = jump_entries(problem.jumps, len(problem.phases) - 1) or [[]] * (len(problem.phases) - 1)
-    written = [_written(index, phase, form, jumps) for index, phase in enumerate(problem.phases)]
+    written = list[list[Entry]]()
+    for index, phase in enumerate(problem.phases):
+        with _in_phase(index):
+            _require_supported(index, phase)
+            written.append(written_entries(phase, form, jumps[index - 1] if index else ()))
     used = used_quantities(entry for entries in written for entry in entries)
-    drawing = drawings.checked_drawing(problem.phases[0])
-    drawings.require_derived(drawing, used)
+    drawing = scope.checked_drawing(problem.phases[0])
+    scope.require_derived(drawing, used)
     normal_form.require_unique_names([*used, *declared])
-    unused = normal_form.unused_names([*used, *drawings.drawn_quantities(drawing)], declared)
+    unused = normal_form.unused_names([*used, *scope.drawn_quantities(drawing)], declared)
     kinds = kinds_of(used, form)
     normal_form.require_cost(problem.phases, kinds)
     plain = normal_form.plain_symbols(used, "control")
-    models = _models(problem.phases, written, kinds, plain)
-    entries = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
-    chain = _chain(models, entries, kinds, plain, name, title)
-    _require_values(chain, entries)
+    models = list[Model]()
+    expected = dict[sympy.Symbol, float]()  # where the phases before end
+    for index, (phase, entries) in enumerate(zip(problem.phases, written, strict=True)):
+        with _in_phase(index):
+            models.append(_phase_model(phase, entries, kinds, plain, expected))
+        expected |= smoothness.expected_values(models[-1], 1.0)
+    jumps = [[normal_form.in_plain_symbols(entry, plain) for entry in jump] for jump in jumps]
+    chain = _chain(models, jumps, kinds, plain, name, title)
+    _require_values(chain, jumps)
     units = units_of(used, (entry for phase in written for entry in phase), plain)
     chain = normal_form.with_positive_durations(replace(chain, unused=unused, units=units))
-    return drawings.with_drawing(chain, drawing, plain)
+    return scope.with_drawing(chain, drawing, plain)
 
 
 @contextmanager
@@ -69,17 +102,17 @@ def _in_phase(index: int) -> Iterator[None]:
 
 
 def _common_form(problem: Phases) -> str:
-    """Which argument says how every phase moves."""
+    """Return the argument that gives the motion of every phase: lagrangian, hamiltonian or dynamics."""
     for index, phase in enumerate(problem.phases):
         if not isinstance(phase, Control):
             raise ProblemFileError(f"phase {index + 1} is a {type(phase).__name__}", "let every phase be a Control")
     if len(problem.phases) < 2:
         raise ProblemFileError("a single phase in Phases(...)", "give two or more, or return the Control itself")
-    forms, greatest = list[str](), list[bool]()
+    forms, maximised = list[str](), list[bool]()
     for index, phase in enumerate(problem.phases):
         with _in_phase(index):
             forms.append(form_of(phase))
-            greatest.append(maximises(phase))
+            maximised.append(maximises(phase))
         if forms[-1] != forms[0]:
             raise ExpressionError(
                 f"phase 1 is given by {forms[0]}, phase {index + 1} by {forms[-1]}", "give all phases in the same way"
@@ -89,23 +122,15 @@ def _common_form(problem: Phases) -> str:
                 f"phase 1 has {problem.phases[0].steps} steps, phase {index + 1} has {phase.steps}",
                 "give all phases the same number of steps; their lengths may differ",
             )
-    if any(greatest) and not all(greatest[i] or not _has_cost(phase) for i, phase in enumerate(problem.phases)):
-        raise ExpressionError("one phase has a cost, another one maximises", "give all phases the same, with its sign")
+    for phase, is_maximised in zip(problem.phases, maximised, strict=True):
+        if any(maximised) and not is_maximised and any(entry.expression != 0 for entry in written_costs(phase)):
+            remedy = "give all phases the same, with its sign"
+            raise ExpressionError("one phase has a cost, another one maximises", remedy)
     return forms[0]
 
 
-def _has_cost(phase: Control) -> bool:
-    return any(entry.expression != 0 for entry in written_costs(phase))
-
-
-def _written(index: int, phase: Control, form: str, jumps: Sequence[Sequence[Entry]]) -> list[Entry]:
-    with _in_phase(index):
-        _require_supported(index, phase)
-        return written_entries(phase, form, jumps[index - 1] if index else ())
-
-
 def _require_supported(index: int, phase: Control) -> None:
-    """Refuse what a phase cannot have, or what has no meaning between two others."""
+    """Refuse arguments that a phase cannot have, or that have no meaning between two other phases."""
     if index and (phase.start or phase.start_conditions):
         raise BoundaryError(
             "it says how it starts, but begins where the phase before ends",
@@ -121,46 +146,32 @@ def _require_supported(index: int, phase: Control) -> None:
         raise ExpressionError("it has a drawing", "give the drawing to the first phase, whose it is in all of them")
 
 
-def _models(
-    phases: Sequence[Control], written: Sequence[Sequence[Entry]], kinds: Kinds, plain: Mapping[Quantity, sympy.Symbol]
-) -> list[Model]:
-    """The model of every phase; what one leaves open is expected to be near where the phases before it end."""
-    models: list[Model] = []
-    elsewhere: dict[sympy.Symbol, float] = {}
-    for index, (phase, entries) in enumerate(zip(phases, written, strict=True)):
-        models.append(_phase(index, phase, entries, kinds, plain, elsewhere))
-        elsewhere |= smoothness.expected_values(models[-1], 1.0)
-    return models
-
-
-def _phase(
-    index: int,
+def _phase_model(
     phase: Control,
     entries: Sequence[Entry],
     common: Kinds,
     plain: Mapping[Quantity, sympy.Symbol],
-    elsewhere: Mapping[sympy.Symbol, float],
+    expected: Mapping[sympy.Symbol, float],
 ) -> Model:
-    """The model of one phase, checked by itself."""
-    with _in_phase(index):
-        kinds = kinds_of(used_quantities(entries), form_of(phase))
-        lacking = [q.name for q in common.coordinates if q not in kinds.coordinates]
-        if lacking:
-            raise SymbolError(
-                f"{' '.join(lacking)} of another phase does not occur in it",
-                "let all phases have the same coordinates or states; one that rests has the derivative 0",
+    """Check one phase by itself; states that it leaves open are `expected` near the end of the phases before."""
+    kinds = kinds_of(used_quantities(entries), form_of(phase))
+    missing = [q.name for q in common.coordinates if q not in kinds.coordinates]
+    if missing:
+        raise SymbolError(
+            f"{' '.join(missing)} of another phase does not occur in it",
+            "let all phases have the same coordinates or states; one that rests has the derivative 0",
+        )
+    if kinds.end_values or kinds.body is not None:
+        symbol = f"{kinds.end_values[0].partner}.of(...)" if kinds.end_values else "body"
+        raise SymbolError(f"{symbol} belongs to problems of several bodies", "leave it out of problems of phases")
+    model = normal_form.checked_model(phase, entries, kinds, plain, elsewhere=expected)
+    for condition in model.path:
+        if condition.equality and not condition.expression.free_symbols & {*model.rates, *model.controls}:
+            raise BoundaryError(
+                f"path {condition} fixes coordinates at every time, and no other phase can",
+                "replace it by its derivative, with a condition at the end of a phase",
             )
-        if kinds.end_values or kinds.body is not None:
-            symbol = f"{kinds.end_values[0].partner}.of(...)" if kinds.end_values else "body"
-            raise SymbolError(f"{symbol} belongs to problems of several bodies", "leave it out of problems of phases")
-        model = normal_form.checked_model(phase, entries, kinds, plain, elsewhere=elsewhere)
-        for condition in model.path:
-            if condition.equality and not condition.expression.free_symbols & {*model.rates, *model.controls}:
-                raise BoundaryError(
-                    f"path {condition} fixes coordinates at every time, and no other phase can",
-                    "replace it by its derivative, with a condition at the end of a phase",
-                )
-        return model
+    return model
 
 
 def _chain(
@@ -171,16 +182,18 @@ def _chain(
     name: str,
     title: str,
 ) -> Model:
-    """The model of all phases, in which each phase knows the parameters and the time of all."""
+    """Return the model of all phases; the model of each phase gets the parameters and the time of all phases."""
     first, last = models[0], models[-1]
-    time = plain[kinds.time] if kinds.time is not None else first.time
+    for entry in (entry for jump in jumps for entry in jump):
+        if entry.expression == entry.key:
+            raise ExpressionError(f"{entry.what} is its value before", "leave it out, it is continuous")
     common = {
         "name": name,
         "title": title,
         "parameters": tuple(plain[p] for p in kinds.parameters),
         "defaults": tuple(p.value for p in kinds.parameters),
         "free_parameters": tuple(_free_parameter(plain[p], models) for p in kinds.free),
-        "time": time,
+        "time": plain[kinds.time] if kinds.time is not None else first.time,
     }
     return replace(
         first,
@@ -192,35 +205,25 @@ def _chain(
         terminal_cost=last.terminal_cost,
         maximised=any(model.maximised for model in models),
         phases=tuple(replace(model, **common) for model in models),
-        jumps=tuple(_jump(entries) for entries in jumps),
+        jumps=tuple(tuple((e.key, e.expression) for e in jump if e.key is not None) for jump in jumps),
         scales=tuple(pair for model in models for pair in model.scales),
     )
 
 
 def _free_parameter(symbol: sympy.Symbol, models: Sequence[Model]) -> FreeParameter:
-    """A free parameter with the bounds that any phase gives it."""
-    found = [free for model in models for free in model.free_parameters if free.symbol == symbol]
+    """Return a free parameter with the bounds that any phase gives it."""
+    in_phases = [free for model in models for free in model.free_parameters if free.symbol == symbol]
     limits = []
     for side in ("lower", "upper"):
-        given = list(dict.fromkeys(getattr(f, side) for f in found if getattr(f, side) is not None))
-        if len(given) > 1:
+        bounds = list(dict.fromkeys(getattr(f, side) for f in in_phases if getattr(f, side) is not None))
+        if len(bounds) > 1:
             raise ExpressionError(f"{symbol} has two {side} bounds", "give it in one phase")
-        limits.append(given[0] if given else None)
-    return FreeParameter(symbol, found[0].guess, *limits)
-
-
-def _jump(entries: Sequence[Entry]) -> Jump:
-    pairs = []
-    for entry in entries:
-        assert entry.key is not None, "a jump has a key"
-        if entry.expression == entry.key:
-            raise ExpressionError(f"{entry.what} is its value before", "leave it out, it is continuous")
-        pairs.append((entry.key, entry.expression))
-    return tuple(pairs)
+        limits.append(bounds[0] if bounds else None)
+    return FreeParameter(symbol, in_phases[0].guess, *limits)
 
 
 def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
-    """Refuse jumps without a value, bounds that do not meet, and values at the ends that violate conditions."""
+    """Refuse jumps without a value, bounds that exclude each other, and values at the ends that violate conditions."""
     points = smoothness.sample_points(chain)
     for entry in (entry for jump in jumps for entry in jump):
         if all(expressions.rounded_at(entry.expression, point) is None for point in points):
@@ -232,33 +235,32 @@ def _require_values(chain: Model, jumps: Sequence[Sequence[Entry]]) -> None:
     begin: sympy.Expr = sympy.S.Zero
     for index, model in enumerate(chain.phases):
         with _in_phase(index):
-            # The time at which a phase ends is that of the whole problem.
+            # The time at the end of a phase counts from the start of the whole motion.
             values.require_agreement(replace(model, duration=begin + model.duration))
         begin += model.duration
 
 
 def _require_common_values(switch: int, before: Model, after: Model, jump: Mapping[sympy.Symbol, Any]) -> None:
-    """What does not jump has to satisfy the bounds of both phases, with room between them unless it is given."""
-    numbers, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
-    given = prescribed(before, "end")
+    """Require that a continuous quantity can satisfy the bounds of both phases, with an interior unless it is fixed."""
+    defaults, where = values.values_at_guess(before), f"at the switch from phase {switch + 1} to phase {switch + 2}"
+    fixed = prescribed(before, "end")
+
+    def numbers(at_switch: Sequence[sympy.Expr | None]) -> list[float]:
+        rounded = [expressions.rounded_at(e, defaults) for e in at_switch if e is not None]
+        return [number for number in rounded if number is not None]
+
     for symbol in (s for s in (*before.coordinates, *before.rates) if s not in jump):
-        both = [bound for model in (before, after) for bound in model.bounds if bound.symbol == symbol]
-        least = max(_numbers([bound.lower for bound in both], numbers), default=-math.inf)
-        greatest = min(_numbers([bound.upper for bound in both], numbers), default=math.inf)
-        for value in _numbers([given.get(symbol)], numbers):
+        bounds = [bound for model in (before, after) for bound in model.bounds if bound.symbol == symbol]
+        least = max(numbers([bound.lower for bound in bounds]), default=-math.inf)
+        greatest = min(numbers([bound.upper for bound in bounds]), default=math.inf)
+        for value in numbers([fixed.get(symbol)]):
             if value < least - rounding_of((value, least)) or value > greatest + rounding_of((value, greatest)):
                 raise BoundaryError(
                     f"{symbol} is {value:g} {where}, outside its bounds {least:g} and {greatest:g}",
                     "correct one of them",
                 )
-        if symbol not in given and not least < greatest:
+        if symbol not in fixed and not least < greatest:
             raise BoundaryError(
                 f"the bounds of {symbol} leave {'one value' if least == greatest else 'no value'} {where}",
                 f"widen them, or give {symbol} a value in the end of phase {switch + 1}",
             )
-
-
-def _numbers(given: Sequence[sympy.Expr | None], at: Mapping[sympy.Symbol, float]) -> list[float]:
-    """The values of those expressions that there are."""
-    found = [expressions.rounded_at(expression, at) for expression in given if expression is not None]
-    return [value for value in found if value is not None]

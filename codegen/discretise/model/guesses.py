@@ -1,0 +1,164 @@
+"""The initial guess: expressions of time, duration and parameters for the primal unknowns.
+
+A coordinate, state or momentum starts from the author's guess, or else from the straight line between its values at
+both ends. In a problem of several phases it also has values at the switches where a phase fixes its end. In every
+phase a line runs from the value after the last jump to the next fixed value, which may be several phases later. Where
+no value is fixed before the next jump of the quantity, the guess is constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import sympy
+from sympy import Add, Expr, S, Symbol
+
+from codegen.discretise.model.definitions import Boundary, Condition, Model
+from codegen.symbolic.derivatives import gradient
+
+DURATION = Symbol("duration", positive=True)
+"""The length of the whole time interval, in guesses."""
+
+
+def coordinate_guess(model: Model) -> tuple[Expr, ...]:
+    """Return the guess of each coordinate as a function of time."""
+    return guessed(model, model.coordinates, DURATION)
+
+
+def momentum_guess(model: Model) -> tuple[Expr, ...]:
+    """Return the guess of each momentum; of a Lagrangian the momenta along the guessed motion."""
+    if model.form != "lagrangian":
+        return guessed(model, model.rates, DURATION)
+    motion = coordinate_guess(model)
+    values = dict(zip(model.coordinates, motion, strict=True))
+    values |= {v: sympy.diff(q, model.time) for v, q in zip(model.rates, motion, strict=True)}
+    momenta = (slope.subs(values, simultaneous=True) for slope in gradient(model.function, model.rates))
+    return tuple(at_guess(model, momentum) for momentum in momenta)
+
+
+def control_guess(model: Model) -> tuple[Expr, ...]:
+    """Return the author's guess of each control, or zero."""
+    guess = dict(model.guess)
+    return tuple(at_guess(model, guess.get(u, S.Zero)) for u in model.controls)
+
+
+def guessed(model: Model, quantities: Sequence[Symbol], duration: Expr) -> tuple[Expr, ...]:
+    """Return the guesses of coordinates or momenta: the author's ones, else straight lines between end values."""
+    guess = dict(model.guess)
+    first = known_values(model, model.start, model.start_conditions)
+    last = known_values(model, model.end, model.end_conditions)
+
+    def line(x: Symbol) -> Expr:
+        if x in first and x in last:
+            return first[x] + (last[x] - first[x]) * model.time / duration
+        return first.get(x, last.get(x, S.Zero))
+
+    return tuple(at_guess(model, guess[x] if x in guess else line(x)) for x in quantities)
+
+
+def at_guess(model: Model, expression: Expr) -> Expr:
+    """Replace the free parameters in an expression by their first guesses."""
+    return expression.xreplace({parameter.symbol: parameter.guess for parameter in model.free_parameters})
+
+
+def at_start(model: Model, guess: Expr) -> Expr:
+    """Return a guess, which is a function of time, at the start of the time interval."""
+    return guess.subs(model.time, 0)
+
+
+def at_end(model: Model, guess: Expr) -> Expr:
+    """Return a guess, which is a function of time, at the end of the time interval."""
+    return guess.subs(model.time, DURATION)
+
+
+def known_values(model: Model, boundary: Boundary | None, conditions: Sequence[Condition]) -> dict[Symbol, Expr]:
+    """Return the values of coordinates and rates at an end, with free parameters at their guesses.
+
+    A value is given by the boundary, or by a condition that is linear in one quantity alone.
+    """
+    assert boundary is not None, "a control problem has an end"
+    quantities = (*model.coordinates, *model.rates)
+    pairs = zip(quantities, (*boundary.positions, *boundary.rates), strict=True)
+    fixed = {symbol: value for symbol, value in pairs if value is not None}
+    values = values_given_by(model, conditions) | fixed
+    return {symbol: at_guess(model, value) for symbol, value in values.items()}
+
+
+def values_given_by(model: Model, conditions: Iterable[Condition]) -> dict[Symbol, Expr]:
+    """Solve the conditions that are linear in a single coordinate or rate; the first condition of several counts."""
+    values: dict[Symbol, Expr] = {}
+    for condition in conditions:
+        present = condition.expression.free_symbols & {*model.coordinates, *model.rates}
+        if len(present) == 1 and condition.equality:
+            (symbol,) = present
+            slope = sympy.diff(condition.expression, symbol)
+            if slope.is_number and slope != 0:
+                values.setdefault(symbol, -condition.expression.subs(symbol, 0) / slope)
+    return values
+
+
+def inner_guess(model: Model) -> tuple[tuple[int, tuple[tuple[int, Expr], ...]], ...]:
+    """Return values at inner times, for each coordinate (by index) without a guess of the author.
+
+    A value stands with the number of its inner time. Values that depend on more than parameters are left out.
+    """
+    guess, times = dict(model.guess), range(len(model.inner_times))
+    at_times = [values_given_by(model, [c for c in model.inner_conditions if c.number == number]) for number in times]
+    guesses = []
+    for i, q in enumerate(model.coordinates):
+        pairs = [(number, at_guess(model, values[q])) for number, values in enumerate(at_times) if q in values]
+        values = tuple((number, value) for number, value in pairs if value.free_symbols <= set(model.parameters))
+        if values and q not in guess:
+            guesses.append((i, values))
+    return tuple(guesses)
+
+
+def measured_guess(model: Model) -> tuple[tuple[int, int], ...]:
+    """Return pairs of a coordinate's index and the index of the column of measurements that holds it.
+
+    Coordinates with a guess of the author are left out. Near the measurements the parameters that fit them are nearly
+    those of a linear problem. Source: Bock (1983), Recent advances in parameter identification techniques for O.D.E.
+    """
+    guess, columns = dict(model.guess), [observed.expression for observed in model.observed]
+    measured = [(i, q) for i, q in enumerate(model.coordinates) if q in columns and q not in guess]
+    return tuple((i, columns.index(q)) for i, q in measured)
+
+
+def with_guesses(model: Model) -> Model:
+    """Give every phase a guess of each coordinate, state or momentum of a Hamiltonian, in the time of the chain."""
+    durations = [at_guess(model, phase.duration) for phase in model.phases]
+    times, phases = [Add(*durations[:i]) for i in range(len(durations) + 1)], list(model.phases)
+    values = known_values(model, model.start, model.start_conditions)
+    for i, phase in enumerate(phases):
+        guess = dict(phase.guess)
+        for q in model.coordinates if model.form != "hamiltonian" else (*model.coordinates, *model.rates):
+            guess.setdefault(q, _line(model, q, i, values.get(q), times))
+        phases[i] = replace(phase, guess=tuple(guess.items()))
+        if i + 1 < len(phases):
+            values = _values_after_jump(model, i, guess, times[i + 1])
+    return replace(model, phases=tuple(phases))
+
+
+def _line(model: Model, quantity: Symbol, index: int, left: Expr | None, times: Sequence[Expr]) -> Expr:
+    """Return the line from the value at the beginning of a phase to the next fixed value."""
+    for last, phase in enumerate(model.phases[index:], start=index):
+        right = known_values(model, phase.end, phase.end_conditions).get(quantity)
+        if right is not None:
+            if left is None:
+                return right
+            return left + (right - left) * (model.time - times[index]) / (times[last + 1] - times[index])
+        if last < len(model.jumps) and quantity in dict(model.jumps[last]):
+            break
+    return S.Zero if left is None else left
+
+
+def _values_after_jump(model: Model, index: int, guess: dict[Symbol, Expr], time: Expr) -> dict[Symbol, Expr]:
+    """Return the values with which the next phase begins; zeros that no end condition or jump gives are left out."""
+    before = {q: at_guess(model, value).subs(model.time, time) for q, value in guess.items()}
+    if model.form == "lagrangian":
+        pairs = zip(model.coordinates, model.rates, strict=True)
+        before |= {v: at_guess(model, sympy.diff(guess[q], model.time)).subs(model.time, time) for q, v in pairs}
+    fixed = known_values(model, model.phases[index].end, model.phases[index].end_conditions)
+    fixed |= {q: at_guess(model, value).xreplace(before | fixed) for q, value in model.jumps[index]}
+    return {q: value for q, value in (before | fixed).items() if value != 0 or q in fixed}
