@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from codegen.problem.problem import Phases, Problem
     from codegen.show.equations import Equations
     from codegen.solving.compiler import Build
-    from codegen.solving.interfaces import GeneratedModule
+    from codegen.solving.loading import GeneratedModule
     from codegen.solving.results.result import Result
 
 
@@ -181,13 +181,13 @@ def compile(
     is; messages begin with the object's name, or with the file.
     """
     from codegen.solving.loading import load
-    from codegen.solving.machine_code import ahead_of_time
+    from codegen.solving.machine_code import processes
 
     source, given = source_of(problem, name, title), dict(arguments or {})
     made = compiler.build(
         source, given, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities, out=out,
         time_limit=time_limit,
     )  # fmt: skip
-    ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)
+    processes.require(made.path, load(made.path), made.written, nullcontext)
     choices = chosen(scheme, method, controls, sensitivities=sensitivities)
     return Solver(source, given, choices, None if out is None else Path(out), made)

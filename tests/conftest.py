@@ -30,7 +30,7 @@ from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import FlowModule, registration_module
 from codegen.solving.compiler import build
-from codegen.solving.interfaces import GeneratedModule
+from codegen.solving.loading import GeneratedModule
 
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])

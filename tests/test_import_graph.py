@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from codegen.solving.cache import GENERATORS
+from codegen.solving.compiler import GENERATORS
 
 PACKAGE = Path(__file__).parents[1] / "codegen"
 
@@ -40,7 +40,6 @@ NUMERIC = (
     "symbolic/measurements",
     "drawing",
     "solving/tasks",
-    "solving/interfaces",
     "solving/loading",
     "solving/machine_code",
     "solving/results",
@@ -55,7 +54,6 @@ SYMBOLIC = (
     *(f"symbolic.{name}" for name in ("terms", "zeros")),
     "discretise",
     "emit",
-    "solving.cache",
     "solving.compiler",
 )
 """Modules that import sympy, or that lead to it."""

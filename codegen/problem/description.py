@@ -18,7 +18,7 @@ import sympy
 
 from codegen.errors import ExpressionError, clause
 from codegen.problem.particles import Connect, Pairwise
-from codegen.problem.quantities import Quantity
+from codegen.problem.symbols import Quantity
 from codegen.problem.tables import Measurements, Table, Trajectory
 from codegen.symbolic.table_functions import TableBase
 

@@ -14,8 +14,7 @@ from codegen.discretise.conditions import CONDITIONS
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.problem import Control, Phases, Problem
-from codegen.problem.quantities import Delayed, Moving, Parameter, Quantity
-from codegen.problem.symbols import Coordinate, FreeParameter, Velocity
+from codegen.problem.symbols import Coordinate, Delayed, FreeParameter, Moving, Parameter, Quantity, Velocity
 from codegen.symbolic import latex as lettering
 from codegen.symbolic.latex import in_latex, written_unit
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from codegen.solving.arcs import FAR, Estimate, Gap, around, compared, gaps, interval_errors
-from codegen.solving.interfaces import ControlModule, Matrix, Vector, few_steps, inner_places
+from codegen.solving.arcs import FAR, Estimate, Gap, around, compared, gaps, interval_errors, order_of_optima
+from codegen.solving.loading import ControlModule, Matrix, Vector, few_steps, inner_places
 from codegen.solving.results.result import Accuracy, GridLevel, Result
-from codegen.solving.run import order_of_optima, transferred
+from codegen.solving.warm_start import transferred
 
 LEAST_DENSITY = 0.1
 """Of the mean density of nodes, where nothing happens."""
@@ -286,3 +286,49 @@ class _Search:
             return replace(pair.fine, accuracy=accuracy)
         message = f"accuracy {self.request:g} not reached, but {pair.error:.2g}: {reason}"
         return replace(pair.fine, accuracy=accuracy, status="accuracy not reached", message=message)
+
+
+def refine(
+    solve: Callable[[int, Vector | None], Result],
+    module: ControlModule,
+    steps: int,
+    doublings: int,
+    warm: Vector | None = None,
+) -> Result:
+    """Solve on N, 2N, 4N, ... intervals, each from the solution before; the last result, with an error estimate.
+
+    `solve` takes a number of intervals and a start; `warm` is the first one. A grid that fails leaves the next one to
+    start from the last solution, or from the problem's own guess where there is none: a grid may be too coarse for a
+    solution. How each ended is told in `levels`. The summary gains, where the last two or more were solved, the cost
+    extrapolated by the order of optima and its distance from the last one as an error estimate, and the order that
+    three grids show.
+    """
+    known, results = warm, list[Result]()
+    for number in [steps * 2**k for k in range(doublings + 1)]:
+        results.append(solve(number, None if known is None else transferred(module, known, number)))
+        known = results[-1].unknowns if results[-1].solved else known
+    costs = [result.cost for result in _solved_to_the_end(results) if result.cost is not None]
+    # What the first solve alone knows, such as how many guesses it tried, stays.
+    summary = {**results[0].summary, **results[-1].summary, **_estimates(module, costs)}
+    return replace(results[-1], summary=summary, attempts=results[0].attempts, levels=tuple(results))
+
+
+def _solved_to_the_end(results: Sequence[Result]) -> Sequence[Result]:
+    """Those behind the last failure."""
+    failed = [index for index, result in enumerate(results) if not result.solved]
+    return results[failed[-1] + 1 if failed else 0 :]
+
+
+def _estimates(module: ControlModule, costs: list[float]) -> dict[str, float]:
+    """What a sequence of costs on halved steps tells of their limit."""
+    order = order_of_optima(module)
+    summary: dict[str, float] = {}
+    if len(costs) > 1:
+        error = (costs[-1] - costs[-2]) / (2**order - 1)
+        summary |= {"cost_extrapolated": costs[-1] + error, "cost_error_estimate": abs(error)}
+    if len(costs) > 2:
+        before, last = costs[-2] - costs[-3], costs[-1] - costs[-2]
+        # Differences at rounding level show no order.
+        if min(abs(before), abs(last)) > 1e-12 * max(1.0, abs(costs[-1])) and before / last > 0.0:
+            summary["observed_order"] = float(np.log2(before / last))
+    return summary

@@ -27,17 +27,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.runtime.record import Kind
+from codegen.runtime.record import Kind, Sites
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt
 from codegen.runtime.search.parts import interval_parts
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import corrected_cost
-from codegen.solving.interfaces import ControlModule, Grid, Indices, Matrix, Vector, time_grid
+from codegen.solving.loading import ControlModule, Grid, Indices, Matrix, Vector, time_grid
 from codegen.solving.results.control import bound_distances, held_at_bounds
 from codegen.solving.results.result import DiscretisationError, Result
 from codegen.solving.results.segments import segments_of
-from codegen.solving.run import order_of_optima
 
 LEAST_ARC = 4
 """Intervals of an arc; what is shorter is part of a gap."""
@@ -437,3 +436,13 @@ def _compared(module: ControlModule, result: Result, grid: Grid, found: Vector, 
         time += (segment - 1) * float(result.t[-1] - result.t[0])
     factor = 2.0 ** order_of_optima(module) - 1.0
     return DiscretisationError(states / factor, abs(cost - result.cost) / size / factor, quantity, time)
+
+
+def order_of_optima(module: ControlModule) -> int:
+    """The order at which costs converge: the scheme's own, but 2 at most where there are controls.
+
+    A control that is constant on each interval, or linear between nodes, approximates a smooth one at order 2, and the
+    cost at its minimum no better, whatever the scheme of the motion. With controls at stages it has the scheme's order.
+    """
+    order, metadata = int(module.metadata.order), module.metadata
+    return min(order, 2) if metadata.control_names and metadata.controls != Sites.STAGES else order

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -11,16 +12,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from codegen.errors import SchemeError
+from codegen.errors import NumericsError, SchemeError
 from codegen.problem.points import PointSet, read_points
 from codegen.runtime.record import Kind, Role
 from codegen.solving import compiler, loading
-from codegen.solving.accuracy import to_accuracy
+from codegen.solving.accuracy import refine, to_accuracy
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.drivers import DRIVERS, Driver
-from codegen.solving.interfaces import GeneratedModule, Matrix, Vector, is_control
-from codegen.solving.machine_code import ahead_of_time
-from codegen.solving.machine_code.processes import Compilers, compilers
+from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.loading import GeneratedModule, Matrix, Vector, is_control, machine_code_counts
+from codegen.solving.machine_code import processes as machine_code
+from codegen.solving.machine_code.compilation import seconds_of_machine_code
+from codegen.solving.machine_code.processes import Compilers, compilers, unwritable_cache_error
 from codegen.solving.request import Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
@@ -28,9 +31,8 @@ from codegen.solving.results.display import Background
 from codegen.solving.results.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import require_sensitive, with_sensitivities
-from codegen.solving.run import refine, run_and_verify, transferred
-from codegen.solving.tasks import task_of
-from codegen.solving.warm_start import best_of, start_of
+from codegen.solving.tasks import Task, task_of
+from codegen.solving.warm_start import best_of, start_of, transferred
 
 LEAST_TIME = 1e-9
 """Seconds in which a search does not begin."""
@@ -101,7 +103,7 @@ def _outcome(
         require_sensitive(module)
     said: list[str] = []
     if path is not None and driver.generated:
-        seconds, said = ahead_of_time.require(path, module, is_new, working, processes)
+        seconds, said = machine_code.require(path, module, is_new, working, processes)
         build_seconds += seconds
     said = [*said, *_rounded(request, module)]
     is_watched = driver.takes(task_of(module).name, "watch")
@@ -279,3 +281,64 @@ def _solved(
     if request.doublings:
         return refine(solve_on, module, steps, request.doublings, warm)
     return solve_on(steps, None if warm is None else transferred(module, warm, steps))
+
+
+def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
+    """Run a driver `repeat` times, and assess the last solution; see `codegen.solve`.
+
+    The time is the least of the runs. The time in which numba compiles or reads functions during a run is left
+    out: a driver may call functions for the first time.
+    """
+    task = task_of(module)
+    require_memory(task.numbers(module.metadata, run), run.steps)
+    function = driver.function(task.name)
+    compiled_before = machine_code_counts(module)[0]
+    begin = time.perf_counter()
+    try:
+        _get_ready(module, driver, task, run.steps)
+        code_seconds = time.perf_counter() - begin
+        attempt, seconds, late = _timed(lambda: function(module, run), repeat)
+    except ValueError as error:
+        # Generated modules know nothing of codegen's errors.
+        raise NumericsError(str(error), "correct the problem's numbers or the options") from error
+    except OSError as error:
+        raise unwritable_cache_error(module, error) from error
+    result: Result = task.result(module, driver.name, run, attempt, seconds)
+    compiled = machine_code_counts(module)[0] > compiled_before
+    return replace(result, seconds_code=code_seconds + late, compiled=compiled)
+
+
+def _get_ready(module: GeneratedModule, driver: Driver, task: Task, steps: int) -> None:
+    """Load the functions of a driver in this process before a run is timed, by calls of a smaller problem."""
+    if not driver.generated:  # the others call what this one does not
+        with quiet_single_thread():
+            task.touch(module, steps)
+        return
+    if machine_code_counts(module) == (0, 0):
+        with quiet_single_thread():
+            task.small(module)
+
+
+def require_memory(numbers: int, steps: int) -> None:
+    """Refuse what would not fit into memory, before the operating system kills the process without a word."""
+    if not hasattr(os, "sysconf"):
+        return
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if 8 * numbers > memory:
+        raise NumericsError(
+            f"{steps} steps need about {8e-9 * numbers:.0f} GB of memory, and there are {1e-9 * memory:.0f}",
+            "take fewer steps, or store only every so many-th of a simulation",
+        )
+
+
+def _timed(solve: Callable[[], Any], repeat: int) -> tuple[Any, float, float]:
+    """The last attempt, the least time of the runs, and the seconds of machine code in all of them."""
+    best, code_seconds = math.inf, 0.0
+    for _ in range(repeat):
+        with seconds_of_machine_code() as spent:
+            begin = time.perf_counter()
+            attempt = solve()
+            seconds = time.perf_counter() - begin
+        code_seconds += spent.seconds
+        best = min(best, max(seconds - spent.seconds, 0.0))
+    return attempt, best, code_seconds

@@ -1,16 +1,19 @@
 """What is asked of a solve, and what is refused about it: here, and nowhere else.
 
 A solve with other values of parameters than the problem's own, which need no build.
+
+What of a module may have other values without a build: parameters, given durations, prescribed ends, by name.
 """
 
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cached_property, partial
-from numbers import Integral
+from numbers import Integral, Real
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -18,19 +21,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, TableError, clause
-from codegen.problem.base import AuthorObject
-from codegen.problem.sources import ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
+from codegen.problem.sources import AuthorObject, ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
 from codegen.runtime.record import TableRecord
 from codegen.solving.drivers import DRIVERS, Driver, find
-from codegen.solving.interfaces import GeneratedModule, Matrix, Vector, few_steps, is_connect
-from codegen.solving.results.overrides import (
-    apart_from_delays,
-    as_number,
-    parameter_arguments,
-    prescribed_ends,
-    require_apart_from_arrays,
-    require_apart_from_delays,
+from codegen.solving.loading import (
+    GeneratedModule,
+    Matrix,
+    Vector,
+    few_steps,
+    is_connect,
+    is_of_particles,
+    is_simulation,
 )
+from codegen.solving.results.segments import segments_of
 from codegen.solving.tasks import TASKS, Task, task_of
 from codegen.symbolic.measurements import Layout, given_measurements, read_measurements
 from codegen.symbolic.tables import read_table
@@ -38,6 +41,76 @@ from codegen.symbolic.tables import read_table
 if TYPE_CHECKING:
     from codegen.problem.points import PointSet
     from codegen.solving.results.result import Watch
+
+START = "start."
+"""What names of prescribed values at the start begin with."""
+
+
+def as_number(value: Any) -> float:
+    """A value as a number; nan where it is none, or larger than any."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan
+
+
+def parameter_arguments(module: Any) -> dict[str, str]:
+    """The arguments of a module's functions by the names of parameters, which they may not have in Python."""
+    # Where particles begin, or sigma of their targets, and what each of them has for itself, come first.
+    before = 1 + len(module.metadata.own) if is_of_particles(module) else 0
+    return dict(zip(module.metadata.parameters, _keywords(module)[before:], strict=False))
+
+
+def duration_arguments(module: Any) -> tuple[str, ...]:
+    """The arguments for durations that are given; where there are delays, of which it is made, that of a segment."""
+    of_parameters = parameter_arguments(module).values()
+    return tuple(name for name in _keywords(module) if name.startswith("duration") and name not in of_parameters)
+
+
+def apart_from_delays(module: Any) -> tuple[str, ...]:
+    """The arguments for durations that may have other values: none where delays are parts of them."""
+    return () if segments_of(module.metadata) else duration_arguments(module)
+
+
+def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
+    """Prescribed values by names such as `end.x`: which end, and the name that the module's functions know.
+
+    Of a simulation these are all values that it starts from; particles have none, since they start from an array.
+    """
+    if is_simulation(module):
+        return {f"{START}{name}": ("start", name) for name in module.metadata.start}
+    ends = (("start", module.metadata.start), ("end", module.metadata.end))
+    return {f"{end}.{name}": (end, name) for end, names in ends for name in names}
+
+
+def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
+    """Refuse, as an ArgumentError, names of what particles start from: an array, which has no value for each name."""
+    if not (is_simulation(module) and is_of_particles(module)):
+        return
+    for name in names:
+        if name.startswith(START):
+            finding = clause(f"{module.metadata.problem} has no {name}: its particles start from an array")
+            raise ArgumentError(finding, "call solve(start=...) of its module, which takes all positions and momenta")
+
+
+def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
+    """Refuse, as an ArgumentError, names of a duration of which delays are parts: it would change them as well."""
+    if segments_of(module.metadata) is None:
+        return
+    durations = duration_arguments(module)
+    for name in names:
+        if name in durations:
+            finding = f"{module.metadata.problem} has delays, which another {name} would change as well"
+            raise ArgumentError(finding, "change it in the problem, and build that")
+
+
+def _keywords(module: Any) -> list[str]:
+    maker = module.make_case if is_connect(module) else module.make_grid
+    arguments = inspect.signature(maker).parameters.values()
+    return [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]
+
 
 SCALINGS = ("auto", "none")
 """Whether an optimiser works in parts of the sizes that it finds in a problem, or in the problem's own units."""

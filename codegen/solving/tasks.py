@@ -40,16 +40,17 @@ class Task:
 
 def _task(name: str, noun: str, options: str, functions: str) -> Task:
     """A row: what the functions are called that parts of the package have for a task."""
+    file = "control" if name == "control" else "motions"
     return Task(
         name,
         noun,
         frozenset(options.split()),
         tuple(functions.split()),
-        result=Deferred(f"solving.results.{name}", f"{name}_result"),
-        numbers=Deferred(f"solving.results.{name}", "stored_numbers"),
-        touch=Deferred("solving.machine_code.parts", f"{name}_touched"),
-        small=Deferred("solving.machine_code.parts", f"{name}_small"),
-        outline=Deferred(f"solving.results.{name}", f"{name}_outline"),
+        result=Deferred(f"solving.results.{file}", f"{name}_result"),
+        numbers=Deferred(f"solving.results.{file}", f"{name}_numbers"),
+        touch=Deferred("solving.machine_code.compilation", f"{name}_touched"),
+        small=Deferred("solving.machine_code.compilation", f"{name}_small"),
+        outline=Deferred(f"solving.results.{file}", f"{name}_outline"),
     )
 
 

@@ -18,10 +18,9 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.runtime.search.cascade import varied_guess
-from codegen.solving.interfaces import ControlModule, GeneratedModule, Vector
+from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, Vector, time_grid
 from codegen.solving.results.result import Result, component_names
 from codegen.solving.results.segments import segments_of
-from codegen.solving.run import source_steps
 
 _REMEDY = "give a file that --save wrote when this problem was solved"
 
@@ -147,3 +146,56 @@ def _line(number: int, result: Result) -> str:
     origin = "the problem's own" if number == 1 else "varied"
     cost = f", cost {result.cost:.9g}" if result.solved and result.cost is not None else ""
     return f"guess {number} ({origin}): {result.status}, {result.iterations} iterations{cost}"
+
+
+def transferred(
+    module: ControlModule, unknowns: Vector, steps: int, source: Vector | None = None, target: Vector | None = None
+) -> Vector:
+    """A solution's unknowns on a grid of N intervals, N = `steps`: interpolated in time, without overshoot.
+
+    Nodes are interpolated between nodes, intervals between their midpoints, in every phase by itself. Intervals are
+    equal, or last the fractions `source` of the solution and `target` of the new grid. Raises NumericsError when the
+    vector belongs to another problem.
+    """
+    old_steps = source_steps(module, unknowns)
+    old_grid, new_grid = time_grid(module, old_steps, source), time_grid(module, steps, target)
+    result = np.zeros(new_grid.is_multiplier.size)
+    old_nodes, old_intervals = module.views(old_grid, unknowns)
+    new_nodes, new_intervals = module.views(new_grid, result)
+    old_times, new_times = old_grid.nodes / old_steps, new_grid.nodes / steps
+    for phase in range(module.metadata.phases):
+        first = min(phase, 1)  # the node at a switch belongs to the phase before, since it has the values before a jump
+        old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
+        new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
+        old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
+        new_intervals[:, new] = _interpolated(_middles(old_times)[old], old_intervals[:, old], _middles(new_times)[new])
+    rest = module.problem.structure.root
+    result[result.size - rest :] = unknowns[unknowns.size - rest :]
+    return module.with_pinned_values(new_grid, result)
+
+
+def source_steps(module: ControlModule, unknowns: Vector) -> int:
+    """The number of intervals, of each phase, that a vector of unknowns belongs to."""
+    metadata = module.metadata
+    node, bodies = len(metadata.node), metadata.bodies
+    phase = metadata.phases * (node + len(metadata.interval))
+    steps: int
+    steps, rest = divmod((unknowns.size - module.problem.structure.root) // bodies - node, phase)
+    if rest or steps < 1 or bodies * (steps * phase + node) + module.problem.structure.root != unknowns.size:
+        raise NumericsError(
+            f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
+        )
+    return steps
+
+
+def _middles(times: Vector) -> Vector:
+    return 0.5 * (times[:-1] + times[1:])
+
+
+def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
+    if t.size == 1:
+        return np.repeat(values, at.size, axis=1)
+    from scipy.interpolate import PchipInterpolator  # which takes long to import
+
+    with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+        return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)

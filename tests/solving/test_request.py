@@ -98,14 +98,14 @@ class TestArguments:
     def test_points(self, monkeypatch, interpreted):
         """Of the problem file, of another file, and from memory."""
         monkeypatch.setattr("codegen.solving.loading.load", lambda path: interpreted("image_registration"))
-        monkeypatch.setattr("codegen.solving.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+        monkeypatch.setattr("codegen.solving.machine_code.processes.require", lambda *_: (0.0, []))
         start = np.array([[0.1, 0.2], [-0.3, 0.1]])
         few = PointSet(start, start + 0.01, np.zeros(2))
         assert codegen.solve(LANDMARKS, steps=2, points=few).q.shape == (3, 4)
 
     def test_points_from_a_file(self, monkeypatch, interpreted, tmp_path):
         monkeypatch.setattr("codegen.solving.loading.load", lambda path: interpreted("image_registration"))
-        monkeypatch.setattr("codegen.solving.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+        monkeypatch.setattr("codegen.solving.machine_code.processes.require", lambda *_: (0.0, []))
         (tmp_path / "few.csv").write_text("x0,y0,x1,y1\n0.1,0.2,0.12,0.2\n-0.3,0.1,-0.3,0.12\n")
         by_option = codegen.solve(LANDMARKS, steps=2, points=tmp_path / "few.csv")
         by_argument = codegen.solve(LANDMARKS, steps=2, arguments={"landmarks": tmp_path / "few.csv"})

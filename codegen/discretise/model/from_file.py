@@ -9,8 +9,7 @@ from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.pairwise import PairwiseModel, is_pairwise, normalise_pairwise
 from codegen.discretise.model.phases import normalise
 from codegen.errors import CodegenError
-from codegen.problem.problem_file import with_location
-from codegen.problem.sources import Source, source_of
+from codegen.problem.sources import Source, source_of, with_location
 
 
 def load_problem(problem: Source | Path | str, arguments: Mapping[str, str] = {}) -> Model | PairwiseModel:

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen.solving.drivers.shared import quiet_single_thread, require_at_most, require_method, verdict
-from codegen.solving.interfaces import ConnectModule, Vector
-from codegen.solving.results.connect import case_of
+from codegen.solving.loading import ConnectModule, Vector
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, Run
 
 LIMIT = 24

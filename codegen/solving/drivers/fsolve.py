@@ -24,7 +24,7 @@ from codegen.solving.drivers.shared import (
     require_small,
     verdict,
 )
-from codegen.solving.interfaces import (
+from codegen.solving.loading import (
     ConnectModule,
     ControlModule,
     ImplicitModule,
@@ -35,7 +35,7 @@ from codegen.solving.interfaces import (
     is_implicit,
     is_of_particles,
 )
-from codegen.solving.results.connect import case_of
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
 TOLERANCE = 1e-8

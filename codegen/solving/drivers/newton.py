@@ -15,8 +15,8 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.interfaces import ConnectModule, ControlModule, SimulateModule, Vector, is_of_particles
-from codegen.solving.results.connect import case_of
+from codegen.solving.loading import ConnectModule, ControlModule, SimulateModule, Vector, is_of_particles
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
 ADAPTIVE_TOLERANCE = 1e-8

@@ -24,8 +24,8 @@ from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.solving.interfaces import ConnectModule, ControlModule, NonlinearProgram, Vector, time_grid
-from codegen.solving.results.connect import case_of
+from codegen.solving.loading import ConnectModule, ControlModule, NonlinearProgram, Vector, time_grid
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9

@@ -15,7 +15,7 @@ from codegen.solving.drivers.shared import (
     quiet_single_thread,
     require_small,
 )
-from codegen.solving.interfaces import ConnectModule, ControlModule, Vector
+from codegen.solving.loading import ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6

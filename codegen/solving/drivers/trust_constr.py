@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.solving.drivers.shared import ScaledProblem, claim, minimised, quiet_single_thread
-from codegen.solving.interfaces import ConnectModule, ControlModule, Vector
+from codegen.solving.loading import ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6

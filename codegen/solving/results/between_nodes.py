@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from codegen.runtime.record import Kind, Meaning, Place, phrase
 from codegen.runtime.search.convergence import sizes_of_terms
-from codegen.solving.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solving.loading import ControlModule, Grid, Matrix, Vector, time_grid
 
 
 def cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:

@@ -17,7 +17,7 @@ from codegen.runtime.search.messages import worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
 from codegen.runtime.search.table_ranges import tables_beyond
-from codegen.solving.interfaces import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.solving.loading import ControlModule, Entries, Grid, Vector, time_grid
 from codegen.solving.results.estimates import AT_BOUND, Estimates, estimates_of
 from codegen.solving.results.result import (
     ControlAttempt,
@@ -140,7 +140,7 @@ def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArr
     return held
 
 
-def stored_numbers(metadata: ControlRecord, run: Run) -> int:
+def control_numbers(metadata: ControlRecord, run: Run) -> int:
     """How many numbers the generated solver keeps: it was measured to need 26 for every unknown."""
     intervals = run.steps * int(metadata.phases)
     return 26 * (intervals + 1) * (len(metadata.node) + len(metadata.interval))

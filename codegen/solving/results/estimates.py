@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.solving.interfaces import Grid, Matrix, Vector
+from codegen.solving.loading import Grid, Matrix, Vector
 
 
 class Fit:

@@ -12,7 +12,7 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError
 from codegen.problem.points import PointSet
 from codegen.runtime.record import Form, Record
-from codegen.solving.interfaces import Grid, Matrix, Vector
+from codegen.solving.loading import Grid, Matrix, Vector
 from codegen.solving.results.display import Background, Display
 from codegen.solving.results.estimates import Estimates
 

@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from codegen.runtime.record import ControlRecord, Kind, Method, Record
-from codegen.solving.interfaces import Matrix, Vector
+from codegen.solving.loading import Matrix, Vector
 from codegen.solving.results.result import Accuracy, Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.runtime.record import Task, phrase
-from codegen.solving.interfaces import Grid, Vector, few_steps, time_grid
+from codegen.solving.loading import Grid, Vector, few_steps, time_grid
 from codegen.solving.results.result import Derivatives, Result, Sensitivities
 from codegen.solving.results.segments import put_together, segments_of
 
