@@ -178,7 +178,7 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
     from codegen.solving.results import output as notes
 
     result, record = outcome.result, outcome.record
-    for line in outcome.said:
+    for line in outcome.notices:
         typer.echo(line, err=True)
     if log:
         console(stderr=json).print(output.log_table(result))

@@ -1,10 +1,8 @@
-"""Loading a generated module: from the path of a file to a typed view of what is in it, without sympy.
+"""Generated modules: the types of their functions by task, and loading from a file, without sympy.
 
-Every file is imported under a name made from its text and its path, so that two modules of the same name never meet,
-and so that another process finds it by that name: solutions, and functions such as `solve`, can be pickled. The machine
-code that numba keeps beside the file does not depend on that name.
-
-What generated modules offer, as types: their public functions, by task, and what tells one kind from another.
+Every file is imported under a name made from its text and its path. Hence two modules of the same name do not collide,
+and another process can import a module by its name: solutions, and functions such as `solve`, can be pickled. The
+machine code that numba stores beside the file does not depend on that name.
 """
 
 from __future__ import annotations
@@ -34,10 +32,9 @@ Entries: TypeAlias = tuple[Indices, Indices, Vector]
 
 
 class Grid(Protocol):
-    """N intervals of mean length h, the parameters of each body, and which unknowns are multipliers of equations.
+    """N intervals of mean length h, the parameters of each body, and a mask of the unknowns that are multipliers.
 
-    `nodes` (N + 1,) are the indices of all nodes in time, in mean lengths. Where there are inner times, `inner` are the
-    numbers of their nodes.
+    `nodes` (N + 1,) are the times of all nodes in units of h. `inner` are the numbers of the nodes at inner times.
     """
 
     steps: int
@@ -52,7 +49,10 @@ class Grid(Protocol):
 
 
 class ControlSolution(Protocol):
-    """What `solve` of an optimal-control module returns; `log` has a row for every iterate, `scaled` first sizes."""
+    """The return value of `solve` of an optimal-control module.
+
+    `log` has a row for each iterate; `scaled` is the grid with the first scaling factors.
+    """
 
     status: str
     message: str
@@ -81,7 +81,7 @@ class Unpacked(NamedTuple):
 
 
 class NonlinearProgram(Protocol):
-    """Minimise a cost such that constraints are zero and unknowns within bounds: see `codegen.runtime.search.nlp`."""
+    """Minimise a cost subject to equations and bounds; see `codegen.runtime.search.nlp`."""
 
     grid: Grid
     guess: Vector
@@ -104,11 +104,11 @@ class NonlinearProgram(Protocol):
 
 
 class ControlModule(Protocol):
-    """The public functions of a generated module that solves an optimal-control problem.
+    """The functions of a generated module for optimal control.
 
-    `variable_bounds` is there if `metadata.inequalities`. `problem` is the ControlProblem that all grids of the module
-    carry; what else there is to ask of a grid, `codegen.runtime.search` answers. Views are of nodes and intervals,
-    bodies first.
+    `variable_bounds` exists if `metadata.inequalities`. `problem` is the ControlProblem of all grids of the module,
+    from which `codegen.runtime.search` computes other quantities. Views are of nodes and intervals; the first axis is
+    the body.
     """
 
     metadata: ControlRecord
@@ -137,7 +137,7 @@ class StepGrid(Protocol):
 
 
 class SimulateSolution(Protocol):
-    """What `solve` of a simulation module returns; arrays run over the stored steps."""
+    """The return value of `solve` of a simulation module; arrays have an entry for each stored step."""
 
     status: str
     message: str
@@ -151,7 +151,7 @@ class SimulateSolution(Protocol):
 
 
 class SimulateModule(Protocol):
-    """The public functions of a generated module that follows a motion."""
+    """The functions of a generated module for a simulation."""
 
     metadata: Any
 
@@ -163,7 +163,7 @@ class SimulateModule(Protocol):
 
 
 class ImplicitModule(SimulateModule, Protocol):
-    """A simulation whose scheme leaves equations to be solved in every step; unknowns are those that are left."""
+    """A simulation by an implicit scheme; the unknowns are those of one step."""
 
     predict: Callable[[StepGrid, Vector, float], Vector]
     residual: Callable[[StepGrid, Vector, Vector, float], Vector]
@@ -172,9 +172,9 @@ class ImplicitModule(SimulateModule, Protocol):
 
 
 class ConnectModule(Protocol):
-    """The public functions of a generated module that connects points; a case is what `make_case` returns.
+    """The functions of a generated module that connects points; a case is the return value of `make_case`.
 
-    Those of the action are there if `metadata.method` is Method.ACTION.
+    The functions of the action exist if `metadata.method` is Method.ACTION.
     """
 
     metadata: ConnectRecord
@@ -217,12 +217,12 @@ GeneratedModule: TypeAlias = ControlModule | SimulateModule | ConnectModule
 
 
 def few_steps(module: Any, steps: int) -> int:
-    """As many intervals of a control problem, or more where there are inner times."""
+    """Return a number of intervals, increased where inner times need more."""
     return max(steps, int(module.metadata.inner_times) + 1)
 
 
 def inner_places(module: Any) -> tuple[float, ...]:
-    """Where inner times are, in parts of the duration, or of the whole chain where they are free; none, often."""
+    """Return the inner times as fractions of the duration, or of the number of intervals if they are free."""
     if not module.metadata.inner_times:
         return ()
     grid = module.make_grid(few_steps(module, 1))
@@ -230,35 +230,35 @@ def inner_places(module: Any) -> tuple[float, ...]:
 
 
 def time_grid(module: ControlModule, steps: int, fractions: Vector | None = None) -> Grid:
-    """The grid of N equal intervals, N = `steps`, or of those that last `fractions` of the duration, or of each phase.
+    """Return the grid of N = `steps` equal intervals, or of intervals with given fractions of the duration.
 
-    Raises ValueError when fractions are not positive, or their sum is not one.
+    The fractions may be those of each phase. Raises ValueError if they are not positive or their sum is not one.
     """
     return module.make_grid(steps) if fractions is None else module.make_grid(steps, grid=fractions)
 
 
 def is_control(module: GeneratedModule) -> TypeGuard[ControlModule]:
-    """Whether a generated module solves an optimal-control problem."""
+    """Return True for a module for optimal control."""
     return bool(module.metadata.task == Task.CONTROL)
 
 
 def is_connect(module: GeneratedModule) -> TypeGuard[ConnectModule]:
-    """Whether a generated module connects points."""
+    """Return True for a module that connects points."""
     return bool(module.metadata.task == Task.CONNECT)
 
 
 def is_simulation(module: GeneratedModule) -> TypeGuard[SimulateModule]:
-    """Whether a generated module follows a motion."""
+    """Return True for a module for a simulation."""
     return bool(module.metadata.task == Task.SIMULATE)
 
 
 def is_of_particles(module: GeneratedModule) -> bool:
-    """Whether a generated module is about particles."""
+    """Return True for a module for particles."""
     return bool(module.metadata.of_particles)
 
 
 def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
-    """Whether a simulation solves equations in every step."""
+    """Return True if a simulation solves equations in every step."""
     return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))
 
 
@@ -267,9 +267,22 @@ _REMEDY = "make it again with codegen build"
 
 
 def load(path: Path | str) -> GeneratedModule:
-    """Import a generated module by its path; the same file with the same text is imported once.
+    """Import a generated module.
 
-    Raises ModuleError when the file is missing, was not generated, or is damaged.
+    Parameters
+    ----------
+    path : path
+        The same file with the same text is imported once.
+
+    Returns
+    -------
+    module
+        See ControlModule, SimulateModule and ConnectModule for its functions.
+
+    Raises
+    ------
+    ModuleError
+        If the file is missing, was not generated, or is damaged.
     """
     path = Path(path)
     text = _text(path)
@@ -277,7 +290,7 @@ def load(path: Path | str) -> GeneratedModule:
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
-    """Return how many functions of a module and of the runtime numba has compiled in this process, and has read."""
+    """Return how many functions of a module and the runtime numba has compiled, and read, in this process."""
     runtime = [vars(other) for name, other in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
     functions = {id(value): value for space in (vars(module), *runtime) for value in list(space.values())}
     statistics: list[Any] = [getattr(value, "stats", None) for value in functions.values()]
@@ -301,17 +314,17 @@ def _text(path: Path) -> str:
 
 
 def _name(path: Path, text: str) -> str:
-    """The name of the module of a file, from which `_ByName` finds the file."""
+    """Return the name of the module of a file; `_ByName` recovers the path from it."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     return f"{__name__}.{path.stem}_{digest[:16]}@{quote(str(path)).replace('.', '%2E')}"
 
 
 class _ByName:
-    """Imports the modules of this package: generated ones, whose names hold a digest of the text and the path."""
+    """Importer of generated modules, whose names contain a digest of the text and the path."""
 
     @staticmethod
     def find_spec(name: str, _path: Sequence[str] | None = None, _: ModuleType | None = None) -> ModuleSpec | None:
-        """The file of a module, or None for a module of another package."""
+        """Return the specification of a generated module, None for other modules."""
         if not name.startswith(f"{__name__}."):
             return None
         path = Path(unquote(name.partition("@")[2]))
@@ -319,11 +332,11 @@ class _ByName:
 
     @staticmethod
     def create_module(_spec: ModuleSpec) -> None:
-        """Leave it to Python to make a module."""
+        """Let Python create the module."""
 
     @staticmethod
     def exec_module(module: ModuleType) -> None:
-        """Run the text of a file; ModuleError when it is not the one that the name tells, or is damaged."""
+        """Execute the text of a file; raise ModuleError if the text has changed or is damaged."""
         assert module.__spec__ is not None
         path = Path(module.__spec__.origin or "")
         text = _text(path)
@@ -344,7 +357,7 @@ class _ByName:
 
 
 __path__: list[str] = []
-"""Makes this module the package of all generated modules."""
+"""Declares this module as the package of all generated modules."""
 sys.meta_path.append(cast(Any, _ByName))
 
 

@@ -1,8 +1,7 @@
-"""What is asked of a solve, and what is refused about it: here, and nowhere else.
+"""The request for a solve: its options, their validation, and parameter overrides that need no new build.
 
-A solve with other values of parameters than the problem's own, which need no build.
-
-What of a module may have other values without a build: parameters, given durations, prescribed ends, by name.
+Parameters, given durations and prescribed ends are arguments of the functions of a generated module. An override binds
+such arguments. Tables and measurements are replaced in the same way.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, TableError, clause
 from codegen.problem.sources import AuthorObject, ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
-from codegen.runtime.record import TableRecord
 from codegen.solving.drivers import DRIVERS, Driver, find
 from codegen.solving.loading import (
     GeneratedModule,
@@ -42,88 +40,20 @@ if TYPE_CHECKING:
     from codegen.problem.points import PointSet
     from codegen.solving.results.result import Watch
 
-START = "start."
-"""What names of prescribed values at the start begin with."""
-
-
-def as_number(value: Any) -> float:
-    """A value as a number; nan where it is none, or larger than any."""
-    if not isinstance(value, Real) or isinstance(value, bool):
-        return math.nan
-    try:
-        return float(value)
-    except OverflowError:
-        return math.nan
-
-
-def parameter_arguments(module: Any) -> dict[str, str]:
-    """The arguments of a module's functions by the names of parameters, which they may not have in Python."""
-    # Where particles begin, or sigma of their targets, and what each of them has for itself, come first.
-    before = 1 + len(module.metadata.own) if is_of_particles(module) else 0
-    return dict(zip(module.metadata.parameters, _keywords(module)[before:], strict=False))
-
-
-def duration_arguments(module: Any) -> tuple[str, ...]:
-    """The arguments for durations that are given; where there are delays, of which it is made, that of a segment."""
-    of_parameters = parameter_arguments(module).values()
-    return tuple(name for name in _keywords(module) if name.startswith("duration") and name not in of_parameters)
-
-
-def apart_from_delays(module: Any) -> tuple[str, ...]:
-    """The arguments for durations that may have other values: none where delays are parts of them."""
-    return () if segments_of(module.metadata) else duration_arguments(module)
-
-
-def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
-    """Prescribed values by names such as `end.x`: which end, and the name that the module's functions know.
-
-    Of a simulation these are all values that it starts from; particles have none, since they start from an array.
-    """
-    if is_simulation(module):
-        return {f"{START}{name}": ("start", name) for name in module.metadata.start}
-    ends = (("start", module.metadata.start), ("end", module.metadata.end))
-    return {f"{end}.{name}": (end, name) for end, names in ends for name in names}
-
-
-def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
-    """Refuse, as an ArgumentError, names of what particles start from: an array, which has no value for each name."""
-    if not (is_simulation(module) and is_of_particles(module)):
-        return
-    for name in names:
-        if name.startswith(START):
-            finding = clause(f"{module.metadata.problem} has no {name}: its particles start from an array")
-            raise ArgumentError(finding, "call solve(start=...) of its module, which takes all positions and momenta")
-
-
-def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
-    """Refuse, as an ArgumentError, names of a duration of which delays are parts: it would change them as well."""
-    if segments_of(module.metadata) is None:
-        return
-    durations = duration_arguments(module)
-    for name in names:
-        if name in durations:
-            finding = f"{module.metadata.problem} has delays, which another {name} would change as well"
-            raise ArgumentError(finding, "change it in the problem, and build that")
-
-
-def _keywords(module: Any) -> list[str]:
-    maker = module.make_case if is_connect(module) else module.make_grid
-    arguments = inspect.signature(maker).parameters.values()
-    return [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]
-
-
 SCALINGS = ("auto", "none")
-"""Whether an optimiser works in parts of the sizes that it finds in a problem, or in the problem's own units."""
-_OF_BUILDS = ("arguments", "scheme", "method", "controls", "out")
+"""An optimiser uses scaling factors that it finds, or works in the units of the problem."""
+START = "start."
+"""Prefix of the names of prescribed values at the start."""
+_BUILD_OPTIONS = ("arguments", "scheme", "method", "controls", "out")
 _LEAST = {"steps": 1, "every": 1, "repeat": 1, "guesses": 1, "max_iterations": 1, "doublings": 0}
 _GENERATED = b"# Generated by codegen"
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A problem and how it is to be solved; see `codegen.solve`, whose arguments these are.
+    """A problem and the options of its solve, which are the arguments of `codegen.solve`.
 
-    Raises ArgumentError for a choice that does not exist, and NumericsError for a number that is unusable.
+    Raises ArgumentError for a choice that does not exist, and NumericsError for an unusable number.
     """
 
     problem: Path | str | Source | GeneratedModule | Any
@@ -154,8 +84,14 @@ class Request:
     watch: Watch | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is unusable whatever the problem is."""
-        self._take_what_is_compiled()
+        """Refuse options that no problem can have; replace a compiled problem by its source and choices."""
+        compiled: Mapping[str, Any] | None = getattr(self.problem, "build_options", None)
+        if compiled is not None:
+            self._refuse_build_options("compiled already", "compile the problem with it")
+            for name, value in compiled.items():
+                object.__setattr__(self, name, value)
+        elif isinstance(self.problem, AuthorObject):
+            object.__setattr__(self, "problem", source_of(self.problem))
         find(self.driver)
         for name, least in _LEAST.items():
             value = getattr(self, name)
@@ -183,86 +119,83 @@ class Request:
                 raise ArgumentError(f"{_option(name)} {getattr(self, name)!r} is no name", "give one as text")
         if not (self.points is None or isinstance(self.points, Path | str) or hasattr(self.points, "target")):
             raise ArgumentError(f"--points {type(self.points).__name__}", "give a file, or a PointSet")
-        if self.parameters is not None and not _are_named(self.parameters):
+        if self.parameters is not None and not _has_names(self.parameters):
             raise ArgumentError(f"parameters are {self.parameters!r}", 'give names and values, such as {"m": 2.0}')
         for name, value in (self.parameters or {}).items():
             if not math.isfinite(as_number(value)):
                 raise NumericsError(clause(f"parameter {name} is {value!r}"), "give a finite number")
-        if self.tables is not None and not _are_files(self.tables):
+        if self.tables is not None and not (
+            _has_names(self.tables) and all(isinstance(file, Path | str) for file in self.tables.values())
+        ):
             raise ArgumentError(f"tables are {self.tables!r}", 'give names and files, such as {"thrust": "other.csv"}')
-        if not _are_named(self.arguments):
+        if not _has_names(self.arguments):
             raise ArgumentError(f"arguments are {self.arguments!r}", 'give names and values, such as {"craft": 3}')
         if not isinstance(self.out, str | Path | None):
             raise ArgumentError(f"--out {self.out!r} is no folder", "give its path")
         if self.watch is not None and not callable(self.watch):
             raise ArgumentError(f"watch is {self.watch!r}", "give a function of an iterate's number and row")
-        self._require_problem()
-
-    def _take_what_is_compiled(self) -> None:
-        """Put what `codegen.compile` has returned, or an author's object, in terms of a source and its choices."""
-        made: Mapping[str, Any] | None = getattr(self.problem, "build_options", None)
-        if made is not None:
-            if given := next(filter(self._is_given, _OF_BUILDS), None):
-                finding = f"{_option(given)} is a choice of a build, and the problem is compiled already"
-                raise ArgumentError(finding, "leave it out, or compile the problem with it")
-            for name, value in made.items():
-                object.__setattr__(self, name, value)
-        elif isinstance(self.problem, AuthorObject):
-            object.__setattr__(self, "problem", source_of(self.problem))
-
-    def _require_problem(self) -> None:
-        """Refuse what is neither a problem nor a module, and choices of a build where there is nothing to build."""
         is_source = isinstance(self.problem, Path | str | ProblemFile | ProblemObject)
         if not is_source and not hasattr(getattr(self.problem, "metadata", None), "task"):
-            what = type(self.problem).__name__
+            kind = type(self.problem).__name__
             remedy = "give the path of a problem file, a Control or the like, or a generated module"
-            raise ArgumentError(f"a solve begins with a problem, not with this {what}", remedy)
-        given = next(filter(self._is_given, _OF_BUILDS), None)
-        if given and self.is_built:
-            finding = f"{_option(given)} is a choice of a build, and the problem is a generated module already"
-            raise ArgumentError(finding, "leave it out, or give the problem file")
+            raise ArgumentError(f"a solve begins with a problem, not with this {kind}", remedy)
+        if self.is_built:
+            self._refuse_build_options("a generated module already", "give the problem file")
 
-    @property
-    def source(self) -> Source:
-        """Where the problem comes from, which is no module."""
-        assert not self.is_built, "a module has been made already"
-        return source_of(self.problem)
-
-    @cached_property
-    def settings(self) -> Settings:
-        """What the arguments of a problem that is no module say, taken apart once."""
-        return settings_of(self.source, self.arguments)
-
-    @property
-    def is_built(self) -> bool:
-        """Whether the problem is a generated module, loaded or in a file."""
-        if not isinstance(self.problem, Path | str):
-            return not isinstance(self.problem, ProblemFile | ProblemObject)
-        try:
-            with Path(self.problem).open("rb") as file:
-                return file.read(len(_GENERATED)) == _GENERATED
-        except OSError:  # what is wrong with it is said where it is read
-            return False
-
-    def driver_for(self, module: GeneratedModule) -> Driver:
-        """The driver, if it and all options that are given mean something for a module's task, else ArgumentError."""
-        task = task_of(module)
-        driver = find(self.driver, task.name)
-        for name in filter(self._is_given, _DEFAULTS):
-            if name not in task.options and not driver.takes(task.name, name) and _is_of_tasks(name):
-                raise _meaningless(name, task, driver)
-        return driver
+    def _refuse_build_options(self, state: str, remedy: str) -> None:
+        if option := next(filter(self._is_given, _BUILD_OPTIONS), None):
+            finding = f"{_option(option)} is a choice of a build, and the problem is {state}"
+            raise ArgumentError(finding, f"leave it out, or {remedy}")
 
     def _is_given(self, name: str) -> bool:
         value, default = getattr(self, name), _DEFAULTS[name]
         return value is not default and (default is None or value != default)
 
+    @property
+    def source(self) -> Source:
+        """The source of a problem that is not a generated module."""
+        assert not self.is_built, "a module has been made already"
+        return source_of(self.problem)
+
+    @cached_property
+    def settings(self) -> Settings:
+        """The arguments of problem()."""
+        return settings_of(self.source, self.arguments)
+
+    @property
+    def is_built(self) -> bool:
+        """True if the problem is a generated module, loaded or in a file."""
+        if not isinstance(self.problem, Path | str):
+            return not isinstance(self.problem, ProblemFile | ProblemObject)
+        try:
+            with Path(self.problem).open("rb") as file:
+                return file.read(len(_GENERATED)) == _GENERATED
+        except OSError:  # reported where the file is read
+            return False
+
+    def driver_for(self, module: GeneratedModule) -> Driver:
+        """Return the driver; raise ArgumentError if the driver or an option does not apply to the task of a module."""
+        task = task_of(module)
+        driver = find(self.driver, task.name)
+        for name in filter(self._is_given, _DEFAULTS):
+            if name in task.options or driver.takes(task.name, name):
+                continue
+            takers = {other.name: _drivers_with(name, other) for other in TASKS.values()}
+            if names := takers[task.name]:
+                finding = f"driver {driver.name} takes no {_option(name)} for a {task.name} problem"
+                raise ArgumentError(finding, f"leave it out, or use {', '.join(names)}")
+            if any(takers.values()):
+                others = " and ".join(other.noun for other in TASKS.values() if takers[other.name])
+                finding = f"{_option(name)} does not apply to a {task.name} problem, only to {others}"
+                raise ArgumentError(finding, "leave it out")
+        return driver
+
 
 _DEFAULTS: dict[str, Any] = {f.name: {} if f.name == "arguments" else f.default for f in fields(Request)}
 
 
-def require_known(names: Iterable[str]) -> None:
-    """Refuse names that are no option of a solve; ArgumentError tells which is meant."""
+def require_options(names: Iterable[str]) -> None:
+    """Raise ArgumentError for a name that is no option of a solve."""
     for name in names:
         if name not in _DEFAULTS:
             close = difflib.get_close_matches(name, _DEFAULTS, 1)
@@ -271,95 +204,64 @@ def require_known(names: Iterable[str]) -> None:
             raise ArgumentError(f"codegen.solve has no option {name}", remedy)
 
 
-def _is_of_tasks(name: str) -> bool:
-    """Whether an option means something for some tasks, or drivers, only."""
-    return any(_takers(name, task) for task in TASKS.values())
-
-
-def _takers(name: str, task: Task) -> list[str]:
-    return [d.name for d in DRIVERS.values() if name in task.options or d.takes(task.name, name)]
-
-
-def _meaningless(name: str, task: Task, driver: Driver) -> ArgumentError:
-    if takers := _takers(name, task):
-        finding = f"driver {driver.name} takes no {_option(name)} for a {task.name} problem"
-        return ArgumentError(finding, f"leave it out, or use {', '.join(takers)}")
-    others = " and ".join(other.noun for other in TASKS.values() if _takers(name, other))
-    return ArgumentError(f"{_option(name)} does not apply to a {task.name} problem, only to {others}", "leave it out")
+def _drivers_with(option: str, task: Task) -> list[str]:
+    return [d.name for d in DRIVERS.values() if option in task.options or d.takes(task.name, option)]
 
 
 def _option(name: str) -> str:
     return "--set" if name == "arguments" else f"--{name.replace('_', '-')}"
 
 
-def _are_named(value: Any) -> bool:
+def _has_names(value: Any) -> bool:
     return isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
 
 
-def _are_files(value: Any) -> bool:
-    """Whether a value maps names to paths."""
-    return isinstance(value, Mapping) and all(
-        isinstance(name, str) and isinstance(file, Path | str) for name, file in value.items()
-    )
+def as_number(value: Any) -> float:
+    """Return a real number as a float; NaN for other values, and for integers that are too large."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan
 
 
-def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None) -> Any:
-    """The module with the tables of some files in place of its own, by their names, or itself where there are none.
-
-    Raises ArgumentError for a name that is no table's, and TableError for a file that is no such table.
-    """
-    if not files:
-        return module
-    known = module.metadata.tables
-    numbers = {name: _numbers(name, Path(file), known) for name, file in files.items()}
-    return with_arguments(module, tables=numbers)
+# Parameter overrides
 
 
-def with_arguments(module: Any, **given: Any) -> Any:
-    """The module with arguments given to whatever makes its grids, or its cases."""
+def with_arguments(module: Any, **arguments: Any) -> Any:
+    """Return a copy of a module whose functions that make grids or cases have arguments bound."""
     other = ModuleType(getattr(module, "__name__", "generated"))
     other.__dict__.update(vars(module))
     makers = ("make_case", "solve") if is_connect(module) else ("make_grid", "nlp", "solve")
-    other.__dict__.update({name: partial(getattr(module, name), **given) for name in makers if hasattr(module, name)})
+    bound = {name: partial(getattr(module, name), **arguments) for name in makers if hasattr(module, name)}
+    other.__dict__.update(bound)
     return other
 
 
-def _numbers(name: str, file: Path, known: Mapping[str, TableRecord]) -> Vector:
-    if name not in known:
-        remedy = f"name one of {', '.join(known)}" if known else "leave it out"
-        raise ArgumentError(f"--table {name}={file}: the problem has no table {name}", remedy)
-    own = known[name]
-    columns = (own.inputs, own.output, own.kind, own.outside)
-    table = read_table(file, file.as_posix(), name, *columns)
-    if table.shape.sizes != own.sizes:
-        found, wanted = (" and ".join(map(str, sizes)) for sizes in (table.shape.sizes, own.sizes))
-        raise TableError(
-            f"{file}: table {name} has {found} breakpoints, and the module is built for {wanted}",
-            "give as many, or change the problem's own file",
-        )
-    return np.array(table.numbers)
-
-
 def with_values(module: Any, values: Mapping[str, float]) -> Any:
-    """The module with other values of parameters, of given durations, and of prescribed ends (`start.x`), by name.
+    """Return the module with parameter overrides by name; `start.x` is a prescribed end.
 
-    Raises ArgumentError for a name that is none of them, and NumericsError for values that no grid can have.
+    Raises ArgumentError for an unknown name, and NumericsError for values that no grid can have.
     """
     if not values:
         return module
-    known = {} if is_connect(module) else _known(module)
+    known = overridable(module)
     require_apart_from_delays(module, values)
     require_apart_from_arrays(module, values)
-    given: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     for name, value in values.items():
         if name not in known:
-            raise ArgumentError(clause(f"{module.metadata.problem} has no parameter {name}"), _remedy(name, known))
-        end, quantity = known[name]
+            close = difflib.get_close_matches(name, known, 1)
+            remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
+            finding = clause(f"{module.metadata.problem} has no parameter {name}")
+            raise ArgumentError(finding, clause(remedy) if known else "leave it out")
+        argument, quantity = known[name]
         if quantity:
-            given.setdefault(end, {})[quantity] = float(value)
+            arguments.setdefault(argument, {})[quantity] = float(value)
         else:
-            given[end] = float(value)
-    other = with_arguments(module, **given)
+            arguments[argument] = float(value)
+    other = with_arguments(module, **arguments)
     try:
         other.make_grid(few_steps(module, 1))
     except ValueError as error:
@@ -367,45 +269,126 @@ def with_values(module: Any, values: Mapping[str, float]) -> Any:
     return other
 
 
-def _known(module: Any) -> dict[str, tuple[str, str]]:
-    """Arguments by the names of what they are for, beside the quantity where they map names to values.
+def overridable(module: Any) -> dict[str, tuple[str, str]]:
+    """Return the arguments of module functions by the names of overrides, each with the quantity of a prescribed end.
 
-    A parameter comes before a duration or an end of the same name.
+    A parameter takes precedence over a duration or an end of the same name. Connect problems have no overrides.
     """
+    if is_connect(module):
+        return {}
+    parameters = {name: (argument, "") for name, argument in parameter_arguments(module).items()}
     durations = {name: (name, "") for name in apart_from_delays(module)}
-    own = {name: (argument, "") for name, argument in parameter_arguments(module).items()}
-    return {**own, **{name: key for name, key in (durations | prescribed_ends(module)).items() if name not in own}}
+    others = durations | prescribed_ends(module)
+    return parameters | {name: key for name, key in others.items() if name not in parameters}
 
 
-def _remedy(name: str, known: Mapping[str, Any]) -> str:
-    if not known:
-        return "leave it out"
-    close = difflib.get_close_matches(name, known, 1)
-    return clause(f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}")
+def parameter_arguments(module: Any) -> dict[str, str]:
+    """Return the arguments of module functions by the names of parameters, which may differ."""
+    # Arguments for the starts of particles, or sigma of their targets, and for own parameters of particles come first.
+    before = 1 + len(module.metadata.own) if is_of_particles(module) else 0
+    return dict(zip(module.metadata.parameters, _keywords(module)[before:], strict=False))
 
 
-def with_observations(module: GeneratedModule, given: Any) -> Any:
-    """The module with other measurements in place of its own, or itself where none are given.
+def duration_arguments(module: Any) -> tuple[str, ...]:
+    """Return the arguments for given durations; with delays the duration is that of a segment."""
+    of_parameters = parameter_arguments(module).values()
+    return tuple(name for name in _keywords(module) if name.startswith("duration") and name not in of_parameters)
 
-    `given` is a file, or a mapping of columns to arrays of shape (n,), and of several bodies a list of these. Raises
-    ArgumentError where nothing was measured or their number is another, and TableError for what are no measurements.
+
+def apart_from_delays(module: Any) -> tuple[str, ...]:
+    """Return the arguments for durations that may be overridden: none if delays are fractions of the duration."""
+    return () if segments_of(module.metadata) else duration_arguments(module)
+
+
+def prescribed_ends(module: Any) -> dict[str, tuple[str, str]]:
+    """Return the end and the quantity of prescribed values by names such as `end.x`.
+
+    The start of particles is an array, whose entries have no names.
     """
-    if given is None:
+    ends: tuple[tuple[str, Iterable[str]], ...] = (("start", module.metadata.start),)
+    if not is_simulation(module):
+        ends = (*ends, ("end", module.metadata.end))
+    return {f"{end}.{name}": (end, name) for end, names in ends for name in names}
+
+
+def require_apart_from_arrays(module: Any, names: Iterable[str]) -> None:
+    """Raise ArgumentError for an override of the start of particles, which is an array."""
+    if not (is_simulation(module) and is_of_particles(module)):
+        return
+    for name in names:
+        if name.startswith(START):
+            finding = clause(f"{module.metadata.problem} has no {name}: its particles start from an array")
+            raise ArgumentError(finding, "call solve(start=...) of its module, which takes all positions and momenta")
+
+
+def require_apart_from_delays(module: Any, names: Iterable[str]) -> None:
+    """Raise ArgumentError for an override of a duration of which delays are fractions."""
+    if segments_of(module.metadata) is None:
+        return
+    durations = duration_arguments(module)
+    for name in names:
+        if name in durations:
+            finding = f"{module.metadata.problem} has delays, which another {name} would change as well"
+            raise ArgumentError(finding, "change it in the problem, and build that")
+
+
+def _keywords(module: Any) -> list[str]:
+    maker = module.make_case if is_connect(module) else module.make_grid
+    arguments = inspect.signature(maker).parameters.values()
+    return [argument.name for argument in arguments if argument.kind is inspect.Parameter.KEYWORD_ONLY]
+
+
+# Tables and measurements
+
+
+def with_tables(module: GeneratedModule, files: Mapping[str, Path | str] | None) -> Any:
+    """Return the module with tables read from files, by the names of the tables.
+
+    Raises ArgumentError for an unknown name, and TableError for an unusable file.
+    """
+    if not files:
+        return module
+    known = module.metadata.tables
+    numbers = {}
+    for name, file in ((name, Path(file)) for name, file in files.items()):
+        if name not in known:
+            remedy = f"name one of {', '.join(known)}" if known else "leave it out"
+            raise ArgumentError(f"--table {name}={file}: the problem has no table {name}", remedy)
+        built = known[name]
+        table = read_table(file, file.as_posix(), name, built.inputs, built.output, built.kind, built.outside)
+        if table.shape.sizes != built.sizes:
+            counts, needed = (" and ".join(map(str, sizes)) for sizes in (table.shape.sizes, built.sizes))
+            raise TableError(
+                f"{file}: table {name} has {counts} breakpoints, and the module is built for {needed}",
+                "give as many, or change the problem's own file",
+            )
+        numbers[name] = np.array(table.numbers)
+    return with_arguments(module, tables=numbers)
+
+
+def with_observations(module: GeneratedModule, measurements: Any) -> Any:
+    """Return the module with other measurements.
+
+    `measurements` is a file, or a mapping of columns to arrays of shape (n,); for several bodies a list of them. Raises
+    ArgumentError if nothing is measured or the number of sets is wrong, and TableError for unusable measurements.
+    """
+    if measurements is None:
         return module
     observations = module.metadata.observations
     if observations is None:
         raise ArgumentError("--observations: the problem has no measurements", "leave it out")
-    listed, bodies = list(given) if isinstance(given, (list, tuple)) else [given], module.metadata.bodies
-    if len(listed) != bodies:
-        finding = f"--observations gives {len(listed)} sets of measurements, and there are {bodies} bodies"
+    sets = list(measurements) if isinstance(measurements, (list, tuple)) else [measurements]
+    bodies = module.metadata.bodies
+    if len(sets) != bodies:
+        finding = f"--observations gives {len(sets)} sets of measurements, and there are {bodies} bodies"
         raise ArgumentError(finding, "give one for each")
     layout = Layout(observations.time, observations.columns, observations.sigmas)
-    return with_arguments(module, observations=tuple(_rows(one, layout) for one in listed))
-
-
-def _rows(given: Any, layout: Layout) -> Matrix:
-    if isinstance(given, Path | str):
-        return read_measurements(Path(given), Path(given).as_posix(), layout).array
-    if isinstance(given, Mapping):
-        return given_measurements(given, layout).array
-    raise ArgumentError(f"observations are {given!r}", "give a file, or a mapping of columns to arrays")
+    arrays: list[Matrix] = []
+    for each in sets:
+        if isinstance(each, Path | str):
+            arrays.append(read_measurements(Path(each), Path(each).as_posix(), layout).array)
+        elif isinstance(each, Mapping):
+            arrays.append(given_measurements(each, layout).array)
+        else:
+            raise ArgumentError(f"observations are {each!r}", "give a file, or a mapping of columns to arrays")
+    return with_arguments(module, observations=tuple(arrays))

@@ -1,7 +1,7 @@
-"""The motion of a problem with delays, put together from its segments.
+"""The motion of a problem with delays, assembled from its segments.
 
 A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.segments`). Its
-module has columns for the quantities of each segment. A user sees the author's quantities over the whole duration.
+module has columns for the quantities of each segment. Users see the quantities of the problem over the whole duration.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from codegen.solving.loading import Matrix, Vector
 from codegen.solving.results.result import Accuracy, Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"
-"""What names of multipliers, momenta and shared unknowns begin with, before that of the quantity."""
+"""Prefixes of the names of multipliers, momenta and linking variables."""
 
 
 @dataclass(frozen=True)
 class Segments:
-    """How many segments there are, and of each of their quantities its name in the author's problem and its segment."""
+    """The number of segments; for each of their quantities the name in the author's problem, and the segment."""
 
     number: int
     names: Mapping[str, tuple[str, int]]
 
     def steps(self, total: int) -> int:
-        """The intervals of each segment where there are `total` in all, or a few more, so that all have as many."""
+        """Return the intervals of each segment for `total` intervals, rounded up."""
         return -(-total // self.number)
 
     def columns(self, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names without segments, and the columns (segments, names) that belong to them."""
+        """Return the names without segments, and the indices (segments, names) of their columns."""
         found: dict[str, list[int]] = {}
         for index, name in enumerate(names):
             found.setdefault(self.split(name)[0], []).append(index)
         return tuple(found), np.array([*found.values()], dtype=int).reshape(-1, self.number).T
 
     def in_order(self, table: Matrix, columns: np.ndarray, at_nodes: bool) -> Matrix:
-        """The rows of all segments, one after the other; the node at which two meet is the end of the first."""
+        """Return the rows of all segments in order; where two segments meet, the node of the first one is kept."""
         parts = [table[int(at_nodes and i > 0) :, own] for i, own in enumerate(columns)]
         return np.concatenate(parts)
 
     def times(self, t: Vector) -> Vector:
-        """The times of the nodes of all segments."""
+        """Return the times of the nodes of all segments."""
         return np.concatenate([t + 0.0, *(t[1:] + i * (t[-1] - t[0]) for i in range(1, self.number))])
 
     def text(self, text: str, steps: int, duration: float) -> str:
-        """A message in the author's names, with the nodes, intervals and times of the whole motion."""
+        """Return a message with the author's names, and with nodes, intervals and times of the whole motion."""
         named = "|".join(sorted(map(re.escape, self.names), key=len, reverse=True))
         place = r"(?: (?:at node|on interval|of interval) \d+ \(t = [^)]*\))"
         # Where a segment ends, the next one begins.
@@ -77,7 +77,7 @@ class Segments:
         return name + re.sub(r"((?:at node|on interval|of interval) )(\d+) \(t = ([^)]*)\)", shifted, rest)
 
     def split(self, name: str) -> tuple[str, int]:
-        """A name without its segment, and the segment; that of no quantity of a segment as it is, and the first."""
+        """Return a name without its segment, and the segment; other names are unchanged, with segment 1."""
         inner, stage = re.fullmatch(r"(.+?)((?:_stage\d+)?)", name).groups()  # type: ignore[union-attr]
         stem = ""
         while inner not in self.names and (found := re.match(_STEM, inner)):
@@ -87,13 +87,13 @@ class Segments:
 
 
 def segments_of(metadata: Record) -> Segments | None:
-    """How a module's problem was cut, if it was."""
+    """Return the segments of a module's problem, None without delays."""
     found = metadata.segments
     return Segments(found.number, found.names) if found else None
 
 
 def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
-    """What the `count` columns of multipliers are called."""
+    """Return the names of the `count` columns of multipliers."""
     if metadata.method == Method.VARIATIONAL:
         return [f"lambda_{name}" for name in metadata.coordinates]
     own = metadata.interval
@@ -102,7 +102,7 @@ def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
 
 
 def put_together(result: Result, metadata: Record) -> Result:
-    """The result of a problem with delays as its author sees it; that of others as it is."""
+    """Return the result of a problem with delays in the author's quantities; other results are unchanged."""
     segments = segments_of(metadata)
     if segments is None:
         return result
