@@ -13,7 +13,7 @@ from typing import Any, ClassVar, TypeVar
 
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
-from codegen.problem.sources import AuthorObject, perhaps
+from codegen.problem import AuthorObject, perhaps
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}

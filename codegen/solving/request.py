@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, TableError, clause
-from codegen.problem.sources import AuthorObject, ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
+from codegen.problem import AuthorObject
+from codegen.problem.sources import ProblemFile, ProblemObject, Settings, Source, settings_of, source_of
 from codegen.solving.drivers import DRIVERS, Driver, find
 from codegen.solving.loading import (
     GeneratedModule,

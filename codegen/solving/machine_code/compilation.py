@@ -1,13 +1,12 @@
 """Compile the machine code of a generated module in two processes.
 
-numba compiles one function after the other. `python -m codegen.solving.machine_code.compilation` is started by
-`processes`. It loads numba during the derivation of the module, and reads the path of the module from its standard
-input. A process that can fork becomes two then, so that numba is loaded once; each takes the next free part.
-Elsewhere two processes are started, and each takes every other part. numba's cache on disk joins their work.
+The parts are kernels, the linear system of the shape, and functions of the runtime. numba compiles one function at a
+time. `processes` starts `python -m codegen.solving.machine_code.compilation`. This program loads numba during the
+derivation of the module, and reads the path of the module from its standard input. A process that can fork then becomes
+two, so that numba is loaded once; each takes the next free part. On other systems two processes are started, and each
+takes every other part. numba's cache on disk joins their work.
 
-In these processes functions that only compiled functions call are not made machine code of, see `runtime.linking`.
-
-Machine code that a solve needs: kernels, the linear system of the shape, functions of the runtime.
+In these processes functions that only compiled functions call are linked, not compiled alone, see `runtime.linking`.
 """
 
 from __future__ import annotations
@@ -34,8 +33,10 @@ from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folder
 from codegen.runtime.packing import packed_operations
 from codegen.runtime.record import Task
 from codegen.solving.loading import few_steps, load
-from codegen.solving.machine_code.processes import COUNT, DONE
 from codegen.solving.tasks import task_of
+
+COUNT, DONE = "codegen: parts: ", "codegen: part done"
+"""Prefix of the line with the number of parts, and the line for each compiled part."""
 
 REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
 INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
@@ -47,9 +48,9 @@ Signature = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Part:
-    """Machine code that one process makes: the function of Python, the call that compiles it, and what it serves.
+    """Machine code that one process compiles: the Python function, the call that compiles it, and its scope.
 
-    It serves the "problem" alone, or all problems of a "shape", or as a part of the "runtime" all problems.
+    The scope `serves` is one "problem", all problems of a "shape", or as part of the "runtime" all problems.
     """
 
     function: Any
@@ -232,7 +233,7 @@ def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
 
 
 def small_case(module: Any, steps: int = 2) -> Any:
-    """Thirteen particles near the origin that move a little, to have functions compiled by."""
+    """Return a case of thirteen particles near the origin with a small displacement, for compilation."""
     dimension = module.metadata.coordinates
     angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
     start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
@@ -268,11 +269,11 @@ def simulate_touched(module: Any, _steps: int) -> None:
 
 
 def connect_touched(_module: Any, _steps: int) -> None:
-    """Nothing: machine code of particles is read when a driver first calls it, in a run that is not timed."""
+    """Do nothing: the first call of a driver reads the machine code of particles, in a run that is not timed."""
 
 
 def compile_all(module: Any) -> None:
-    """Compile all that a solution calls, or read it where it has been compiled, and solve a small problem."""
+    """Compile or read all functions that a solution calls, and solve a small problem."""
     with np.errstate(all="ignore"), packed_operations():
         for part in parts_of(module):
             part.make()
@@ -281,9 +282,9 @@ def compile_all(module: Any) -> None:
 
 
 def main(share: str) -> int:
-    """Get numba ready, wait for the path of a module, compile a share of its parts; return the exit status.
+    """Load numba, wait for the path of a module, compile a share of its parts; return the exit status.
 
-    The share is "both" of a process that becomes two, or as "0/2" for the first of two.
+    The share is "both" for a process that forks, and for example "0/2" for the first of two.
     """
     gc.disable()  # what compilation leaves behind is little, and looking for it takes time
     is_compiling = not config.DISABLE_JIT  # type: ignore[attr-defined]
@@ -305,7 +306,7 @@ def main(share: str) -> int:
 
 
 def warm_up() -> None:
-    """Compile a little of what loops and kernels consist of: the first compilation takes long, whatever it compiles."""
+    """Compile a loop and a kernel: the first compilation is slow whatever it compiles."""
     import codegen.runtime.search.solution  # noqa: F401  what modules import
 
     assert cfunc(float64(types.CPointer(float64), int64))(_loop).address
@@ -315,7 +316,7 @@ _PLACES = np.array([0, 1])
 
 
 def _loop(values: Any, count: Any) -> Any:
-    """Go through intervals as loops of modules do."""
+    """Iterate over intervals as the loops of modules do."""
     array, part, total = carray(values, (count,)), np.zeros(2), 0.0
     for k in range(count):
         part[:] = 0.0
@@ -328,7 +329,7 @@ def _loop(values: Any, count: Any) -> Any:
 
 @njit(error_model="numpy")
 def _kernel(values: Any, t: Any, part: Any) -> Any:
-    """Fill an array as kernels of modules do."""
+    """Fill an array as the kernels of modules do."""
     x = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
     part[0] = 2 * x / math.sqrt(t) - x**3
     return -x
@@ -342,7 +343,7 @@ def _add(part: Any, first: Any, size: Any, array: Any) -> None:
 
 
 def link_runtime() -> None:
-    """Have inner functions of the runtime become parts of their callers, in this process from now on."""
+    """Link inner functions of the runtime into their callers in this process."""
     from codegen.runtime.linking import compile_for_any_value, link_inner_functions
 
     runtime = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
@@ -353,7 +354,7 @@ def link_runtime() -> None:
 
 
 def compile_in_two(parts: list[Part]) -> int:
-    """Compile parts in this process and in a copy of it, each taking the next one that is left; the exit status."""
+    """Compile parts in this process and a fork of it, each taking the next free part; return the exit status."""
     left, numbers = os.pipe()
     os.write(numbers, bytes(range(len(parts))))
     os.close(numbers)
@@ -373,7 +374,7 @@ def compile_in_two(parts: list[Part]) -> int:
 
 
 def compile_parts(parts: Iterable[Part], count: int) -> None:
-    """Compile parts, and tell the process that waits of each."""
+    """Compile parts, and report each one to the waiting process."""
     os.write(sys.stdout.fileno(), f"{COUNT}{count}\n".encode())
     with np.errstate(all="ignore"), packed_operations():
         for part in parts:
@@ -383,26 +384,26 @@ def compile_parts(parts: Iterable[Part], count: int) -> None:
 
 
 def protect(part: Part) -> None:
-    """Add checksums to the machine code of the folders that a part may have added to."""
+    """Add checksums to the machine code in the folders to which a part may have added."""
     folders = [] if part.serves == "problem" else [code_folder(part.function.__code__.co_filename)]
     for folder in {*folders, *(runtime_folders() if part.serves == "runtime" else [])}:
         add_checksums(folder)
 
 
 def failed(error: Exception) -> int:
-    """Tell the process that waits, in one line, by which error this one fails; return the exit status."""
+    """Report an error to the waiting process in one line; return the exit status."""
     os.write(sys.stdout.fileno(), f"{' '.join(f'{type(error).__name__}: {error}'.split())[:300]}\n".encode())
     return 1
 
 
 class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is annotated in parts
-    """The seconds in which one thread has held numba's compiler, which compiles functions and reads them."""
+    """The time in which one thread holds numba's compiler, which compiles and reads functions."""
 
     def __init__(self) -> None:
         self.seconds, self._thread, self._depth, self._begin = 0.0, threading.get_ident(), 0, 0.0
 
     def on_start(self, event: Event) -> None:
-        """Begin, unless one function is compiled for another one."""
+        """Start the clock, unless one function is compiled for another one."""
         if threading.get_ident() != self._thread:
             return
         if self._depth == 0:
@@ -420,7 +421,7 @@ class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is an
 
 @contextmanager
 def seconds_of_machine_code() -> Iterator[CodeSeconds]:
-    """Measure the time in which numba compiles and reads functions in this thread, within the block."""
+    """Measure the time in which numba compiles and reads functions in this thread, inside the block."""
     with install_listener("numba:compiler_lock", CodeSeconds()) as listener:
         yield listener
 

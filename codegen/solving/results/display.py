@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from codegen.show.figures.picture import Film, Picture
     from codegen.solving.loading import Vector
-    from codegen.solving.results.result import Result
 
 _COLUMNS = {"q": "coordinate", "p": "momentum", "u": "control"}
 """The dimension of the columns of each array, named as in the data set of a sweep."""
@@ -81,9 +80,9 @@ class Display:
         return [*super().__dir__(), *(name for name in self._ipython_key_completions_() if name.isidentifier())]
 
     def _ipython_key_completions_(self) -> list[str]:
-        return [name for names in cast("Result", self).names.values() for name in names]
+        return [name for names in cast(Any, self).names.values() for name in names]
 
-    def differences(self, other: Result) -> dict[str, float]:
+    def differences(self, other: Any) -> dict[str, float]:
         """Return the distance to another solution of the problem, by quantity.
 
         Parameters
@@ -103,7 +102,7 @@ class Display:
         ArgumentError
             If `other` has other quantities, or the problem concerns particles.
         """
-        one = cast("Result", self)
+        one = cast(Any, self)
         for name in ("task", "names"):
             if getattr(one, name) != getattr(other, name):
                 finding = f"{one.problem} and {other.problem} have other quantities"
@@ -273,9 +272,9 @@ def _require_library(library: str, purpose: str) -> None:
         )
 
 
-def _with_columns(display: Display) -> Result:
+def _with_columns(display: Display) -> Any:
     """Return the result; raise ArgumentError if its arrays have no columns with names."""
-    result = cast("Result", display)
+    result = cast(Any, display)
     if result.q.ndim != 2:
         raise ArgumentError(f"{result.problem} is about particles, whose path has no columns", "take its arrays")
     return result
