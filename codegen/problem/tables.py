@@ -1,4 +1,4 @@
-"""What an author makes of a file of numbers: a function with exact derivatives."""
+"""Functions with exact derivatives, guesses and measurements that are read from files of numbers."""
 
 from __future__ import annotations
 
@@ -25,17 +25,30 @@ from codegen.symbolic.tables import KINDS, OUTSIDE, TableData, read_columns, rea
 class Table:
     """A function of one or two quantities that is given by a file of numbers.
 
-    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file that
-    lies beside the problem file, and `thrust(M, h)` is then used like any function of sympy. Of two inputs the file
-    has a row for every pair of a grid, in any order. Units are the author's.
+    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file. Then
+    `thrust(M, h)` is used like a function of sympy. Units are those of the author.
 
-    The `kind` is "cubic", a spline with two continuous derivatives; "monotone" (of one input), with one, but without
-    overshoot; "linear", which has a kink at every breakpoint, where Newton's method may not converge; or "steps", for
-    guesses alone. `outside` its range a table goes on as the polynomials at its edge; in the solution that is an
-    error, unless it is "extend", or "clamp", which keeps the value at the edge. `name` is what messages, and the
-    argument `tables` of solvers, call it, by default `output`.
+    Parameters
+    ----------
+    file : path
+        A file beside the problem file. For two inputs it has a row for every pair of a grid, in any order.
+    inputs : str or sequence of str
+        Names of one or two columns.
+    output : str
+        Name of the column of values.
+    kind : {"cubic", "monotone", "linear", "steps"}
+        A spline with two continuous derivatives; a spline (of one input) with one continuous derivative and without
+        overshoot; piecewise linear, where Newton's method may fail at the kinks; piecewise constant, for guesses only.
+    outside : {"error", "extend", "clamp"}
+        Outside its range a table continues the polynomials at its edge. Such a solution is an error, unless `outside`
+        is "extend", or "clamp", which keeps the value at the edge.
+    name : str
+        Name in messages and in the option `tables` of solves, by default `output`.
 
-    Raises TableError for a file that is no such table, naming the line, and for unusable arguments.
+    Raises
+    ------
+    TableError
+        For an unusable file, with the line, and for unusable arguments.
     """
 
     def __init__(
@@ -57,7 +70,7 @@ class Table:
         self.data: TableData = read_table(path, Path(file).as_posix(), name, own, output, kind, outside)
 
     def __call__(self, *at: Any) -> Any:
-        """The value at numbers or expressions, one for each input."""
+        """Return the value at numbers or expressions, one for each input."""
         shape = self.data.shape
         if len(at) != len(shape.inputs):
             raise TableError(
@@ -69,12 +82,12 @@ class Table:
 
     @property
     def range(self) -> tuple[tuple[float, float], ...]:
-        """The least and the greatest breakpoint of each input."""
+        """Least and greatest breakpoint of each input."""
         return tuple((float(axis[0]), float(axis[-1])) for axis in self.data.axes)
 
     @property
     def values(self) -> np.ndarray:
-        """What the file gives at the breakpoints, shape (n,) or (n, m)."""
+        """Values at the breakpoints, shape (n,) or (n, m)."""
         return np.array(self.data.heights[..., 0])
 
     def __repr__(self) -> str:
@@ -82,12 +95,25 @@ class Table:
 
 
 class Trajectory:
-    """A motion in a file, as a first guess: `guess=Trajectory("start.csv")`.
+    """A motion in a file, as an initial guess: `guess=Trajectory("start.csv")`.
 
-    The file has a column of times, `time`, and columns that are called like coordinates, states and controls; `columns`
-    chooses some of them, by default all. The `kind` says how values between rows follow, "linear" if not told
-    otherwise; "steps" holds each value until the next row. Before the first and after the last row values stay as they
-    are. Raises TableError as Table does.
+    Before the first and after the last row the values are constant.
+
+    Parameters
+    ----------
+    file : path
+        A file with a column of times and columns named like coordinates, states and controls.
+    time : str
+        Name of the column of times.
+    columns : sequence of str
+        Names of the columns to use, by default all.
+    kind : {"linear", "cubic", "monotone", "steps"}
+        Interpolation between rows; "steps" holds each value until the next row.
+
+    Raises
+    ------
+    TableError
+        As for Table.
     """
 
     def __init__(
@@ -111,10 +137,9 @@ class Trajectory:
 
 
 def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any:
-    """What is guessed of each quantity as an expression of time, where it is written as a table or a trajectory.
+    """Return the guesses of quantities as expressions of time, where they are written as tables or a trajectory.
 
-    Raises TableError for a column of a trajectory that is called like none of the quantities, and for a table of more
-    than one input.
+    Raises TableError for a column of a trajectory that no quantity is named like, and for a table of two inputs.
     """
     if isinstance(guess, Trajectory):
         named = {quantity.name: quantity for quantity in quantities if isinstance(quantity, _GUESSED)}
@@ -153,19 +178,31 @@ def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: 
 
 
 class Measurements:
-    """Values that were measured at some times, and that a motion is to fit: `Measurements("oil.csv", values={a: "z"})`.
+    """Measured values that a motion is fitted to, as in `Measurements("oil.csv", values={a: "z"})`.
 
-    The file lies beside the problem file; it has a column of times, `time`, and for every entry of `values`, which maps
-    a state, a coordinate or an expression of them to the name of its column, the values that were measured. Times have
-    nothing to do with nodes. Cells may be empty where nothing was measured.
+    The cost gains the sum of e^2 over all values. Here e is the motion, as the scheme continues it inside an interval,
+    minus the value, divided by the standard deviation. Times of measurements are independent of the nodes.
 
-    To the cost is added the sum over all values of e^2, e being the motion, as its scheme continues it inside an
-    interval, less the value, in parts of its standard deviation. `sigma` maps entries of `values` to that, a positive
-    number in the units of the value or the name of a column, or is one for all. Without it errors count as they are,
-    and the standard deviation that all have in common is estimated from what is left of them. The `loss` is "squares",
-    "huber" (2 |e| - 1 beyond |e| = 1) or "soft-l1" (2 (sqrt(1 + e^2) - 1)), which outliers pull less.
+    Parameters
+    ----------
+    file : path
+        A file beside the problem file. Cells may be empty.
+    values : dict
+        Names of columns by states, coordinates or expressions of them.
+    time : str
+        Name of the column of times.
+    sigma : float, str or dict
+        Standard deviations by entries of `values`, or one for all: positive numbers in the units of the value, or names
+        of columns. Without `sigma` errors are not scaled, and a common standard deviation is estimated from the
+        residuals.
+    loss : {"squares", "huber", "soft-l1"}
+        Loss of an error: e^2; 2 |e| - 1 beyond |e| = 1; 2 (sqrt(1 + e^2) - 1). The last two reduce the effect of
+        outliers.
 
-    Raises TableError for a file that holds no such values, naming the line, and for unusable arguments.
+    Raises
+    ------
+    TableError
+        For a file without such values, with the line, and for unusable arguments.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ TOLERANCE = 1e-6
 LIMIT = 3000
 MAX_ITERATIONS = 1000
 ARRIVED = 1e-8
-"""Error of the equations of particles at which the search ends."""
+"""Error of the equations of particles below which the search ends."""
 
 _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank-deficient", 9: "iteration limit"}
 
@@ -61,7 +61,7 @@ class _Arrived(Exception):
 
 
 def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
-    """Minimise until the equations hold: near the minimum changes of the cost are rounding, and say nothing."""
+    """Minimise until the equations hold: near the minimum changes of the cost are rounding errors."""
     equations = {
         "type": "eq",
         "fun": lambda x: module.action_constraints(case, x),
