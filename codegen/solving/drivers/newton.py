@@ -25,7 +25,7 @@ _MAX_ITERATIONS, _HALVINGS = 60, 10
 
 
 def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
-    """Return the states at the nodes, (N + 1, 2, n, d), and the number of evaluations of the field; NaN if scipy fails."""
+    """Return the states at the nodes, (N + 1, 2, n, d), and the evaluations of the field; NaN if scipy fails."""
     shape = (2, *case.start.shape)
     gradient = np.empty(shape)
 

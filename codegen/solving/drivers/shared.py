@@ -224,7 +224,7 @@ DENSE_LIMIT = 3000
 def minimised(
     module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Any, Vector], Any]
 ) -> ConnectAttempt:
-    """Return the motion of least discrete action from an optimiser of scipy; raise ArgumentError if it does not apply."""
+    """Return the motion of least discrete action from an optimiser of scipy; ArgumentError if it does not apply."""
     require_method(module, driver, ("action",))
     case = case_of(module, run)
     if case.sigma.any():
