@@ -61,13 +61,13 @@ class Table:
         outside: str = "error",
         name: str | None = None,
     ) -> None:
-        own = (inputs,) if isinstance(inputs, str) else inputs
+        columns = (inputs,) if isinstance(inputs, str) else inputs
         name = output if name is None else name
-        _require_arguments(file, own, output, kind, outside, name)
+        _require_arguments(file, columns, output, kind, outside, name)
         if kind == "steps":
-            outside = "clamp"  # there is nothing else that they could do
+            outside = "clamp"  # the only meaning for steps
         path = data_file(Path(file))
-        self.data: TableData = read_table(path, Path(file).as_posix(), name, own, output, kind, outside)
+        self.data: TableData = read_table(path, Path(file).as_posix(), name, columns, output, kind, outside)
 
     def __call__(self, *at: Any) -> Any:
         """Return the value at numbers or expressions, one for each input."""
@@ -77,8 +77,8 @@ class Table:
                 f"table {shape.name} is called with {len(at)} arguments",
                 f"give {' and '.join(shape.inputs)}, as in {shape.name}({', '.join(shape.inputs)})",
             )
-        whats = (f"{name} of table {shape.name}" for name in shape.inputs)
-        return member(self.data, (0,) * len(at))(*(checked(a, what) for a, what in zip(at, whats, strict=True)))
+        values = [checked(a, f"{name} of table {shape.name}") for a, name in zip(at, shape.inputs, strict=True)]
+        return member(self.data, (0,) * len(at))(*values)
 
     @property
     def range(self) -> tuple[tuple[float, float], ...]:
@@ -123,10 +123,10 @@ class Trajectory:
         path = data_file(Path(file))
         if columns is not None and (isinstance(columns, str) or not all(isinstance(name, str) for name in columns)):
             raise TableError(f"columns of {file} are {columns!r}", 'name them, as in columns=["x", "v"]')
-        found = read_columns(path, () if columns is None else [time, *columns])
-        if time not in found.values:
+        table = read_columns(path, () if columns is None else [time, *columns])
+        if time not in table.values:
             raise TableError(f"{path}: there is no column {time!r}", 'name the column of times, as in time="t"')
-        names = [name for name in found.values if name != time]
+        names = [name for name in table.values if name != time]
         if not names:
             raise TableError(f"{path} has no column beside {time!r}", "add columns called like states and controls")
         self.file = Path(file).as_posix()
@@ -170,9 +170,9 @@ def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: 
         raise TableError(f"table {output!r} has a column twice among {', '.join((*inputs, output))}", "name each once")
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise TableError(f"a table is called {name!r}", 'give an identifier, as in name="thrust"')
-    for what, given, known in (("kind", kind, KINDS), ("outside", outside, OUTSIDE)):
-        if given not in known:
-            raise TableError(f"{what} of table {name} is {given!r}", f"use one of {', '.join(known)}")
+    for what, choice, known in (("kind", kind, KINDS), ("outside", outside, OUTSIDE)):
+        if choice not in known:
+            raise TableError(f"{what} of table {name} is {choice!r}", f"use one of {', '.join(known)}")
     if len(inputs) == 2 and kind in ("monotone", "steps"):
         raise TableError(f"table {name} of two inputs is {kind}", "use cubic or linear, or a table of one input")
 
@@ -217,18 +217,34 @@ class Measurements:
         if not isinstance(file, Path | str) or not str(file).isprintable():
             raise TableError(f"the file of measurements is {file!r}", "give its path")
         what = f"measurements {Path(file).as_posix()}"
-        columns = _checked_values(what, values)
+        if not isinstance(values, Mapping) or not values:
+            remedy = 'map what was measured to columns, as in values={x: "z"}'
+            raise TableError(f"values of {what} are {values!r}", remedy)
+        for key, column in values.items():
+            if not isinstance(key, sympy.Expr):
+                raise TableError(f"values of {what} have the key {key!r}", "use states, or expressions of them")
+            _require_name(f"the column of {key} in {what}", column)
         _require_name(f"time of {what}", time)
-        sigmas = _checked_sigmas(what, sigma, columns)
+        sigmas: list[float | str | None] = [None] * len(values)
+        if sigma is not None:
+            deviations = sigma if isinstance(sigma, Mapping) else dict.fromkeys(values, sigma)
+            for key in deviations:
+                if key not in values:
+                    remedy = f"use those of values, {', '.join(map(str, values))}"
+                    raise TableError(f"sigma of {what} has the key {key}", remedy)
+            for index, key in enumerate(values):
+                if key not in deviations:
+                    raise TableError(f"sigma of {what} lacks {key}", "give every value one, or leave sigma out")
+                sigmas[index] = _checked_sigma(f"sigma of {key} in {what}", deviations[key])
         if not isinstance(loss, str) or loss not in LOSSES:
             raise TableError(f"loss of {what} is {loss!r}", f"use one of {', '.join(LOSSES)}")
         if loss != "squares" and None in sigmas:
             raise TableError(
                 f"{what} have the loss {loss!r} and no sigma", "give sigma, beyond which errors count less"
             )
-        self.values: dict[Any, str] = columns
+        self.values: dict[Any, str] = dict(values)
         self.loss = loss
-        layout = Layout(time, tuple(columns.values()), sigmas)
+        layout = Layout(time, tuple(self.values.values()), tuple(sigmas))
         names = [layout.time, *layout.columns]
         if len(set(names)) < len(names):
             raise TableError(f"{what} have a column twice among {', '.join(names)}", "name each once")
@@ -238,42 +254,17 @@ class Measurements:
         return f"Measurements({self.data.source!r}, values={self.values!r})"
 
 
-def _checked_values(what: str, values: Any) -> dict[Any, str]:
-    if not isinstance(values, Mapping) or not values:
-        raise TableError(f"values of {what} are {values!r}", 'map what was measured to columns, as in values={x: "z"}')
-    for key, column in values.items():
-        if not isinstance(key, sympy.Expr):
-            raise TableError(f"values of {what} have the key {key!r}", "use states, or expressions of them")
-        _require_name(f"the column of {key} in {what}", column)
-    return dict(values)
-
-
 def _require_name(what: str, name: Any) -> None:
     if not isinstance(name, str) or not name.strip():
         raise TableError(f"{what} is {name!r}", "give the name of a column, as text")
 
 
-def _checked_sigmas(what: str, sigma: Any, values: Mapping[Any, str]) -> tuple[float | str | None, ...]:
-    """Of each column its standard deviation; either all of them have one, or none."""
-    if sigma is None:
-        return (None,) * len(values)
-    given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(values, sigma)
-    for key in given:
-        if key not in values:
-            raise TableError(
-                f"sigma of {what} has the key {key}", f"use those of values, {', '.join(map(str, values))}"
-            )
-    found: list[float | str | None] = []
-    for key in values:
-        if key not in given:
-            raise TableError(f"sigma of {what} lacks {key}", "give every value one, or leave sigma out")
-        own = given[key]
-        if isinstance(own, str):
-            _require_name(f"sigma of {key} in {what}", own)
-            found.append(own)
-            continue
-        number = float(own) if isinstance(own, (int, float, sympy.Number)) and not isinstance(own, bool) else math.nan
-        if not 0.0 < number < math.inf:
-            raise TableError(f"sigma of {key} in {what} is {own!r}", "give a positive number, or the name of a column")
-        found.append(number)
-    return tuple(found)
+def _checked_sigma(what: str, value: Any) -> float | str:
+    if isinstance(value, str):
+        _require_name(what, value)
+        return value
+    is_number = isinstance(value, (int, float, sympy.Number)) and not isinstance(value, bool)
+    number = float(value) if is_number else math.nan
+    if not 0.0 < number < math.inf:
+        raise TableError(f"{what} is {value!r}", "give a positive number, or the name of a column")
+    return number

@@ -15,7 +15,7 @@ import numpy as np
 
 from codegen.runtime.record import ControlRecord, Kind, Method, Record
 from codegen.solving.loading import Matrix, Vector
-from codegen.solving.results.result import Accuracy, Result
+from codegen.solving.results.result import Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"
 """Prefixes of the names of multipliers, momenta and linking variables."""
@@ -34,15 +34,14 @@ class Segments:
 
     def columns(self, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
         """Return the names without segments, and the indices (segments, names) of their columns."""
-        found: dict[str, list[int]] = {}
+        indices: dict[str, list[int]] = {}
         for index, name in enumerate(names):
-            found.setdefault(self.split(name)[0], []).append(index)
-        return tuple(found), np.array([*found.values()], dtype=int).reshape(-1, self.number).T
+            indices.setdefault(self.split(name)[0], []).append(index)
+        return tuple(indices), np.array([*indices.values()], dtype=int).reshape(-1, self.number).T
 
     def in_order(self, table: Matrix, columns: np.ndarray, at_nodes: bool) -> Matrix:
         """Return the rows of all segments in order; where two segments meet, the node of the first one is kept."""
-        parts = [table[int(at_nodes and i > 0) :, own] for i, own in enumerate(columns)]
-        return np.concatenate(parts)
+        return np.concatenate([table[int(at_nodes and i > 0) :, row] for i, row in enumerate(columns)])
 
     def times(self, t: Vector) -> Vector:
         """Return the times of the nodes of all segments."""
@@ -52,21 +51,21 @@ class Segments:
         """Return a message with the author's names, and with nodes, intervals and times of the whole motion."""
         named = "|".join(sorted(map(re.escape, self.names), key=len, reverse=True))
         place = r"(?: (?:at node|on interval|of interval) \d+ \(t = [^)]*\))"
+
         # Where a segment ends, the next one begins.
-        met = rf"(the continuity of (?:the momentum of )?)({named})\b"
-        text = re.sub(met, lambda found: self._met(found, duration), text)
+        def at_switch(match: re.Match[str]) -> str:
+            name, segment = self.names[match[2]]
+            return f"{match[1]}{name} at t = {segment * duration:.3g}"
+
+        text = re.sub(rf"(the continuity of (?:the momentum of )?)({named})\b", at_switch, text)
         pattern = rf"(?:\b((?:{_STEM})*(?:{named})(?:_stage\d+)?)\b| in segment (\d+))([^,;]*?{place})?"
-        text = re.sub(pattern, lambda found: self._in_own_names(found, steps, duration), text)
+        text = re.sub(pattern, lambda match: self._in_own_names(match, steps, duration), text)
         active = r"(?<=bounds active on )[^;]+"
-        return re.sub(active, lambda found: ", ".join(dict.fromkeys(found[0].split(", "))), text)
+        return re.sub(active, lambda match: ", ".join(dict.fromkeys(match[0].split(", "))), text)
 
-    def _met(self, found: re.Match[str], duration: float) -> str:
-        own, segment = self.names[found[2]]
-        return f"{found[1]}{own} at t = {segment * duration:.3g}"
-
-    def _in_own_names(self, found: re.Match[str], steps: int, duration: float) -> str:
-        name, segment = self.split(found[1]) if found[1] else ("", int(found[2]))
-        name, rest = name.removeprefix("joined_"), found[3] or ""
+    def _in_own_names(self, match: re.Match[str], steps: int, duration: float) -> str:
+        name, segment = self.split(match[1]) if match[1] else ("", int(match[2]))
+        name, rest = name.removeprefix("joined_"), match[3] or ""
         rest = re.sub(r"( in segment \d+)", "", rest)
         rest = re.sub(rf"\b({'|'.join(map(re.escape, self.names))})\b", lambda other: self.names[other[1]][0], rest)
 
@@ -80,25 +79,25 @@ class Segments:
         """Return a name without its segment, and the segment; other names are unchanged, with segment 1."""
         inner, stage = re.fullmatch(r"(.+?)((?:_stage\d+)?)", name).groups()  # type: ignore[union-attr]
         stem = ""
-        while inner not in self.names and (found := re.match(_STEM, inner)):
-            stem, inner = stem + found[0], inner[found.end() :]
-        own, segment = self.names.get(inner, (inner, 1))
-        return stem + own + stage, segment
+        while inner not in self.names and (prefix := re.match(_STEM, inner)):
+            stem, inner = stem + prefix[0], inner[prefix.end() :]
+        name, segment = self.names.get(inner, (inner, 1))
+        return stem + name + stage, segment
 
 
 def segments_of(metadata: Record) -> Segments | None:
     """Return the segments of a module's problem, None without delays."""
-    found = metadata.segments
-    return Segments(found.number, found.names) if found else None
+    record = metadata.segments
+    return Segments(record.number, record.names) if record else None
 
 
 def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
     """Return the names of the `count` columns of multipliers."""
     if metadata.method == Method.VARIATIONAL:
         return [f"lambda_{name}" for name in metadata.coordinates]
-    own = metadata.interval
-    first = next(i for i, name in enumerate(own) if metadata.kind(name) == Kind.STEP)
-    return list(own[first : first + count])
+    names = metadata.interval
+    first = next(i for i, name in enumerate(names) if metadata.kind(name) == Kind.STEP)
+    return list(names[first : first + count])
 
 
 def put_together(result: Result, metadata: Record) -> Result:
@@ -113,6 +112,16 @@ def put_together(result: Result, metadata: Record) -> Result:
     for kind, table in (("q", result.q), ("p", result.p), ("u", result.u)):
         names[kind], columns = segments.columns(result.names[kind])
         tables[kind] = segments.in_order(table, columns, at_nodes=kind != "u")
+    accuracy = result.accuracy
+    if accuracy is not None:
+        quantity, segment = segments.split(accuracy.quantity)
+        accuracy = replace(
+            accuracy,
+            quantity=quantity,
+            time=accuracy.time + (segment - 1) * duration,
+            reason=segments.text(accuracy.reason, result.steps, duration),
+            levels=tuple(replace(level, intervals=number * level.intervals) for level in accuracy.levels),
+        )
     labels = multiplier_names(cast(ControlRecord, metadata), result.multipliers.shape[1])
     of_multipliers = segments.columns(labels)[1]
     return replace(
@@ -128,18 +137,6 @@ def put_together(result: Result, metadata: Record) -> Result:
         summary={**result.summary, "duration": number * result.summary["duration"]},
         levels=tuple(put_together(level, metadata) for level in result.levels),
         grid=None if result.grid is None else np.tile(result.grid / number, number),
-        accuracy=result.accuracy and _accuracy(result, result.accuracy, segments),
+        accuracy=accuracy,
         by_segments=result,
-    )
-
-
-def _accuracy(result: Result, accuracy: Accuracy, segments: Segments) -> Accuracy:
-    duration = float(result.t[-1] - result.t[0])
-    quantity, segment = segments.split(accuracy.quantity)
-    return replace(
-        accuracy,
-        quantity=quantity,
-        time=accuracy.time + (segment - 1) * duration,
-        reason=segments.text(accuracy.reason, result.steps, duration),
-        levels=tuple(replace(level, intervals=segments.number * level.intervals) for level in accuracy.levels),
     )
