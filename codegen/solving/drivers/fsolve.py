@@ -132,19 +132,19 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     derivative = module.jacobian if shooting else module.all_equations_jacobian
     start = module.first_momenta(case).ravel() if shooting else module.first_unknowns(case)
     with quiet_single_thread():
-        found, details, _, reason = fsolve(
+        y, details, _, reason = fsolve(
             lambda y: finite(equations(case, y)),
             start,
             fprime=lambda y: finite(derivative(case, y)),
             full_output=True,
             xtol=1e-13,
         )
-    path = module.trajectory(case, found)[1] if shooting else module.path_of(case, found)
+    path = module.trajectory(case, y)[1] if shooting else module.path_of(case, y)
     return verdict(module, "fsolve", case, path, int(details["nfev"]), 1e-8, reason)
 
 
 def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
-    """Whether a step is one system of equations; ArgumentError where it is several, or its module's own."""
+    """Return True if a step is one system of equations; ArgumentError for several systems, and for particles."""
     if is_of_particles(module):
         raise ArgumentError(
             "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"

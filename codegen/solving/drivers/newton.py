@@ -35,15 +35,15 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
 
     start = np.concatenate([case.start.ravel(), np.ravel(momenta)])
     times = np.linspace(0.0, case.duration, case.steps + 1)
-    from scipy.integrate import solve_ivp  # only now: no other driver needs it
+    from scipy.integrate import solve_ivp  # no other driver needs it
 
-    found = solve_ivp(
+    solution = solve_ivp(
         field, (0.0, case.duration), start, method=code, t_eval=times, rtol=max(tolerance, 2.3e-14), atol=tolerance
     )
     path = np.full((case.steps + 1, *shape), np.nan)
-    if found.success:
-        path[:] = found.y.T.reshape(path.shape)
-    return path, int(found.nfev)
+    if solution.success:
+        path[:] = solution.y.T.reshape(path.shape)
+    return path, int(solution.nfev)
 
 
 def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
@@ -55,25 +55,25 @@ def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
         momenta, factor = begin.p[0], module.preconditioner(case)
         path, evaluations = integrated(module, case, momenta, code, tolerance)
         error = _error(module, case, path)
-        for iterations in range(1, _MAX_ITERATIONS + 1):  # noqa: B007  it is reported below
+        for iterations in range(1, _MAX_ITERATIONS + 1):  # noqa: B007  reported below
             if error <= 1e-13:
                 break
             _, _, points = module.trajectory(case, momenta)
             linear = module.Linearised(case, points, factor)
             change = linear.solved(-module.end_residual(path[-1], case.target, case.sigma), 1e-3)
-            length, found = 1.0, False
+            length, is_smaller = 1.0, False
             for _ in range(_HALVINGS):
                 trial = momenta + length * change.reshape(momenta.shape)
                 trial_path, count = integrated(module, case, trial, code, tolerance)
                 evaluations += count
                 trial_error = _error(module, case, trial_path)
                 if trial_error < error:
-                    found = True
+                    is_smaller = True
                     break
                 if error <= max(1e-11, tolerance):
                     break
                 length *= 0.5
-            if not found:
+            if not is_smaller:
                 break
             momenta, path, error = trial, trial_path, trial_error
     status = "solved" if error <= max(1e-10, tolerance) else "stalled"

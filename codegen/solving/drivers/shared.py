@@ -147,8 +147,8 @@ class ScaledProblem:
         duals = np.zeros((x.size, indices.size))
         duals[indices, np.arange(indices.size)] = -held[indices]
         least = np.concatenate([np.full(nu.size, -np.inf), np.zeros(indices.size)])
-        found = lsq_linear(np.hstack([jacobian.T.toarray(), duals]), -gradient, (least, np.inf), method="bvls")
-        return np.asarray(found.x[: nu.size], dtype=float)
+        solution = lsq_linear(np.hstack([jacobian.T.toarray(), duals]), -gradient, (least, np.inf), method="bvls")
+        return np.asarray(solution.x[: nu.size], dtype=float)
 
     def unbalanced(self, x: Vector, nu: Vector) -> float:
         """Return the largest slope times the distance, at most one, to the bound in its direction."""
@@ -232,8 +232,10 @@ def minimised(
     start = module.action_start(case)
     require_at_most(start.size + case.steps * case.start.size, DENSE_LIMIT, driver)
     with quiet_single_thread():
-        found = minimise(module, case, start)
-    return verdict(module, driver, case, module.action_path(case, found.x), int(found.nit), 1e-6, str(found.message))
+        solution = minimise(module, case, start)
+    return verdict(
+        module, driver, case, module.action_path(case, solution.x), int(solution.nit), 1e-6, str(solution.message)
+    )
 
 
 def verdict(
@@ -244,8 +246,8 @@ def verdict(
     if error <= tolerance:
         text = f"{driver} connects the points with residual {error:.1e} after {iterations} iterations"
         return ConnectAttempt("solved", text, iterations, path, tolerance)
-    said = " ".join(str(reason).split())
-    text = f"stalled: {driver} stopped with residual {error:.1e} ({said}); try driver newton, or more steps"
+    text = " ".join(str(reason).split())
+    text = f"stalled: {driver} stopped with residual {error:.1e} ({text}); try driver newton, or more steps"
     return ConnectAttempt("stalled", text, iterations, path, tolerance)
 
 

@@ -36,7 +36,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     # SLSQP compares changes of the cost with ftol itself.
     ftol = 1e-12 * max(1.0, abs(problem.cost(start)))
     with quiet_single_thread():
-        found = minimize(
+        solution = minimize(
             problem.cost,
             start,
             jac=problem.cost_gradient,
@@ -45,10 +45,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             method="SLSQP",
             options={"maxiter": run.max_iterations or MAX_ITERATIONS, "ftol": ftol},
         )
-        unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
-    status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")
-    status = status if np.isfinite(found.fun) else "non-finite"
-    return claim("SLSQP", status, int(found.nit), unknowns, TOLERANCE, f" ({found.message}); try driver newton")
+        unknowns = problem.unknowns(solution.x, problem.multipliers(solution.x))
+    status = "solved" if solution.success else _FAILURES.get(int(solution.status), "stalled")
+    status = status if np.isfinite(solution.fun) else "non-finite"
+    return claim("SLSQP", status, int(solution.nit), unknowns, TOLERANCE, f" ({solution.message}); try driver newton")
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:

@@ -286,16 +286,16 @@ def main(share: str) -> int:
 
     The share is "both" for a process that forks, and for example "0/2" for the first of two.
     """
-    gc.disable()  # what compilation leaves behind is little, and looking for it takes time
+    gc.disable()  # compilation leaves little garbage, and the search for it takes time
     is_compiling = not config.DISABLE_JIT  # type: ignore[attr-defined]
     if is_compiling:
         warm_up()
     path = os.fsdecode(sys.stdin.buffer.read())
     if not (path and is_compiling):
         return 0
-    with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
+    with redirect_stderr(io.StringIO()) as messages:  # about damaged machine code
         module = load(Path(path))
-    os.write(sys.stdout.fileno(), said.getvalue().encode())
+    os.write(sys.stdout.fileno(), messages.getvalue().encode())
     parts = [part for part in parts_of(module) if part.serves == "problem" or not part.is_kept]
     link_runtime()
     if share == "both":
@@ -429,6 +429,6 @@ def seconds_of_machine_code() -> Iterator[CodeSeconds]:
 if __name__ == "__main__":
     try:
         status = main(sys.argv[1])
-    except Exception as error:  # the process that waits says what has become of it
+    except Exception as error:  # reported to the waiting process
         status = failed(error)
-    os._exit(status)  # at once: to take everything down that numba and LLVM have built takes half a second
+    os._exit(status)  # at once: the teardown of numba and LLVM takes half a second

@@ -254,39 +254,39 @@ NAME = 40
 """Number of characters to which a condition is shortened; interior angles of a polygon fill six lines."""
 
 
-def notes(of: Record) -> list[str]:
+def notes(record: Record) -> list[str]:
     """Return notes on the problem of a module, such as unused symbols, omitted conditions and kinks."""
-    found = []
-    if unused := of.unused:
-        found.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
-    if of.task != Task.CONTROL:
-        return found
-    metadata = cast(ControlRecord, of)
+    lines = []
+    if unused := record.unused:
+        lines.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
+    if record.task != Task.CONTROL:
+        return lines
+    metadata = cast(ControlRecord, record)
     if redundant := metadata.redundant_conditions:
         named = ", ".join(f"number {number} ({shortened(name)})" for number, name in redundant)
         verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
         count = f"{len(redundant)} of {metadata.coupling_conditions}"
-        found.append(f"{count} conditions between bodies {verb} left out: {named}")
+        lines.append(f"{count} conditions between bodies {verb} left out: {named}")
     for quantity, where in metadata.dependent_values:
-        found.append(
+        lines.append(
             f"{shortened(quantity)} at the {where} follows from the path equalities with the other values at the ends, "
             "and was left out"
         )
     for condition, where in metadata.decided_conditions:
-        found.append(
+        lines.append(
             f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
         )
     for name, value, last in metadata.history_jumps:
-        found.append(f"{name} starts at {value}, where its history ends at {last}: its values of the past jump there")
+        lines.append(f"{name} starts at {value}, where its history ends at {last}: its values of the past jump there")
     if kinks := metadata.kinks:
         named = ", ".join(map(shortened, kinks))
-        found.append(
+        lines.append(
             f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
             "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
         )
     if borders := metadata.discontinuities:
         named = ", ".join(map(shortened, borders))
-        found.append(
+        lines.append(
             f"something jumps where {named} changes, which derivatives do not see: make it smooth, as by "
             "(1 + tanh(s/width))/2, or give each side a phase of its own"
         )
@@ -294,16 +294,16 @@ def notes(of: Record) -> list[str]:
         inside, instead = function.removeprefix("sqrt(")[:-1], ""
         if function.startswith("sqrt(") and " + " in inside:
             instead = f"; for a length in the cost, a control c >= 0 in its place with path {inside} <= c**2"
-        found.append(
+        lines.append(
             f"{shortened(function)} has no finite {what} at the guess, {where}, where a search cannot begin: give "
             f"another guess, or bounds that keep away from there{instead}"
         )
     if unseen := metadata.unseen_controls:
-        found.append(
+        lines.append(
             f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
-            "found may be no optimum; codegen check explains, and --controls interval has no such mode"
+            "lines may be no optimum; codegen check explains, and --controls interval has no such mode"
         )
-    return found
+    return lines
 
 
 def notes_of_file(path: Path) -> list[str]:
