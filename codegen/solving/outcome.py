@@ -113,8 +113,9 @@ def outcome_of(request: Request, working: Working = nullcontext, following: Foll
         if request.sensitivities:
             result = with_sensitivities(result, module)
         file = getattr(module, "__file__", None)
-        origin = () if request.is_built else (request.source, request.settings)
-        background = Background(module, None if file is None else Path(file), *origin)
+        background = Background(module, None if file is None else Path(file))
+        if not request.is_built:
+            background = replace(background, source=request.source, arguments=request.settings)
         result = replace(put_together(result, module.metadata), parameters=values, background=background)
         if result.compiled:
             return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, notices)

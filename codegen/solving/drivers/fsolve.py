@@ -85,16 +85,16 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
             f"driver fsolve has nothing to solve: {module.metadata.scheme} is explicit for this problem",
             "use newton, or a scheme that is implicit for it",
         )
-    grid = module.make_grid(run.steps)
+    grid, residual, jacobian = module.make_grid(run.steps), module.residual, module.jacobian
     states, evaluations = [grid.start], 0
     status, message = "solved", ""
     with quiet_single_thread():
         for k in range(grid.steps):
             state, t = states[-1], k * grid.h
             y, details, code, reason = fsolve(
-                lambda y, state=state, t=t: module.residual(grid, y, state, t),
+                lambda y, state=state, t=t: residual(grid, y, state, t),
                 module.predict(grid, state, t),
-                fprime=lambda y, state=state, t=t: module.jacobian(grid, y, state, t),
+                fprime=lambda y, state=state, t=t: jacobian(grid, y, state, t),
                 full_output=True,
                 xtol=1e-13,
             )
