@@ -85,7 +85,7 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.record import ControlRecord, Form, Kind, Meaning, Method
-from codegen.runtime.search.grid import (checked_grid, free_unknowns, multiplier_unknowns, node_times, primal_unknowns, replace_values, shared_views, side_by_side, views, with_pinned_values)
+from codegen.runtime.search.grid import checked_grid, free_unknowns, multiplier_unknowns, node_times, primal_unknowns, replace_values, shared_views, side_by_side, views, with_pinned_values
 from codegen.runtime.search.nlp import nonlinear_program
 from codegen.runtime.search.parts import discrete_momenta
 from codegen.runtime.search.point import evaluate

@@ -41,7 +41,7 @@ import numpy as np
 from numba import carray, njit
 
 from codegen.runtime.kernels import Contracted, Kernel, Value
-from codegen.runtime.particles.callbacks import (all_equations, all_equations_jacobian, first_momenta, first_unknowns, jacobian, path_cost, path_errors, path_of, residual, trajectory)
+from codegen.runtime.particles.callbacks import all_equations, all_equations_jacobian, first_momenta, first_unknowns, jacobian, path_cost, path_errors, path_of, residual, trajectory
 from codegen.runtime.particles.cascade import guessed_path, misses_by_far, momenta_of, penalised, solve_case
 from codegen.runtime.particles.case import checked_case
 from codegen.runtime.particles.least_action import momenta_of_least_action

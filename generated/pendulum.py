@@ -33,7 +33,7 @@ import numpy as np
 
 from codegen.runtime.kernels import Kernel, Value
 from codegen.runtime.record import Form, Method, SimulationRecord, StepSolver
-from codegen.runtime.stepping.motion import (checked_step_grid, complete, follow_motion, jacobian, path_residual, predict, residual, start_values, step)
+from codegen.runtime.stepping.motion import checked_step_grid, complete, follow_motion, jacobian, path_residual, predict, residual, start_values, step
 from codegen.runtime.stepping.problem import StepProblem
 
 __all__ = [
