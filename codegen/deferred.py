@@ -1,4 +1,4 @@
-"""Functions that are imported when they are called first, by name: the only imports by strings inside the package."""
+"""Functions that are imported on their first call, by name: the only imports by strings inside the package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Deferred:
-    """A function by its file below `codegen` and its name there, called as if it were the function.
+    """A function given by its module below `codegen` and its name, and called like the function itself.
 
     `tests/test_import_graph.py` reads the strings, and lists those that name a higher floor.
     """
@@ -20,11 +20,11 @@ class Deferred:
     name: str
 
     def __call__(self, *positional: Any, **named: Any) -> Any:
-        """Import the file if necessary, and call the function."""
+        """Import the module if necessary, and call the function."""
         return getattr(_imported(self.file), self.name)(*positional, **named)
 
 
 @cache
 def _imported(file: str) -> ModuleType:
-    """Return a module below `codegen`. The import system takes longer than some of the functions."""
+    """Return a module below `codegen`; the import system takes longer than some of the functions."""
     return import_module(f"codegen.{file}")

@@ -1,4 +1,4 @@
-"""A compiled problem: what `codegen.compile` makes of a file or of an object, and all that can be done with it."""
+"""The class of compiled problems, and the function `codegen.compile` that makes them of files and objects."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from codegen.problem.problem import Phases, Problem
     from codegen.show.equations import Equations
     from codegen.solving.compiler import Build
-    from codegen.solving.interfaces import GeneratedModule
+    from codegen.solving.loading import GeneratedModule
     from codegen.solving.results.result import Result
 
 
 @dataclass(frozen=True)
 class ModuleSource:
-    """The generated module as `text`, in the file `path`; `str` of it is the text."""
+    """The `text` and the `path` of a generated module; `str` returns the text."""
 
     path: Path
     text: str = field(repr=False)
@@ -39,11 +39,22 @@ class ModuleSource:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solver:
-    """A problem that is derived and compiled, and solved as often as one likes.
+    """A compiled problem, which can be solved any number of times.
 
-    `problem` is where it comes from, with its `name` and `title`; `arguments` are those of problem() in a file, and
-    `choices` those of the build; `build` tells the module's path, and whether the cache had it. Solvers can be pickled
-    if what their author wrote can be; a `module` is loaded where it is used.
+    A solver can be pickled if the parts of its problem can be pickled.
+
+    Attributes
+    ----------
+    problem : ProblemFile or ProblemObject
+        The origin of the problem, with `name` and `title`.
+    arguments : dict
+        Arguments of problem() in a problem file.
+    choices : Choices
+        Scheme, method, controls and sensitivities of the build.
+    out : Path or None
+        Folder of the module.
+    build : Build
+        Path of the module; `build.cached` is True for a cache hit.
     """
 
     problem: Source
@@ -54,72 +65,123 @@ class Solver:
 
     @property
     def name(self) -> str:
-        """What the problem is called."""
+        """Name of the problem."""
         return self.problem.name
 
     @property
     def title(self) -> str:
-        """What the problem is about, on one line."""
+        """Title of the problem, one line."""
         return str(self.module.metadata.title)
 
     @property
     def module(self) -> GeneratedModule:
-        """The generated module, loaded."""
+        """The loaded module."""
         from codegen.solving.loading import load
 
         return load(self.build.path)
 
     @property
     def source(self) -> ModuleSource:
-        """The module's text and path; it needs numpy and numba alone, and may be taken elsewhere."""
+        """Text and path of the module."""
         return ModuleSource(self.build.path, self.build.path.read_text(encoding="utf-8"))
+
+    @property
+    def parameters(self) -> dict[str, float | None]:
+        """Names that `parameters={...}` of `solve` may override, with their default values.
+
+        A default is None for durations and prescribed ends, which follow from the formulas of the problem.
+        """
+        from codegen.solving.request import overridable
+
+        defaults = self.module.metadata.parameters
+        return {name: defaults.get(name) for name in overridable(self.module)}
 
     @cached_property
     def build_options(self) -> dict[str, Any]:
-        """What a solve, a sweep or a controller is given in place of this solver."""
-        own = self.choices
-        named = {"scheme": own.scheme, "method": own.method, "controls": own.controls, "out": self.out}
-        wanted = {"sensitivities": True} if own.sensitivities else {}
-        return {"problem": self.problem, "arguments": dict(self.arguments), **named, **wanted}
+        """The options with which a solve, a sweep or a controller builds the same module."""
+        choices = self.choices
+        named = {"scheme": choices.scheme, "method": choices.method, "controls": choices.controls, "out": self.out}
+        sensitivities = {"sensitivities": True} if choices.sensitivities else {}
+        return {"problem": self.problem, "arguments": dict(self.arguments), **named, **sensitivities}
 
     def solve(self, driver: str = "newton", **options: Any) -> Result:
-        """Solve the problem; the options are those of `codegen.solve` but for choices of the build.
+        """Solve the problem.
 
-        The module of this solver is used, but for `accuracy` without a scheme and for `sensitivities`: modules of their
-        own are derived for these when they are asked for first. Raises as `codegen.solve` does.
+        Parameters
+        ----------
+        driver : str
+            As for `codegen.solve`.
+        **options
+            Options of `codegen.solve` except choices of the build. `accuracy` without a scheme, and `sensitivities`,
+            derive modules of their own on first use.
+
+        Returns
+        -------
+        Result
+
+        Raises
+        ------
+        CodegenError
+            As `codegen.solve`.
         """
         from codegen.solving.api import solve
 
         return solve(self, driver, **options)
 
     def check(self, *, time_limit: float = CHECK) -> Findings:
-        """The evidence of `codegen check`, which a notebook shows as a table; it takes `time_limit` seconds at most.
+        """Run the checks of `codegen check`.
 
-        A check that fails is a finding, not an exception.
+        Parameters
+        ----------
+        time_limit : float
+            Limit in seconds.
+
+        Returns
+        -------
+        Findings
+            A notebook displays them as a table. A failed check is a finding, not an exception.
         """
         from codegen.evidence import checks
 
-        own = self.choices
+        choices = self.choices
         return checks.run(
-            self.problem, self._settings, scheme=own.scheme, method=own.method, controls=own.controls,
-            sensitivities=own.sensitivities, module=self.build.path, time_limit=time_limit,
+            self.problem, self._settings, scheme=choices.scheme, method=choices.method, controls=choices.controls,
+            sensitivities=choices.sensitivities, module=self.build.path, time_limit=time_limit,
         )  # fmt: skip
 
     def show(self) -> Equations:
-        """The derived equations, continuous and discrete: text, LaTeX, and mathematics in a notebook."""
+        """Return the derived equations, continuous and discrete: text, LaTeX, and formulas in a notebook."""
         from codegen.show.equations import derived_equations
 
-        own = self.choices
-        return derived_equations(self.problem, self._settings, own.scheme, own.method, own.controls)
+        choices = self.choices
+        return derived_equations(self.problem, self._settings, choices.scheme, choices.method, choices.controls)
 
     def sweep(self, vary: Mapping[str, Any] | None = None, **options: Any) -> Dataset:
-        """Solve the problem for many values; the options are those of `codegen.sweep`, and so is the data set."""
+        """Solve the problem for many values.
+
+        Parameters
+        ----------
+        vary : dict
+            Values by name, as for `codegen.sweep`.
+        **options
+            Options of `codegen.sweep`.
+
+        Returns
+        -------
+        xarray.Dataset
+        """
         from codegen.batch.sweep import sweep
 
         return sweep(self, vary, **options)
 
     def controller(self, **options: Any) -> Controller:
-        """A controller with a moving horizon; the options are those of `codegen.Controller` but for a build's."""
+        """Return a controller with a moving horizon.
+
+        Parameters
+        ----------
+        **options
+            Options of `codegen.Controller` except choices of the build.
+        """
         from codegen.mpc.controller import Controller
 
         return Controller(self, **options)
@@ -141,17 +203,14 @@ class Solver:
             ("module", str(self.build.path)),
             ("built", "from the cache" if self.build.cached else f"in {self.build.seconds:.2f} s"),
         ]
-        return table(rows, caption=self.title) + self._mathematics()
-
-    def _mathematics(self) -> str:
-        """What the author wrote, where that is at hand without running a file."""
-        if not isinstance(self.problem, ProblemObject):
-            return ""
+        summary = table(rows, caption=self.title)
+        if not isinstance(self.problem, ProblemObject):  # a problem file would have to be run
+            return summary
         from html import escape
 
         from codegen.show.notebook_mathematics import displayed
 
-        return escape(displayed(self.problem.problem), quote=False)
+        return summary + escape(displayed(self.problem.problem), quote=False)
 
 
 def compile(
@@ -167,27 +226,46 @@ def compile(
     out: Path | str | None = None,
     time_limit: float = BUILD,
 ) -> Solver:
-    """Derive and compile a problem, or find it in the cache, and return its solver.
+    """Derive and compile a problem, or find it in the cache.
 
-    `problem` is a Control, Simulate, Phases or Connect, or the path of a problem file. An object is called `name`, an
-    identifier, "problem" unless said, and is about `title`, one line, its name unless said; a file has its own. The
-    cache knows an object by all that it says, in any process; changes in a notebook are seen, and an old state is found
-    again. Files that tables and measurements of an object name lie in the current folder.
+    Parameters
+    ----------
+    problem : Control, Simulate, Phases, Connect or path
+        An object or a problem file.
+    name : str
+        Identifier for an object, by default "problem". A file has its own name.
+    title : str
+        One line for an object, by default its name.
+    arguments : dict
+        Arguments of problem() in a problem file.
+    scheme, method, controls, out, time_limit
+        As for `codegen.build`.
+    sensitivities : bool
+        If True, all solutions have sensitivities.
 
-    `arguments` of problem() are those of a file alone. `scheme`, `method`, `controls`, `sensitivities`, `out` and
-    `time_limit` are as for `codegen.build`; with `sensitivities` all solutions have them.
+    Returns
+    -------
+    Solver
 
-    Raises ArgumentError for a name, title or choice that is unusable, and another kind of CodegenError when the problem
-    is; messages begin with the object's name, or with the file.
+    Raises
+    ------
+    CodegenError
+        ArgumentError for an unusable name, title or choice, and other kinds for an unusable problem. Messages begin
+        with the name of the object or file.
+
+    Notes
+    -----
+    The cache identifies an object by its content, in any process. Paths of tables and measurements of an object are
+    relative to the current folder.
     """
     from codegen.solving.loading import load
-    from codegen.solving.machine_code import ahead_of_time
+    from codegen.solving.machine_code import processes
 
-    source, given = source_of(problem, name, title), dict(arguments or {})
+    source, values = source_of(problem, name, title), dict(arguments or {})
     made = compiler.build(
-        source, given, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities, out=out,
+        source, values, scheme=scheme, method=method, controls=controls, sensitivities=sensitivities, out=out,
         time_limit=time_limit,
     )  # fmt: skip
-    ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)
+    processes.require(made.path, load(made.path), made.written, nullcontext)
     choices = chosen(scheme, method, controls, sensitivities=sensitivities)
-    return Solver(source, given, choices, None if out is None else Path(out), made)
+    return Solver(source, values, choices, None if out is None else Path(out), made)

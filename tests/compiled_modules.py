@@ -6,10 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from codegen.solving.cache import cache_folder
-from codegen.solving.interfaces import GeneratedModule
-from codegen.solving.loading import load
-from codegen.solving.machine_code.parts import has_machine_code
+from codegen.solving.compiler import cache_folder
+from codegen.solving.loading import GeneratedModule, load
+from codegen.solving.machine_code.compilation import has_machine_code
 
 
 def compiled(path: Path) -> GeneratedModule:

@@ -30,7 +30,7 @@ from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
 from codegen.registration.solver import FlowModule, registration_module
 from codegen.solving.compiler import build
-from codegen.solving.interfaces import GeneratedModule
+from codegen.solving.loading import GeneratedModule
 
 # Machines are shared: a slow draw says nothing about the code, and timings are never a verdict.
 settings.register_profile("shared", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -48,7 +48,7 @@ FAST = frozenset(
     " refinement limits tasks delays segments inner_times samples damaged_samples estimates measured sensitivities"
     " sweep_cases sweep_continuation worker_processes sweep_jumps scattered_jumps sweep_figure sweep_sensitivities"
     " pareto first_order tornado shift controller closed_loop refused_controllers controller_delay preparation site"
-    " prose warm_start barrier polynomials both_sides journal tally".split()
+    " prose warm_start barrier polynomials both_sides journal tally columns".split()
 )
 """Files of tests that compile nothing, or next to nothing: symbols, texts, and kernels that the interpreter runs."""
 

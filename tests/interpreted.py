@@ -88,7 +88,7 @@ def all_uncompiled() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"), warnings.catch_warnings():
         for place in ("solving.loading", "evidence.checks", "evidence.checks.particles"):
             patch.setattr(f"codegen.{place}.load", loaded)
-        patch.setattr("codegen.solving.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+        patch.setattr("codegen.solving.machine_code.processes.require", lambda *_: (0.0, []))
         warnings.simplefilter("ignore")
         yield
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from codegen.solving.cache import GENERATORS
+from codegen.solving.compiler import GENERATORS
 
 PACKAGE = Path(__file__).parents[1] / "codegen"
 
@@ -39,7 +39,6 @@ NUMERIC = (
     "symbolic/tables",
     "drawing",
     "solving/tasks",
-    "solving/interfaces",
     "solving/loading",
     "solving/machine_code",
     "solving/results",
@@ -54,7 +53,6 @@ SYMBOLIC = (
     *(f"symbolic.{name}" for name in ("terms", "zeros")),
     "discretise",
     "emit",
-    "solving.cache",
     "solving.compiler",
 )
 """Modules that import sympy, or that lead to it."""

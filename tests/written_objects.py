@@ -6,8 +6,7 @@ from typing import Any
 from conftest import PROBLEMS
 
 from codegen.problem.points import beside
-from codegen.problem.problem_file import written_problem
-from codegen.problem.sources import ProblemObject, source_of
+from codegen.problem.sources import ProblemObject, source_of, written_problem
 
 FILES = [*sorted(PROBLEMS.glob("*.py")), *sorted((PROBLEMS / "published").glob("*.py"))]
 """Every problem file of the gallery."""

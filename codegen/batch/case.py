@@ -25,12 +25,12 @@ from codegen.batch.layout import Shapes
 from codegen.batch.quantities import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
 from codegen.solving.drivers import find
-from codegen.solving.interfaces import Matrix, Vector, is_connect
+from codegen.solving.loading import Matrix, Vector, is_connect
 from codegen.solving.request import with_arguments
 from codegen.solving.results.result import STATUSES, Outline, Run
 from codegen.solving.results.segments import segments_of
-from codegen.solving.run import transferred
 from codegen.solving.tasks import task_of
+from codegen.solving.warm_start import transferred
 from codegen.solving.warm_start import varied as varied_guess
 
 OTHERS = 3

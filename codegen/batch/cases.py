@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from codegen.batch.executors.work import counted
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
-from codegen.solving.interfaces import Matrix
+from codegen.solving.loading import Matrix
 
 Values: TypeAlias = NDArray[np.float64] | NDArray[np.str_]
 MOST_CASES = 100_000_000

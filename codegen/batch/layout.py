@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from codegen.errors import ArgumentError, clause
 from codegen.runtime.record import Task
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.interfaces import GeneratedModule, Matrix, few_steps
-from codegen.solving.results.connect import particle_names
+from codegen.solving.loading import GeneratedModule, Matrix, few_steps
+from codegen.solving.results.motions import particle_names
 from codegen.solving.results.result import Run, component_names
 from codegen.solving.results.segments import multiplier_names, segments_of
 from codegen.solving.tasks import task_of

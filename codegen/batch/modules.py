@@ -19,10 +19,9 @@ from codegen.batch.quantities import STEPS, Quantity, as_argument, quantities, r
 from codegen.errors import ArgumentError, CodegenError
 from codegen.solving import compiler, loading
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.machine_code import ahead_of_time
+from codegen.solving.machine_code import processes
 from codegen.solving.outcome import points_of
-from codegen.solving.request import Request
-from codegen.solving.results.overrides import require_apart_from_arrays, require_apart_from_delays
+from codegen.solving.request import Request, require_apart_from_arrays, require_apart_from_delays
 from codegen.solving.results.sensitivities import require_sensitive
 
 if TYPE_CHECKING:
@@ -86,7 +85,7 @@ def modules_of(request: Request, cases: Cases, working: Working) -> Modules:
     points, said = _points(request, [module for module, _ in derived.values()]), list[str]()
     for module, made in derived.values():
         if DRIVERS[request.driver].generated:
-            said += ahead_of_time.require(made.path, module, made.written, working)[1]
+            said += processes.require(made.path, module, made.written, working)[1]
     variants = {
         key: Variant(derived[key][1].path, _shapes(request, derived[key][0], points))
         if key in derived

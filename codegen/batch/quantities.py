@@ -13,14 +13,9 @@ from numpy.typing import NDArray
 from codegen.batch.cases import Cases
 from codegen.batch.layout import RATE, free_label
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.solving.interfaces import Matrix, Vector, is_control
+from codegen.solving.loading import Matrix, Vector, is_control
+from codegen.solving.request import apart_from_delays, duration_arguments, parameter_arguments, prescribed_ends
 from codegen.solving.results.control import control_result
-from codegen.solving.results.overrides import (
-    apart_from_delays,
-    duration_arguments,
-    parameter_arguments,
-    prescribed_ends,
-)
 from codegen.solving.results.result import ControlAttempt, Run
 from codegen.solving.results.sensitivities import rates_at
 

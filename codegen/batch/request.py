@@ -18,7 +18,7 @@ from codegen.solving.request import Request
 from codegen.solving.results.output import require_folder
 
 if TYPE_CHECKING:
-    from codegen.solving.interfaces import GeneratedModule
+    from codegen.solving.loading import GeneratedModule
 
 STORES, FILES = (".zarr",), (".nc",)
 OPTIONS = (

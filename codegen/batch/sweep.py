@@ -34,9 +34,9 @@ from codegen.batch.work import Rows, Work
 from codegen.errors import ArgumentError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject
+from codegen.solving.outcome import require_memory
 from codegen.solving.request import Request
 from codegen.solving.results.result import Run, component_units
-from codegen.solving.run import require_memory
 from codegen.solving.tasks import task_of
 
 if TYPE_CHECKING:

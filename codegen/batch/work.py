@@ -39,7 +39,7 @@ from codegen.errors import ArgumentError
 from codegen.files import write_text
 from codegen.solving import loading
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.machine_code import ahead_of_time
+from codegen.solving.machine_code import processes
 from codegen.solving.results.result import Run
 from codegen.solving.results.sensitivities import UNSOLVED
 
@@ -87,7 +87,7 @@ def _compiled(path: Path, text: str, driver: str) -> bool:
             write_text(path, text)
         if not DRIVERS[driver].generated:
             return False
-        seconds, _ = ahead_of_time.require(path, loading.load(path), False, lambda what: nullcontext())
+        seconds, _ = processes.require(path, loading.load(path), False, lambda what: nullcontext())
         return seconds > 0.0
 
 

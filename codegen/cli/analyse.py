@@ -20,7 +20,7 @@ def analyse(
 ) -> None:
     """Print the modified equations of a scheme, and the modified Hamiltonian if there is one."""
     from codegen.evidence.analysis.display import analysis
-    from codegen.problem.problem_file import parse_arguments
+    from codegen.problem.sources import parse_arguments
 
     arguments = parse_arguments(set_, problem)
     with working("Expanding"):

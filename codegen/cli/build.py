@@ -31,10 +31,10 @@ def build(
     time_limit: Annotated[float, typer.Option(min=0.1, metavar="S", help="Most seconds of derivation.")] = BUILD,
 ) -> None:
     """Derive and write the module that solves a problem, and compile it."""
-    from codegen.problem.problem_file import parse_arguments
+    from codegen.problem.sources import parse_arguments
     from codegen.solving import compiler
     from codegen.solving.loading import load
-    from codegen.solving.machine_code import ahead_of_time
+    from codegen.solving.machine_code import processes as machine_code
     from codegen.solving.machine_code.processes import compilers
     from codegen.solving.results import output
     from codegen.solving.results import output as notes
@@ -50,7 +50,7 @@ def build(
             )  # fmt: skip
         said: list[str] = []
         if processes is not None:
-            said = ahead_of_time.require(made.path, load(made.path), made.written, working, processes)[1]
+            said = machine_code.require(made.path, load(made.path), made.written, working, processes)[1]
     for line in said:
         typer.echo(line, err=True)
     seconds = time.perf_counter() - begin

@@ -33,7 +33,7 @@ def check(
     """Check the derivation and the generated code; exit status 1 if a check fails."""
     from codegen.emit import naming
     from codegen.evidence.checks.base import findings_table
-    from codegen.problem.problem_file import parse_arguments
+    from codegen.problem.sources import parse_arguments
     from codegen.solving.results import output
 
     if out is not None:
@@ -60,17 +60,17 @@ def check(
 def _module(problem: Path, arguments: Mapping[str, str], choices: Choices, out: Path | None) -> Path:
     """The module that someone keeps, as it stands, since it may have been changed by hand; else one of the cache."""
     from codegen.emit import naming
-    from codegen.solving import cache, compiler
+    from codegen.solving import compiler
     from codegen.solving.loading import load
-    from codegen.solving.machine_code import ahead_of_time
+    from codegen.solving.machine_code import processes
 
-    kept = (out or cache.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
+    kept = (out or compiler.GENERATED) / f"{naming.module_name(problem, arguments, choices)}.py"
     if kept.is_file():
         return kept
     made = compiler.build(
         problem, arguments, scheme=choices.scheme, method=choices.method, controls=choices.controls,
         sensitivities=choices.sensitivities,
     )  # fmt: skip
-    for line in ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)[1]:
+    for line in processes.require(made.path, load(made.path), made.written, nullcontext)[1]:
         typer.echo(line, err=True)
     return made.path

@@ -19,7 +19,7 @@ def show(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
 ) -> None:
     """Print the derived discrete equations."""
-    from codegen.problem.problem_file import parse_arguments
+    from codegen.problem.sources import parse_arguments
     from codegen.show.equations import equations
 
     arguments = parse_arguments(set_, problem)

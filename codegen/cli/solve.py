@@ -42,7 +42,7 @@ from codegen.terminal import console, following, working
 if TYPE_CHECKING:
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
-    from codegen.solving.interfaces import GeneratedModule
+    from codegen.solving.loading import GeneratedModule
     from codegen.solving.outcome import Outcome
     from codegen.solving.request import Request
     from codegen.solving.results.result import Result
@@ -112,7 +112,7 @@ def solve(
     out: Out = None,
 ) -> None:
     """Solve a problem, building its module first where that is necessary."""
-    from codegen.problem.problem_file import parse_arguments
+    from codegen.problem.sources import parse_arguments
 
     pass
     from codegen.solving.outcome import outcome_of
@@ -178,7 +178,7 @@ def _tell(outcome: Outcome, json: bool, log: bool) -> None:
     from codegen.solving.results import output as notes
 
     result, record = outcome.result, outcome.record
-    for line in outcome.said:
+    for line in outcome.notices:
         typer.echo(line, err=True)
     if log:
         console(stderr=json).print(output.log_table(result))

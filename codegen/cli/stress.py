@@ -28,7 +28,7 @@ def stress(
         raise ArgumentError("stress takes a problem file, or --all, or --quick", "give one of them")
     output.require_folder(out, "--out", may_be_made=True)
     if problem is not None:
-        from codegen.problem.problem_file import parse_arguments
+        from codegen.problem.sources import parse_arguments
 
         with working("Deriving"):
             cases = generic.cases_of(problem, parse_arguments(set_, problem))

@@ -127,7 +127,7 @@ def sweep(
 
     # Refuse, before anything else, what cannot be written.
     from codegen.cli.solve import PLOTS
-    from codegen.problem.problem_file import parse_arguments
+    from codegen.problem.sources import parse_arguments
     from codegen.show.figures.pareto import objectives_of
     from codegen.solving.results.output import require_writable
 

@@ -20,7 +20,7 @@ from codegen.runtime.search.bounds import bounds_of
 from codegen.runtime.search.descent import COST, ITERATIONS, RESIDUAL
 from codegen.runtime.search.iterates import stored
 from codegen.runtime.search.point import evaluate
-from codegen.solving.interfaces import Grid, Matrix, Vector
+from codegen.solving.loading import Grid, Matrix, Vector
 from codegen.solving.results.control import control_verdict
 from codegen.solving.results.result import ControlAttempt, Run
 

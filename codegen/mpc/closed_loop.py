@@ -15,7 +15,7 @@ from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.mpc.controller import Controller, Feedback
 from codegen.mpc.interface import Moving, number, require_count, vector
 from codegen.mpc.motion import PlantFailed, plant_of
-from codegen.solving.interfaces import Matrix, Vector
+from codegen.solving.loading import Matrix, Vector
 
 if TYPE_CHECKING:
     from codegen.show.figures.picture import Picture

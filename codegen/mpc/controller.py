@@ -26,7 +26,7 @@ from codegen.runtime.search.messages import describe, reached
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import optimise
 from codegen.runtime.search.termination import final_status
-from codegen.solving.interfaces import Grid, Matrix, Vector
+from codegen.solving.loading import Grid, Matrix, Vector
 from codegen.solving.results.result import Run
 
 

@@ -18,7 +18,7 @@ from codegen.errors import NumericsError
 from codegen.mpc.interface import Interface
 from codegen.runtime.search.bounds import contradictory_bounds
 from codegen.runtime.search.iterates import on_grid, search_on
-from codegen.solving.interfaces import Grid, Indices, Vector
+from codegen.solving.loading import Grid, Indices, Vector
 
 
 class Grids:

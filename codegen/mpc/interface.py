@@ -17,10 +17,9 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError, clause
 from codegen.runtime.record import Sites, Task
 from codegen.solving import compiler, loading
-from codegen.solving.interfaces import ControlModule, Grid, Vector
-from codegen.solving.machine_code import ahead_of_time
-from codegen.solving.request import SCALINGS, Request
-from codegen.solving.results.overrides import as_number, parameter_arguments
+from codegen.solving.loading import ControlModule, Grid, Vector
+from codegen.solving.machine_code import processes
+from codegen.solving.request import SCALINGS, Request, as_number, parameter_arguments
 from codegen.solving.results.result import component_names
 
 _SITES = {"nodal": "nodes", "stages": "stages"}
@@ -156,7 +155,7 @@ def module_of(problem: Any, arguments: Mapping[str, Any], scheme: str | None, me
         )
         path, is_new = made.path, made.written
     module: Any = loading.load(path)
-    ahead_of_time.require(path, module, is_new, nullcontext)
+    processes.require(path, module, is_new, nullcontext)
     return module  # type: ignore[no-any-return]
 
 

@@ -27,8 +27,8 @@ from codegen.mpc.interface import WHOLE, Interface, Moving, Values, module_of, v
 from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate
-from codegen.solving.interfaces import Grid, Indices, Vector, is_control, is_of_particles
-from codegen.solving.results.overrides import parameter_arguments
+from codegen.solving.loading import Grid, Indices, Vector, is_control, is_of_particles
+from codegen.solving.request import parameter_arguments
 
 VELOCITY_NEWTON_STEPS, VELOCITY_CLOSE = 20, 1e-12
 """One step is enough where kinetic energy is quadratic in velocities."""

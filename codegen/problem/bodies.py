@@ -1,9 +1,8 @@
-"""Several different bodies in one problem: the problems of each, and what ties them together.
+"""Several different bodies in one problem, and identical bodies written out as different ones.
 
-Identical bodies that meet on the way, written out as so many different ones. The numerics loop over identical bodies
-whose motions only conditions at the end tie together. A path condition between bodies, such as a least distance, ties
-them at every time: then each body gets coordinates and controls of its own, `x_0`, `x_1`, ..., and all move in one
-chain. The module, and the time to build it, grow with the number of bodies.
+The numerics iterate over identical bodies whose motions are coupled only by conditions at the end. A path condition
+between bodies, such as a least distance, couples them at every time. Then each body gets coordinates and controls of
+its own, `x_0`, `x_1`, ..., and all move in one chain. The module and its build time grow with the number of bodies.
 """
 
 from __future__ import annotations
@@ -51,40 +50,71 @@ def together(
     constraint: Sequence[Expression] = (),
     drawing: Sequence[Item] = (),
 ) -> Control:
-    """One control problem of several bodies, each given by a problem of its own with coordinates of its own.
+    """Combine the control problems of several bodies, each with coordinates of its own, into one.
 
-    The bodies move at the same time, each by its own equations: Lagrangians or Hamiltonians, costs and terminal costs
-    add up, and every condition of every body holds. What ties them together comes beside: `interaction`, which is
-    added to the Lagrangian (minus a potential energy) or to the Hamiltonian, further costs, and relations between the
-    quantities of several bodies, at every time (`path`, `constraint`), over it (`integral`), at inner times (`at`,
-    `waypoints`) or at an end.
+    The bodies move at the same time, each by its own equations. Lagrangians or Hamiltonians, costs and terminal costs
+    are added, and all conditions of all bodies hold. The arguments couple the bodies.
 
-    Raises a kind of CodegenError when the bodies are not given in the same way, or differ in duration or steps, when
-    two of them have a coordinate in common, or when there is only one. Many identical bodies that meet at their ends
-    alone are solved faster as one Control with `bodies=H`.
+    Parameters
+    ----------
+    *bodies : Control
+        At least two, with the same duration and steps, and without common coordinates.
+    interaction : expression
+        Added to the Lagrangian (minus a potential energy) or to the Hamiltonian.
+    cost, terminal_cost, maximise, terminal_maximise : expression
+        Further costs.
+    path, integral, at, waypoints, start_conditions, end_conditions, constraint
+        Relations between quantities of several bodies, as for Control.
+    drawing : sequence of Item
+        Further items of the picture.
+
+    Returns
+    -------
+    Control
+
+    Raises
+    ------
+    CodegenError
+        If the bodies have different forms, durations or steps, or a common coordinate, or if there is only one.
+
+    Notes
+    -----
+    Many identical bodies that meet only at their ends are solved faster as one Control with `bodies=H`.
     """
     form = _common_form(bodies)
-    _require_fitting(bodies, form)
 
-    def listed(what: str, further: Relations) -> list[Any]:
-        given = [*(getattr(body, what) for body in bodies), further]
-        return [*chain.from_iterable(each.items() if isinstance(each, Mapping) else each for each in given)]
+    def listed(name: str, further: Relations) -> list[Any]:
+        each = [*(getattr(body, name) for body in bodies), further]
+        return [*chain.from_iterable(one.items() if isinstance(one, Mapping) else one for one in each)]
 
-    mappings = ("force", "start", "end", "bounds", "history", "guess", "scale")
-    merged: Any = {what: _merged(what, [getattr(body, what) for body in bodies]) for what in mappings}
+    names = ("force", "start", "end", "bounds", "history", "guess", "scale")
+    mappings: Any = {name: _merged(name, [getattr(body, name) for body in bodies]) for name in names}
+    motion: Any
+    if form != "dynamics":
+        motion = _sum(form, [*(getattr(body, form) for body in bodies), interaction])
+    elif interaction != 0:
+        raise ExpressionError("interaction beside dynamics", "add what acts between bodies to their dynamics")
+    else:
+        motion = _merged("dynamics", [body.dynamics for body in bodies])
+    inner: dict[Any, list[Any]] = {}
+    for index, mapping in enumerate([*(body.at for body in bodies), at or {}]):
+        _require_mapping("at", index, mapping, "{time: [relation, ...], ...}")
+        for time, relations in mapping.items():
+            inner.setdefault(time, []).extend(relations.items() if isinstance(relations, Mapping) else relations)
+    periodic = [p if isinstance(p, Mapping) else dict.fromkeys(p, 0) for p in (body.periodic for body in bodies)]
     return Control(
-        **{form: _motion(bodies, form, interaction)},
+        **{form: motion},
         cost=_sum("cost", [*(body.cost for body in bodies), cost]),
         terminal_cost=_sum("terminal_cost", [*(body.terminal_cost for body in bodies), terminal_cost]),
         maximise=_sum("maximise", [*(body.maximise for body in bodies), maximise]),
         terminal_maximise=_sum("terminal_maximise", [*(b.terminal_maximise for b in bodies), terminal_maximise]),
         duration=bodies[0].duration,
         steps=bodies[0].steps,
-        **merged,
-        periodic=_merged("periodic", [_shifts(body.periodic) for body in bodies]),
+        **mappings,
+        periodic=_merged("periodic", periodic),
         path=listed("path", path),
         integral=listed("integral", integral),
-        at=_by_time([*(body.at for body in bodies), at or {}]),
+        at=inner,
         waypoints=waypoints,
         start_conditions=listed("start_conditions", start_conditions),
         end_conditions=listed("end_conditions", end_conditions),
@@ -94,7 +124,7 @@ def together(
 
 
 def _common_form(bodies: Sequence[Any]) -> str:
-    """Which argument says how every body moves."""
+    """Return the argument that defines the motion of every body; raise an error for bodies that do not fit."""
     for index, body in enumerate(bodies):
         if not isinstance(body, Control):
             raise ProblemFileError(f"body {index} is a {type(body).__name__}", "let every body be a Control")
@@ -106,39 +136,14 @@ def _common_form(bodies: Sequence[Any]) -> str:
             raise ExpressionError(
                 f"body 0 is given by {forms[0]}, body {index} by {form}", "give all bodies in the same way"
             )
-    return forms[0]
-
-
-def _require_fitting(bodies: Sequence[Control], form: str) -> None:
-    """Refuse bodies that cannot be put together."""
-    _require_same("duration", [body.duration for body in bodies])
-    _require_same("steps", [body.steps for body in bodies])
-    _require_single(bodies)
-    for index, body in enumerate(bodies):
-        if body.waypoints:
-            raise ExpressionError(f"body {index} has waypoints", "give those of all bodies, in order, to together(...)")
-    _require_own_coordinates(bodies, form)
-
-
-def _motion(bodies: Sequence[Control], form: str, interaction: Expression) -> Any:
-    """What says how all bodies move, and act on each other."""
-    if form != "dynamics":
-        return _sum(form, [*(getattr(body, form) for body in bodies), interaction])
-    if interaction != 0:
-        raise ExpressionError("interaction beside dynamics", "add what acts between bodies to their dynamics")
-    return _merged("dynamics", [body.dynamics for body in bodies])
-
-
-def _require_same(what: str, values: Sequence[Any]) -> None:
-    for index, value in enumerate(values):
-        if expressions.checked(value, what) != expressions.checked(values[0], what):
-            raise ExpressionError(
-                f"{what} is {values[0]} for body 0 and {value} for body {index}", "let all bodies move at the same time"
-            )
-
-
-def _require_single(bodies: Sequence[Control]) -> None:
-    """Refuse a body that stands for several, or that was measured."""
+    for name in ("duration", "steps"):
+        first = getattr(bodies[0], name)
+        for index, body in enumerate(bodies):
+            value = getattr(body, name)
+            if expressions.checked(value, name) != expressions.checked(first, name):
+                raise ExpressionError(
+                    f"{name} is {first} for body 0 and {value} for body {index}", "let all bodies move at the same time"
+                )
     for index, body in enumerate(bodies):
         if body.bodies != 1:
             raise ExpressionError(
@@ -150,67 +155,49 @@ def _require_single(bodies: Sequence[Control]) -> None:
                 f"body {index} has observations beside other bodies",
                 "write the states of all bodies into one Control, or use bodies alone, with conditions at the end",
             )
-
-
-def _require_own_coordinates(bodies: Sequence[Control], form: str) -> None:
-    """Refuse a coordinate or state that two bodies have: which of both moves it?"""
+    for index, body in enumerate(bodies):
+        if body.waypoints:
+            raise ExpressionError(f"body {index} has waypoints", "give those of all bodies, in order, to together(...)")
     owners: dict[Quantity, int] = {}
     for index, body in enumerate(bodies):
-        for symbol in sorted(_moving(body, form), key=lambda symbol: symbol.declared):
+        if forms[0] == "dynamics":
+            moving = set(body.dynamics or {})
+        else:
+            symbols = expressions.checked(getattr(body, forms[0]), forms[0]).free_symbols
+            moving = {symbol.partner for symbol in symbols if isinstance(symbol, (Velocity, Momentum))}
+            moving |= {symbol for symbol in symbols if isinstance(symbol, Coordinate)}
+        for symbol in sorted(moving, key=lambda symbol: symbol.declared):
             if owners.setdefault(symbol, index) != index:
                 raise SymbolError(
                     f"bodies {owners[symbol]} and {index} both have {symbol}",
                     "declare coordinates of its own for each body, or write what both share as interaction",
                 )
+    return forms[0]
 
 
-def _moving(body: Control, form: str) -> set[Quantity]:
-    """The coordinates or states of a body."""
-    if form == "dynamics":
-        return set(body.dynamics or {})
-    symbols = expressions.checked(getattr(body, form), form).free_symbols
-    rates = {symbol.partner for symbol in symbols if isinstance(symbol, (Velocity, Momentum))}
-    return rates | {symbol for symbol in symbols if isinstance(symbol, Coordinate)}
+def _require_mapping(name: str, index: int, mapping: Any, example: str) -> None:
+    if not isinstance(mapping, Mapping):
+        raise ExpressionError(f"{name} of body {index} is a {type(mapping).__name__}", f"write {name} as {example}")
 
 
-def _merged(what: str, mappings: Sequence[Any]) -> dict[Any, Any]:
-    """All entries; a shared control or parameter may be said twice, if both times the same."""
-    found: dict[Any, Any] = {}
+def _merged(name: str, mappings: Sequence[Any]) -> dict[Any, Any]:
+    """Return all entries; a shared control or parameter may occur twice with the same value."""
+    merged: dict[Any, Any] = {}
     for index, mapping in enumerate(mappings):
-        if not isinstance(mapping, Mapping):
-            raise ExpressionError(
-                f"{what} of body {index} is a {type(mapping).__name__}", f"write {what} as {{symbol: value, ...}}"
-            )
+        _require_mapping(name, index, mapping, "{symbol: value, ...}")
         for key, value in mapping.items():
-            if key in found and found[key] != value:
-                raise ExpressionError(f"{what} of {key} is given twice: {found[key]} and {value}", "give it once")
-            found[key] = value
-    return found
+            if key in merged and merged[key] != value:
+                raise ExpressionError(f"{name} of {key} is given twice: {merged[key]} and {value}", "give it once")
+            merged[key] = value
+    return merged
 
 
-def _by_time(mappings: Sequence[Any]) -> dict[Any, list[Any]]:
-    """The conditions of all bodies at inner times, with those of equal times in one list."""
-    found: dict[Any, list[Any]] = {}
-    for index, mapping in enumerate(mappings):
-        if not isinstance(mapping, Mapping):
-            raise ExpressionError(
-                f"at of body {index} is a {type(mapping).__name__}", "write at as {time: [relation, ...], ...}"
-            )
-        for time, relations in mapping.items():
-            found.setdefault(time, []).extend(relations.items() if isinstance(relations, Mapping) else relations)
-    return found
-
-
-def _shifts(periodic: Any) -> Any:
-    return periodic if isinstance(periodic, Mapping) else dict.fromkeys(periodic, 0)
-
-
-def _sum(what: str, terms: Sequence[Expression]) -> Expression:
-    return sympy.Add(*(expressions.checked(term, what) for term in terms))
+def _sum(name: str, terms: Sequence[Expression]) -> Expression:
+    return sympy.Add(*(expressions.checked(term, name) for term in terms))
 
 
 def require_body(value: EndValue, bodies: int) -> None:
-    """Raise BoundaryError unless there is the body that a quantity of a single one belongs to."""
+    """Raise BoundaryError for a quantity of a body that does not exist."""
     if value.body >= bodies:
         raise BoundaryError(
             f"{value.partner}.of({value.body}) is no body", f"number them 0 to {bodies - 1}, or raise bodies"
@@ -218,7 +205,7 @@ def require_body(value: EndValue, bodies: int) -> None:
 
 
 def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iterable[sympy.Symbol]) -> None:
-    """Raise ExpressionError when a condition between bodies, `what`, has quantities in it that every body has."""
+    """Raise ExpressionError if a condition between bodies, `what`, contains quantities of every body."""
     if mixed := sorted(map(str, every)):
         raise ExpressionError(
             f"{what} has {', '.join(mixed)} of every body beside {min(map(str, single))} of one",
@@ -227,7 +214,7 @@ def require_single_bodies(what: str, single: Iterable[sympy.Symbol], every: Iter
 
 
 def has_path_couplings(problem: Any) -> bool:
-    """Return True if conditions tie identical bodies at other times than the end, or by an inequality."""
+    """Return True if conditions couple identical bodies at other times than the end, or by an inequality."""
     if not isinstance(problem, Control) or type(problem.bodies) is not int or problem.bodies < 2:
         return False
     inequalities = [
@@ -237,10 +224,10 @@ def has_path_couplings(problem: Any) -> bool:
 
 
 def written_out(problem: Control, declared: Sequence[Quantity]) -> tuple[Control, list[Quantity]]:
-    """The problem with every body by itself, and what is left of the declared quantities.
+    """Return the problem with separate bodies, and the remaining declared quantities.
 
-    Raises BoundaryError for a body that there is not, ExpressionError for a condition between bodies that has
-    quantities of every body in it.
+    Raises BoundaryError for a body that does not exist, ExpressionError for a condition between bodies that contains
+    quantities of every body.
     """
     used = {symbol for symbol in symbols_of(problem) if isinstance(symbol, Quantity)}
     own = sorted((s for s in used if not isinstance(s, EndValue)), key=lambda symbol: symbol.declared)
@@ -277,7 +264,7 @@ def _of_bodies(entry: Any) -> set[EndValue]:
 
 
 def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
-    """For every quantity that each body has that of one body."""
+    """Return the copies for one body of the quantities that each body has."""
     found: dict[Quantity, Quantity] = {}
     for symbol in own:
         name = f"{symbol.name}_{number}"
@@ -296,7 +283,7 @@ def _copies(own: Sequence[Quantity], number: int) -> dict[Quantity, Quantity]:
 
 
 def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
-    """An argument of a problem with quantities replaced; what is no expression stays as it is."""
+    """Return an argument of a problem with quantities replaced; other values are unchanged."""
     if isinstance(value, sympy.Basic):
         return value.xreplace(dict(substitution))
     if isinstance(value, Mapping):
@@ -307,7 +294,7 @@ def _put(value: Any, substitution: Mapping[Any, Any]) -> Any:
 
 
 def symbols_of(value: Any) -> Iterator[Any]:
-    """All symbols in the arguments of a problem."""
+    """Yield all symbols in the arguments of a problem."""
     if isinstance(value, Problem):
         for part in fields(value):
             yield from symbols_of(getattr(value, part.name))

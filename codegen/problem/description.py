@@ -1,8 +1,8 @@
-"""All that an author's object says, as one text: the same in every process, and another one for another problem.
+"""The content of an author's object as a text, equal in every process, and different for different problems.
 
-It begins with the declared quantities in the order of their declaration, on which modules depend, but not on what else
-was declared between them. Expressions follow as they are, a line for each part that several share. Numbers of different
-types are different, since sympy treats 1 and 1.0 differently.
+The text begins with the declared quantities in the order of their declaration, on which modules depend, but not on
+other declarations between them. Expressions follow unchanged, with a line for each shared part. Numbers of different
+types differ, because sympy treats 1 and 1.0 differently.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import sympy
 
 from codegen.errors import ExpressionError, clause
 from codegen.problem.particles import Connect, Pairwise
-from codegen.problem.quantities import Quantity
+from codegen.problem.symbols import Quantity
 from codegen.problem.tables import Measurements, Table, Trajectory
 from codegen.symbolic.functions import TableBase
 
 _LINKS = ("partner", "past", "end_values", "declared")
-"""What symbols know of each other; the order of declaration is that of their lines."""
+"""Attributes that link symbols; the order of declaration is the order of the lines."""
 
 
 def described(problem: Any, name: str = "problem") -> str:
-    """The text of a problem; ExpressionError, which begins with its name, for a part that no problem may have."""
+    """Return the text of a problem; raise ExpressionError, which begins with its name, for an unusable part."""
     description = _Description(name)
     body = description.of(problem, type(problem).__name__)
     order = {symbol: number for number, symbol in enumerate(quantities_in(problem))}
@@ -36,7 +36,7 @@ def described(problem: Any, name: str = "problem") -> str:
 
 
 def quantities_in(problem: Any) -> list[Quantity]:
-    """The declared quantities that stand in a problem, with their partners, in the order of their declaration."""
+    """Return the declared quantities in a problem, with their partners, in the order of their declaration."""
     found: dict[Quantity, None] = {}
     waiting, seen = [problem], set[int]()
     while waiting:
@@ -55,7 +55,7 @@ def quantities_in(problem: Any) -> list[Quantity]:
 
 
 def _slots(symbol: Quantity) -> Iterator[tuple[str, Any]]:
-    """What a symbol was declared with: its value or guess, bounds, partner, lag, body."""
+    """Yield the attributes of a symbol: its value or guess, bounds, partner, lag, body."""
     for kind in type(symbol).__mro__:
         for name in vars(kind).get("__slots__", ()) if issubclass(kind, Quantity) else ():
             if hasattr(symbol, name):
@@ -63,7 +63,7 @@ def _slots(symbol: Quantity) -> Iterator[tuple[str, Any]]:
 
 
 def _parts(value: Any) -> Iterator[tuple[str, Any]]:
-    """The parts of what an author writes that is no expression, each with its name; none of a single value."""
+    """Yield the parts of a value that is no expression, each with its name; none for a single value."""
     if isinstance(value, Connect):
         yield from ((part.name, getattr(value, part.name)) for part in fields(value) if part.name != "path")
         yield "path", _path(value)
@@ -87,7 +87,7 @@ def _parts(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _path(problem: Connect) -> Any:
-    """The guessed path, as the expressions that its function returns; None for straight lines."""
+    """Return the guessed path as the expressions that its function returns; None for straight lines."""
     if problem.path is None or not isinstance(problem.hamiltonian, Pairwise):
         return None
     names = [symbol.name for symbol in problem.hamiltonian.pair[0].q]
@@ -97,7 +97,7 @@ def _path(problem: Connect) -> Any:
 
 
 class _Description:
-    """Texts of values; expressions get a number and a line, those that were met before their number alone."""
+    """Texts of values; an expression has a number and a line, and is referred to by its number."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -105,7 +105,7 @@ class _Description:
         self.numbers: dict[sympy.Basic, int] = {}
 
     def of(self, value: Any, where: str) -> str:
-        """The text of a value that stands `where`."""
+        """Return the text of a value at the place `where`."""
         kind = type(value).__name__
         if isinstance(value, sympy.Basic):
             return f"#{self._expression(value)}"
@@ -123,14 +123,14 @@ class _Description:
             raise ExpressionError(clause(f"{self.name}: {where} is a {kind}"), remedy) from None
 
     def declaration(self, symbol: Quantity, order: Mapping[Quantity, int]) -> str:
-        """What a quantity was declared as."""
+        """Return the declaration of a quantity."""
         own = [f"{name}={self.of(value, symbol.name)}" for name, value in _slots(symbol) if name not in _LINKS]
         if (partner := getattr(symbol, "partner", None)) is not None:
             own.append(f"partner {order[partner]}")
         return " ".join([type(symbol).__name__, *own])
 
     def _expression(self, expression: sympy.Basic) -> int:
-        """The number of an expression, whose parts have smaller ones."""
+        """Return the number of an expression, whose parts have smaller numbers."""
         waiting = [expression]
         while waiting:
             part = waiting[-1]
@@ -144,7 +144,7 @@ class _Description:
 
 
 def _function(part: sympy.Basic) -> str:
-    """What a part is, without its arguments."""
+    """Return the function of an expression, without its arguments."""
     kind = type(part)
     if isinstance(part, Quantity):
         return f"{kind.__name__} {part.name}"

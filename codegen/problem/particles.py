@@ -1,7 +1,7 @@
-"""What an author writes about many particles that interact in pairs: two of them, and what one and two contribute.
+"""Many particles that interact in pairs: two representative particles, and the terms of one and of two particles.
 
 The Hamiltonian of n identical particles is H = sum_i self(z_i) + sum_{i<j} pair(z_i, z_j). The author declares two
-particles, which stand for any two of them, and writes both terms; n stays open until the problem is solved.
+particles, which stand for any two of them, and writes both terms. The number n is open until the problem is solved.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from codegen.problem.symbols import Quantity
 
 
 class ParticleQuantity(Quantity):
-    """A coordinate, momentum or parameter of one of the two particles that stand for all."""
+    """A coordinate, momentum or parameter of one of the two representative particles."""
 
     __slots__ = ()
 
     @property
     def rate_remedy(self) -> str:
-        """The Hamiltonian of particles holds coordinates and momenta alone."""
+        """The Hamiltonian of particles contains coordinates and momenta only."""
         return "write the terms of a Hamiltonian without rates"
 
 
 @dataclass(frozen=True)
 class Particle:
-    """One of two particles: its place `q`, its momentum `p` and its `own` parameters, such as a mass, as tuples."""
+    """One of two particles: coordinates `q`, momenta `p` and `own` parameters, such as a mass, as tuples."""
 
     q: tuple[ParticleQuantity, ...]
     p: tuple[ParticleQuantity, ...]
@@ -42,8 +42,20 @@ class Particle:
 def particle(coordinates: str, momenta: str, own: str = "") -> Particle:
     """Declare one particle; `other` is any second one, for pair terms that are functions of both.
 
-    For example `i = particle("x y", "px py")` and `Pairwise(i, pair_term=lambda i, j: ...)`. Raises SymbolError as
-    `particles` does.
+    Parameters
+    ----------
+    coordinates, momenta, own : str
+        Names separated by blanks; `own` are parameters of each particle.
+
+    Returns
+    -------
+    Particle
+        For example `i = particle("x y", "px py")` and `Pairwise(i, pair_term=lambda i, j: ...)`.
+
+    Raises
+    ------
+    SymbolError
+        As for `particles`.
     """
     first, second = particles(coordinates, momenta, own)
     return replace(first, other=second)
@@ -52,8 +64,20 @@ def particle(coordinates: str, momenta: str, own: str = "") -> Particle:
 def particles(coordinates: str, momenta: str, own: str = "") -> tuple[Particle, Particle]:
     """Declare any two particles by the names of their coordinates, momenta and own parameters.
 
-    For example `i, j = particles("x y", "px py")`; the names may be as many as space has dimensions. Raises
-    SymbolError when a name is no identifier, occurs twice, or when coordinates and momenta differ in number.
+    Parameters
+    ----------
+    coordinates, momenta, own : str
+        Names separated by blanks, as many coordinates as space has dimensions.
+
+    Returns
+    -------
+    tuple of two Particle
+        For example `i, j = particles("x y", "px py")`.
+
+    Raises
+    ------
+    SymbolError
+        If a name is no identifier or occurs twice, or coordinates and momenta differ in number.
     """
     qs, ps, parameters = ([*names.replace(",", " ").split()] for names in (coordinates, momenta, own))
     if not qs or len(qs) != len(ps):
@@ -74,11 +98,16 @@ def particles(coordinates: str, momenta: str, own: str = "") -> tuple[Particle, 
 class Pairwise:
     """The Hamiltonian H = sum_i self_term(z_i) + sum_{i<j} pair_term(z_i, z_j) of identical particles.
 
-    `pair_term` is symmetric in the two `particles`. `self_term` is an expression in quantities of the first of them;
-    without one it is half the limit of `pair_term` at coincidence, as for a kernel that acts on itself. Each
-    expression of `domain`, in the coordinates of the first particle, is positive wherever a particle may be.
-
-    With a single `particle`, `pair_term` is a function of it and of another one.
+    Parameters
+    ----------
+    particles : Particle or tuple of two Particle
+    pair_term : expression or function
+        Symmetric in both particles. With a single particle a function of that particle and another one.
+    self_term : expression
+        In quantities of the first particle. By default half the limit of `pair_term` at coincidence, as for a kernel
+        that acts on itself.
+    domain : sequence of expressions
+        In the coordinates of the first particle; each is positive wherever a particle may be.
     """
 
     particles: tuple[Particle, Particle] | Particle
@@ -89,7 +118,7 @@ class Pairwise:
 
     @property
     def pair(self) -> tuple[Particle, Particle]:
-        """Any two particles; ExpressionError for a single one without another."""
+        """Any two particles; ExpressionError for a single particle without another."""
         if not isinstance(self.particles, Particle):
             return self.particles
         if self.particles.other is None:
@@ -98,21 +127,31 @@ class Pairwise:
 
     @property
     def term_of_pair(self) -> Expression:
-        """The pair term as an expression in the quantities of both."""
-        is_function = callable(self.pair_term) and not isinstance(self.pair_term, sympy.Basic)  # symbols can be called
+        """The pair term as an expression in the quantities of both particles."""
+        is_function = callable(self.pair_term) and not isinstance(self.pair_term, sympy.Basic)  # symbols are callable
         return self.pair_term(*self.pair) if is_function else self.pair_term
 
 
 @refusing
 @dataclass(frozen=True)
 class Connect(Problem):
-    """Find the motion of a pairwise Hamiltonian that carries given points to given points within `duration`.
+    """Find the motion of a pairwise Hamiltonian that carries given points to given targets within `duration`.
 
-    `points` is a file that holds them: it is read when the problem is solved, so that one module serves all files.
-    `path` is a function of a start and a target, tuples of symbols, and of the fraction of the way between them; it
-    returns the coordinates of a guessed position there, and may be left out for straight lines. With `passive=True`
-    the module also carries points without momenta along with the motion. With `parallel=True` several threads share the
-    gradient of H where there are more particles than one block holds; the result is the same to the last digit.
+    Parameters
+    ----------
+    hamiltonian : Pairwise
+    duration : expression
+    steps : int
+    points : path
+        File of points. It is read when the problem is solved, so that one module serves all files.
+    path : function
+        Of a start and a target, tuples of symbols, and of the fraction of the way between them. It returns the
+        coordinates of a guessed position. By default the guess is a straight line.
+    passive : bool
+        If True, the module also carries points without momenta along with the motion.
+    parallel : bool
+        If True, several threads share the gradient of H for more particles than one block holds. The result is the same
+        to the last digit.
     """
 
     task: ClassVar[str] = "connect"

@@ -1,9 +1,8 @@
-"""Files of points: tables in which every row says where one particle starts and where it is to arrive.
+"""Files that a problem reads: files of points, and the record of all files.
 
-The first line names the columns: `x0,y0,x1,y1` in the plane, `x0,y0,z0,x1,y1,z1` in space, and optionally `sigma`, the
-standard deviation with which an arrival is known. Reading needs neither sympy nor a generated module.
-
-Files that a problem file reads: where they lie, and that they were read.
+In a file of points every row is the start and the target of one particle. The first line names the columns:
+`x0,y0,x1,y1` in the plane, `x0,y0,z0,x1,y1,z1` in space, and optionally `sigma`, the standard deviation of the target.
+Importing this file imports no numpy, and reading points needs neither sympy nor a generated module.
 """
 
 from __future__ import annotations
@@ -12,22 +11,25 @@ import csv
 import hashlib
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from codegen.errors import PointsError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Points: TypeAlias = Annotated[Path, "points"]
 """The type of an argument of problem() that names a file of points; a relative default lies beside the problem."""
 
 _AXES = "xyzuvw"
+_folder: ContextVar[Path | None] = ContextVar("folder of the problem file", default=None)
+_recorder: ContextVar[list[DataFile] | None] = ContextVar("files that were read", default=None)
 
 
 @dataclass(frozen=True)
@@ -41,19 +43,32 @@ class PointSet:
     @property
     def table(self) -> NDArray[np.float64]:
         """All numbers, (n, 2 d + 1)."""
+        import numpy as np
+
         return np.column_stack([self.start, self.target, self.sigma])
 
 
 def read_points(path: Path, dimension: int) -> PointSet:
     """Read a file of points in space of the given dimension.
 
-    Raises PointsError, naming the file and the line, when the file is missing, empty, ragged, no text, lacks columns
-    or holds what is no finite number, and when it holds more points than could be solved for in memory.
+    Raises PointsError, which names the file and the line, for a file that is missing, empty, ragged or no text, lacks
+    columns, or has a value that is no finite number. The points of a file must fit into memory.
     """
+    import numpy as np
+
     columns = [f"{axis}{end}" for end in "01" for axis in _AXES[:dimension]]
     if not path.is_file():
         raise PointsError(f"{path}: no such file", f"give a table with the columns {','.join(columns)}")
-    _require_size(path)
+    if hasattr(os, "sysconf"):  # the matrix of interactions must fit into memory
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        most = int(math.sqrt(memory / 32.0))
+        with path.open("rb") as binary:
+            lines = sum(block.count(b"\n") for block in iter(lambda: binary.read(1 << 20), b""))
+        if lines > most + 1:
+            raise PointsError(
+                f"{path} holds about {lines} points, whose matrix of interactions takes {8e-9 * lines**2:.0f} GB",
+                f"give at most {most} points on this machine",
+            )
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [(number, row) for number, row in enumerate(csv.reader(file), 1) if any(map(str.strip, row))]
@@ -69,7 +84,9 @@ def read_points(path: Path, dimension: int) -> PointSet:
         raise PointsError(f"{path} holds no points", "give one row for every point")
     table = np.array([finite_numbers(path, number, row, header) for number, row in rows[1:]])
     by_name = {name: table[:, index] for index, name in enumerate(header)}
-    start, target = (np.stack([by_name[name] for name in names], axis=1) for names in _halves(columns))
+    start, target = (
+        np.stack([by_name[name] for name in names], axis=1) for names in (columns[:dimension], columns[dimension:])
+    )
     sigma = by_name.get("sigma", np.zeros(len(table)))
     if (sigma < 0.0).any():
         line = rows[1 + int(np.argmax(sigma < 0.0))][0]
@@ -77,28 +94,8 @@ def read_points(path: Path, dimension: int) -> PointSet:
     return PointSet(start, target, sigma)
 
 
-def _halves(columns: Sequence[str]) -> Iterable[Sequence[str]]:
-    half = len(columns) // 2
-    return columns[:half], columns[half:]
-
-
-def _require_size(path: Path) -> None:
-    """Refuse, before it is parsed, a file whose points have a matrix of interactions that exceeds the memory."""
-    if not hasattr(os, "sysconf"):
-        return
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    most = int(math.sqrt(memory / 32.0))
-    with path.open("rb") as file:
-        lines = sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b""))
-    if lines > most + 1:
-        raise PointsError(
-            f"{path} holds about {lines} points, whose matrix of interactions takes {8e-9 * lines**2:.0f} GB",
-            f"give at most {most} points on this machine",
-        )
-
-
 def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequence[str]) -> list[float]:
-    """The numbers of one line of a file; PointsError names the file, the line and the column of what is none."""
+    """Return the numbers of one line of a file; PointsError names the file, the line and the column of other values."""
     if len(row) != len(header):
         raise PointsError(
             f"{file}:{line}: {len(row)} values for {len(header)} columns", f"give {','.join(header)} in every row"
@@ -115,30 +112,26 @@ def finite_numbers(file: Path | str, line: int, row: Sequence[str], header: Sequ
     return numbers
 
 
-_folder: ContextVar[Path | None] = ContextVar("folder of the problem file", default=None)
-_recorder: ContextVar[list[DataFile] | None] = ContextVar("files that were read", default=None)
-
-
 @dataclass(frozen=True)
 class DataFile:
-    """A file as the author wrote its path, and the SHA-256 of what is in it, in hexadecimal."""
+    """A file with its path as the author wrote it, and the SHA-256 of its content in hexadecimal."""
 
     path: str
     digest: str
 
 
 def data_file(path: Path) -> Path:
-    """The path of a file that a problem file reads, relative to its folder; what it holds is recorded."""
+    """Return the path of a file that a problem reads, relative to the folder of the problem, and record the file."""
     folder = _folder.get()
-    found = path if folder is None else folder / path
+    located = path if folder is None else folder / path
     recorded = _recorder.get()
-    if recorded is not None and found.is_file():
-        recorded.append(DataFile(path.as_posix(), digest_of(found)))
-    return found
+    if recorded is not None and located.is_file():
+        recorded.append(DataFile(path.as_posix(), digest_of(located)))
+    return located
 
 
 def digest_of(path: Path) -> str:
-    """The SHA-256 of a file, nothing of one that cannot be read."""
+    """Return the SHA-256 of a file; empty if the file cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -147,7 +140,7 @@ def digest_of(path: Path) -> str:
 
 @contextmanager
 def beside(folder: Path) -> Iterator[None]:
-    """Take relative paths from a folder, inside the block."""
+    """Resolve relative paths in a folder, inside the block."""
     token = _folder.set(folder)
     try:
         yield

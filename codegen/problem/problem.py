@@ -1,7 +1,7 @@
-"""What an author writes: dynamics, forces, a cost, conditions on the motion, and what to do with them.
+"""The classes for problems: dynamics, forces, a cost, conditions on the motion.
 
-A problem file returns one of the classes below. They hold the author's expressions as written;
-`codegen.discretise.model` checks them and brings them into the one form that the rest of the pipeline reads.
+A problem file returns an object of one of these classes. It holds the author's expressions as written.
+`codegen.discretise.model` validates them and converts them to the form that later stages read.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import Any, ClassVar, TypeVar
 
 from codegen.drawing import Item
 from codegen.errors import ExpressionError, ProblemFileError
-from codegen.problem.base import AuthorObject, perhaps
+from codegen.problem import AuthorObject, perhaps
 from codegen.problem.tables import Measurements, Trajectory
 
 FORMS = {"lagrangian": "lagrangian", "hamiltonian": "hamiltonian", "dynamics": "first-order"}
-"""The arguments that may say how a system moves, and the form that each makes of a model."""
+"""The arguments that define the motion, and the form of the model for each."""
 
 Expression = Any
 """A sympy expression or a number."""
@@ -26,52 +26,55 @@ SAME_AT_BOTH_ENDS = (
     'declare V = free_parameter("V", guess) for each quantity v that returns, and write Eq(v, V) into the '
     "start_conditions of the first phase and into the end_conditions of the last"
 )
-"""How a motion of several phases is made periodic."""
+"""The remedy for a periodic motion of several phases."""
 
 Relation = Any
 """A sympy relation (Eq, <=, >=), or an expression that is to vanish."""
 
 Relations = Sequence[Relation] | Mapping[str, Relation]
-"""Relations, each with a name for messages where they are a mapping."""
+"""Relations as a list, or as a mapping with names for messages."""
 
 
 OF_CONTROLS = {
     "constraint": "write the motion in coordinates that fulfil it, or as Control(...) without controls and cost",
 }
-"""Remedies for arguments of a Control that a Simulate lacks, where there is more to say than that."""
+"""Remedies for arguments of a Control that a Simulate does not have, where they are special."""
 
 Author = TypeVar("Author", bound=type[Any])
 
 
 def refusing(kind: Author) -> Author:
-    """Have a class say, as a ProblemFileError, which of its named arguments is unknown, and what may be meant."""
+    """Make a class raise ProblemFileError for an unknown named argument, with the argument that may be meant."""
     written = kind.__init__
 
     @wraps(written)
-    def initialised(self: Any, *positional: Any, **given: Any) -> None:
-        known = [own.name for own in fields(kind)]
-        for name in given:
-            if name not in known:
-                raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", _remedy(kind, name, known))
-        written(self, *positional, **given)
+    def initialised(self: Any, *positional: Any, **named: Any) -> None:
+        known = [argument.name for argument in fields(kind)]
+        for name in named:
+            if name in known:
+                continue
+            remedy = perhaps(name, known) or f"use one of {', '.join(known)}"
+            if kind is Simulate and name in [argument.name for argument in fields(Control)]:
+                remedy = OF_CONTROLS.get(
+                    name,
+                    "a simulation follows the motion from its start; what else is asked of it makes it a Control(...)",
+                )
+            raise ProblemFileError(f"{kind.__name__}(...) has no argument {name!r}", remedy)
+        written(self, *positional, **named)
 
     setattr(kind, "__init__", initialised)  # noqa: B010  a method is not declared to change
     return kind
 
 
-def _remedy(kind: type[Any], name: str, known: Sequence[str]) -> str:
-    if kind is Simulate and name in OF_CONTROLS:
-        return OF_CONTROLS[name]
-    if kind is Simulate and name in [own.name for own in fields(Control)]:
-        return "a simulation follows the motion from its start; what else is asked of it makes it a Control(...)"
-    return perhaps(name, known) or f"use one of {', '.join(known)}"
-
-
 @dataclass(frozen=True)
 class Waypoint:
-    """Relations that hold at a time which the solver finds, not before the first and not after the second of `window`.
+    """Relations that hold at a time which the solver determines.
 
-    Either may be None.
+    Parameters
+    ----------
+    conditions : list or dict of relations
+    window : pair of expressions
+        Earliest and latest time; None means no limit.
     """
 
     conditions: Relations
@@ -81,14 +84,22 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Problem(AuthorObject):
-    """A system and the time interval [0, T] on which it moves.
+    """A system and the time interval [0, T] of its motion.
 
-    Exactly one of these says how: a Lagrangian L(q, dq, t), a Hamiltonian H(q, p, t), or `dynamics`, which maps each
-    state of a first-order system to its derivative, x' = f(x, u, t). `force` maps a coordinate to the generalised
-    force on it (the covector component of f in the Lagrange-d'Alembert principle). `duration` is T; `steps` is the
-    default number N of intervals. `start` maps coordinates and velocities (or momenta, or states) to their values at
-    t = 0. `drawing` lists what a picture of the system shows (see `codegen.drawing`); nothing else depends
-    on it.
+    Parameters
+    ----------
+    lagrangian, hamiltonian, dynamics : expression, expression, dict
+        Exactly one defines the motion: L(q, dq, t), H(q, p, t), or the derivative of each state, x' = f(x, u, t).
+    force : dict
+        Generalised forces by coordinates, the components of the covector f in the Lagrange-d'Alembert principle.
+    duration : expression
+        T.
+    start : dict
+        Values at t = 0 of coordinates and velocities (or momenta, or states).
+    steps : int
+        Default number N of intervals.
+    drawing : sequence of Item
+        The picture of the system (see `codegen.drawing`), without effect on the solution.
     """
 
     task: ClassVar[str] = ""
@@ -107,10 +118,10 @@ class Problem(AuthorObject):
 @refusing
 @dataclass(frozen=True)
 class Simulate(Problem):
-    """Follow the motion from a complete initial state (all coordinates, and all velocities or all momenta).
+    """Follow the motion from a complete initial state: all coordinates, and all velocities or all momenta.
 
-    It takes a Lagrangian or a Hamiltonian. First-order dynamics, holonomic constraints and values of the past are
-    followed by a Control without controls and cost, whose steps are solved for together.
+    A Simulate has a Lagrangian or a Hamiltonian. For first-order dynamics, holonomic constraints and delays use a
+    Control without controls and cost, whose steps are solved together.
     """
 
     task: ClassVar[str] = "simulate"
@@ -119,40 +130,53 @@ class Simulate(Problem):
 @refusing
 @dataclass(frozen=True)
 class Control(Problem):
-    """Move the system such that `terminal_cost` at T plus the integral of `cost` over [0, T] is least.
+    """Minimise `terminal_cost` at T plus the integral of `cost` over [0, T].
 
-    Or, with `maximise` and `terminal_maximise` in their place, such that the same sum of those is greatest; the `cost`
-    of a solution is then minus that sum, and the summary has it as `maximum`.
+    Relations are a list, or a dict with names for messages, as in `path={"heating rate": q <= 70}`.
 
-    What `start` or `end` leaves out is free, up to `start_conditions` and `end_conditions`: relations between
-    coordinates and velocities (or momenta, or states) at that end. `path` relations hold at every time and may have
-    controls in them. Relations are a list, or map names, which messages use, to relations, as in
-    `path={"heating rate": q <= 70}`. `integral` relations compare the integral of one side over [0, T] (in a problem of
-    phases over the phase) with the other side, a value that does not move, as in `integral=[Eq(sqrt(1 + u**2), 4)]`.
-    `at` maps times between start and end, which become nodes, to relations between coordinates and velocities (or
-    momenta, or states) that hold there, as in `at={0.75: [Eq(x, 0.9)], 2: [y >= 1]}`. `waypoints` lists such relations
-    for times that the solver finds, in the order of the list, as in `waypoints=[[Eq(x, 1), Eq(y, 2)], [y >= 3]]`; an
-    entry may be a Waypoint, which limits its time.
-    `bounds` maps coordinates, velocities, momenta, states, controls and free
-    parameters to pairs (lower, upper), None where there is none. A `constraint` c(q) = 0 is holonomic: a Lagrangian
-    system moves on the manifold where it vanishes. `periodic` lists what has the same value at T as at 0, or maps it to
-    the difference.
-
-    `x.delayed(tau)`, for a state, coordinate, velocity, momentum or control x, is its value at the time t - tau.
-    `history` maps x to what it was before t = 0, an expression of t; x starts where its history ends, unless `start` or
-    `start_conditions` say otherwise.
-
-    With `bodies=H` there are H of these systems, which start and end each for itself where a value depends on
-    `body_number()`, and which end conditions in `q.of(0)`, `q.of(1)`, ... tie together.
-
-    `observations`, a file of measurements or with several bodies one for each, add to the cost how far the motion is
-    from them.
-
-    `guess` maps coordinates, states and controls to expressions of parameters and time, or to tables of one input,
-    which is time then; or it is a Trajectory, which reads them from a file. From there the solver starts; without it
-    coordinates are interpolated linearly between their end values, or between measurements of them, and controls are
-    zero. Free parameters have their first guess there. `scale` maps coordinates, momenta, states, controls and free
-    parameters to their typical size, a positive number, where the solver is not to find it by itself.
+    Parameters
+    ----------
+    lagrangian, hamiltonian, dynamics, force, duration, start, steps, drawing
+        See Problem. Values that `start` and `end` omit are free.
+    cost, terminal_cost : expression
+    maximise, terminal_maximise : expression
+        Sum to maximise in place of the costs. `cost` of a solution is minus this sum, `maximum` in its summary is the
+        sum.
+    end : dict
+        Values at T, as `start`.
+    start_conditions, end_conditions : relations
+        Between coordinates and velocities (or momenta, or states) at an end.
+    path : relations
+        At every time, also with controls.
+    integral : relations
+        Between the integral of one side over [0, T], or over a phase, and a constant, as in `[Eq(sqrt(1 + u**2), 4)]`.
+    at : dict of relations
+        Relations at times between start and end, which become nodes, as in `{0.75: [Eq(x, 0.9)], 2: [y >= 1]}`.
+    waypoints : list of relations
+        Relations at times that the solver determines, in order, as in `[[Eq(x, 1), Eq(y, 2)], [y >= 3]]`. A Waypoint
+        limits the time.
+    bounds : dict
+        Pairs (lower, upper) of coordinates, velocities, momenta, states, controls and free parameters; None for no
+        bound.
+    constraint : list of expressions
+        Holonomic constraints c(q) = 0 of a Lagrangian system.
+    periodic : list or dict
+        Quantities with the same value at T and at 0, or their differences.
+    history : dict
+        Expressions of t for x before t = 0 in `x.delayed(tau)`, the value at t - tau of a state, coordinate, velocity,
+        momentum or control. A motion starts where its history ends, unless `start` or `start_conditions` differ.
+    bodies : int
+        Number H of identical systems. Values that depend on `body_number()` differ; end conditions in `q.of(0)`,
+        `q.of(1)`, ... couple them.
+    observations : Measurements, or a list with one for each body
+        Measurements, whose distance from the motion is added to the cost.
+    guess : dict or Trajectory
+        Initial guesses of coordinates, states and controls: expressions of parameters and time, or tables of time. By
+        default coordinates are linear between end values or measurements, and controls are zero. Free parameters have
+        their guess there.
+    scale : dict
+        Typical sizes of coordinates, momenta, states, controls and free parameters, positive numbers, in place of
+        automatic scaling factors.
     """
 
     task: ClassVar[str] = "control"
@@ -181,23 +205,26 @@ class Control(Problem):
 
 @dataclass(frozen=True, init=False)
 class Phases(AuthorObject):
-    """Control problems that follow each other in time, where dynamics, bounds and cost may change from one to the next.
+    """Control problems that follow each other in time, with different dynamics, bounds and costs.
 
-    All phases are given in the same way (Lagrangian, Hamiltonian or dynamics) and have the same coordinates or states;
-    each has a duration and `steps` intervals of its own. Time does not begin anew with a phase. Only the first phase
-    has a `start`; what an earlier phase says of its end (`end`, `end_conditions`, `terminal_cost`) holds at the switch
-    to the next one, before the jump there.
+    All phases have the same form (Lagrangian, Hamiltonian or dynamics) and the same coordinates or states. Each has its
+    own duration and `steps` intervals. Time continues from phase to phase. Only the first phase has a `start`. The end
+    of an earlier phase (`end`, `end_conditions`, `terminal_cost`) holds at the switch before the jump.
 
-    `jumps` has one mapping for each switch, which gives states, or coordinates and velocities (or momenta), their
-    values after the switch in terms of those before it, as in `jumps=[{m: m - dry_mass}]` or `jumps=[{dq: -e * dq}]`.
-    What is left out has the same value after as before; of a Lagrangian these are velocities, whatever momenta do.
+    Parameters
+    ----------
+    *phases : Control
+    jumps : list of dicts
+        One for each switch: states, or coordinates and velocities (or momenta), after the switch by their values
+        before, as in `[{m: m - dry_mass}]` or `[{dq: -e * dq}]`. Other values are continuous; for a Lagrangian these
+        are velocities, not momenta.
     """
 
     phases: tuple[Control, ...]
     jumps: Sequence[Mapping[Any, Expression]]
 
     def __init__(self, *phases: Control, jumps: Sequence[Mapping[Any, Expression]] = (), **others: Any) -> None:
-        """Put the phases in order; ProblemFileError for arguments that phases do not have in common."""
+        """Store the phases in order; ProblemFileError for arguments that belong to a single phase."""
         for name in others:
             raise ProblemFileError(
                 f"Phases(...) has no argument {name!r}",
@@ -208,7 +235,7 @@ class Phases(AuthorObject):
 
 
 def form_of(problem: Problem) -> str:
-    """Which argument says how the system moves; ExpressionError unless it is exactly one."""
+    """Return the argument that defines the motion; raise ExpressionError unless there is exactly one."""
     given = [form for form in FORMS if getattr(problem, form) is not None]
     if len(given) != 1:
         raise ExpressionError(

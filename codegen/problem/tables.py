@@ -1,4 +1,4 @@
-"""What an author makes of a file of numbers: a function with exact derivatives."""
+"""Functions with exact derivatives, guesses and measurements that are read from files of numbers."""
 
 from __future__ import annotations
 
@@ -34,17 +34,30 @@ from codegen.symbolic.tables import (
 class Table:
     """A function of one or two quantities that is given by a file of numbers.
 
-    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file that
-    lies beside the problem file, and `thrust(M, h)` is then used like any function of sympy. Of two inputs the file
-    has a row for every pair of a grid, in any order. Units are the author's.
+    `thrust = Table("thrust.csv", inputs=("mach", "altitude"), output="thrust")` reads three columns of a file. Then
+    `thrust(M, h)` is used like a function of sympy. Units are those of the author.
 
-    The `kind` is "cubic", a spline with two continuous derivatives; "monotone" (of one input), with one, but without
-    overshoot; "linear", which has a kink at every breakpoint, where Newton's method may not converge; or "steps", for
-    guesses alone. `outside` its range a table goes on as the polynomials at its edge; in the solution that is an
-    error, unless it is "extend", or "clamp", which keeps the value at the edge. `name` is what messages, and the
-    argument `tables` of solvers, call it, by default `output`.
+    Parameters
+    ----------
+    file : path
+        A file beside the problem file. For two inputs it has a row for every pair of a grid, in any order.
+    inputs : str or sequence of str
+        Names of one or two columns.
+    output : str
+        Name of the column of values.
+    kind : {"cubic", "monotone", "linear", "steps"}
+        A spline with two continuous derivatives; a spline (of one input) with one continuous derivative and without
+        overshoot; piecewise linear, where Newton's method may fail at the kinks; piecewise constant, for guesses only.
+    outside : {"error", "extend", "clamp"}
+        Outside its range a table continues the polynomials at its edge. Such a solution is an error, unless `outside`
+        is "extend", or "clamp", which keeps the value at the edge.
+    name : str
+        Name in messages and in the option `tables` of solves, by default `output`.
 
-    Raises TableError for a file that is no such table, naming the line, and for unusable arguments.
+    Raises
+    ------
+    TableError
+        For an unusable file, with the line, and for unusable arguments.
     """
 
     def __init__(
@@ -57,33 +70,33 @@ class Table:
         outside: str = "error",
         name: str | None = None,
     ) -> None:
-        own = (inputs,) if isinstance(inputs, str) else inputs
+        columns = (inputs,) if isinstance(inputs, str) else inputs
         name = output if name is None else name
-        _require_arguments(file, own, output, kind, outside, name)
+        _require_arguments(file, columns, output, kind, outside, name)
         if kind == "steps":
-            outside = "clamp"  # there is nothing else that they could do
+            outside = "clamp"  # the only meaning for steps
         path = data_file(Path(file))
-        self.data: TableData = read_table(path, Path(file).as_posix(), name, own, output, kind, outside)
+        self.data: TableData = read_table(path, Path(file).as_posix(), name, columns, output, kind, outside)
 
     def __call__(self, *at: Any) -> Any:
-        """The value at numbers or expressions, one for each input."""
+        """Return the value at numbers or expressions, one for each input."""
         shape = self.data.shape
         if len(at) != len(shape.inputs):
             raise TableError(
                 f"table {shape.name} is called with {len(at)} arguments",
                 f"give {' and '.join(shape.inputs)}, as in {shape.name}({', '.join(shape.inputs)})",
             )
-        whats = (f"{name} of table {shape.name}" for name in shape.inputs)
-        return table_function(self.data, (0,) * len(at))(*(checked(a, what) for a, what in zip(at, whats, strict=True)))
+        values = [checked(a, f"{name} of table {shape.name}") for a, name in zip(at, shape.inputs, strict=True)]
+        return table_function(self.data, (0,) * len(at))(*values)
 
     @property
     def range(self) -> tuple[tuple[float, float], ...]:
-        """The least and the greatest breakpoint of each input."""
+        """Least and greatest breakpoint of each input."""
         return tuple((float(axis[0]), float(axis[-1])) for axis in self.data.axes)
 
     @property
     def values(self) -> np.ndarray:
-        """What the file gives at the breakpoints, shape (n,) or (n, m)."""
+        """Values at the breakpoints, shape (n,) or (n, m)."""
         return np.array(self.data.heights[..., 0])
 
     def __repr__(self) -> str:
@@ -91,12 +104,25 @@ class Table:
 
 
 class Trajectory:
-    """A motion in a file, as a first guess: `guess=Trajectory("start.csv")`.
+    """A motion in a file, as an initial guess: `guess=Trajectory("start.csv")`.
 
-    The file has a column of times, `time`, and columns that are called like coordinates, states and controls; `columns`
-    chooses some of them, by default all. The `kind` says how values between rows follow, "linear" if not told
-    otherwise; "steps" holds each value until the next row. Before the first and after the last row values stay as they
-    are. Raises TableError as Table does.
+    Before the first and after the last row the values are constant.
+
+    Parameters
+    ----------
+    file : path
+        A file with a column of times and columns named like coordinates, states and controls.
+    time : str
+        Name of the column of times.
+    columns : sequence of str
+        Names of the columns to use, by default all.
+    kind : {"linear", "cubic", "monotone", "steps"}
+        Interpolation between rows; "steps" holds each value until the next row.
+
+    Raises
+    ------
+    TableError
+        As for Table.
     """
 
     def __init__(
@@ -106,10 +132,10 @@ class Trajectory:
         path = data_file(Path(file))
         if columns is not None and (isinstance(columns, str) or not all(isinstance(name, str) for name in columns)):
             raise TableError(f"columns of {file} are {columns!r}", 'name them, as in columns=["x", "v"]')
-        found = read_columns(path, () if columns is None else [time, *columns])
-        if time not in found.values:
+        table = read_columns(path, () if columns is None else [time, *columns])
+        if time not in table.values:
             raise TableError(f"{path}: there is no column {time!r}", 'name the column of times, as in time="t"')
-        names = [name for name in found.values if name != time]
+        names = [name for name in table.values if name != time]
         if not names:
             raise TableError(f"{path} has no column beside {time!r}", "add columns called like states and controls")
         self.file = Path(file).as_posix()
@@ -120,10 +146,9 @@ class Trajectory:
 
 
 def guess_entries(guess: Any, quantities: Iterable[Quantity], time: Expr) -> Any:
-    """What is guessed of each quantity as an expression of time, where it is written as a table or a trajectory.
+    """Return the guesses of quantities as expressions of time, where they are written as tables or a trajectory.
 
-    Raises TableError for a column of a trajectory that is called like none of the quantities, and for a table of more
-    than one input.
+    Raises TableError for a column of a trajectory that no quantity is named like, and for a table of two inputs.
     """
     if isinstance(guess, Trajectory):
         named = {quantity.name: quantity for quantity in quantities if isinstance(quantity, _GUESSED)}
@@ -154,27 +179,39 @@ def _require_arguments(file: Any, inputs: Any, output: Any, kind: Any, outside: 
         raise TableError(f"table {output!r} has a column twice among {', '.join((*inputs, output))}", "name each once")
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise TableError(f"a table is called {name!r}", 'give an identifier, as in name="thrust"')
-    for what, given, known in (("kind", kind, KINDS), ("outside", outside, OUTSIDE)):
-        if given not in known:
-            raise TableError(f"{what} of table {name} is {given!r}", f"use one of {', '.join(known)}")
+    for what, choice, known in (("kind", kind, KINDS), ("outside", outside, OUTSIDE)):
+        if choice not in known:
+            raise TableError(f"{what} of table {name} is {choice!r}", f"use one of {', '.join(known)}")
     if len(inputs) == 2 and kind in ("monotone", "steps"):
         raise TableError(f"table {name} of two inputs is {kind}", "use cubic or linear, or a table of one input")
 
 
 class Measurements:
-    """Values that were measured at some times, and that a motion is to fit: `Measurements("oil.csv", values={a: "z"})`.
+    """Measured values that a motion is fitted to, as in `Measurements("oil.csv", values={a: "z"})`.
 
-    The file lies beside the problem file; it has a column of times, `time`, and for every entry of `values`, which maps
-    a state, a coordinate or an expression of them to the name of its column, the values that were measured. Times have
-    nothing to do with nodes. Cells may be empty where nothing was measured.
+    The cost gains the sum of e^2 over all values. Here e is the motion, as the scheme continues it inside an interval,
+    minus the value, divided by the standard deviation. Times of measurements are independent of the nodes.
 
-    To the cost is added the sum over all values of e^2, e being the motion, as its scheme continues it inside an
-    interval, less the value, in parts of its standard deviation. `sigma` maps entries of `values` to that, a positive
-    number in the units of the value or the name of a column, or is one for all. Without it errors count as they are,
-    and the standard deviation that all have in common is estimated from what is left of them. The `loss` is "squares",
-    "huber" (2 |e| - 1 beyond |e| = 1) or "soft-l1" (2 (sqrt(1 + e^2) - 1)), which outliers pull less.
+    Parameters
+    ----------
+    file : path
+        A file beside the problem file. Cells may be empty.
+    values : dict
+        Names of columns by states, coordinates or expressions of them.
+    time : str
+        Name of the column of times.
+    sigma : float, str or dict
+        Standard deviations by entries of `values`, or one for all: positive numbers in the units of the value, or names
+        of columns. Without `sigma` errors are not scaled, and a common standard deviation is estimated from the
+        residuals.
+    loss : {"squares", "huber", "soft-l1"}
+        Loss of an error: e^2; 2 |e| - 1 beyond |e| = 1; 2 (sqrt(1 + e^2) - 1). The last two reduce the effect of
+        outliers.
 
-    Raises TableError for a file that holds no such values, naming the line, and for unusable arguments.
+    Raises
+    ------
+    TableError
+        For a file without such values, with the line, and for unusable arguments.
     """
 
     def __init__(
@@ -189,18 +226,34 @@ class Measurements:
         if not isinstance(file, Path | str) or not str(file).isprintable():
             raise TableError(f"the file of measurements is {file!r}", "give its path")
         what = f"measurements {Path(file).as_posix()}"
-        columns = _checked_values(what, values)
+        if not isinstance(values, Mapping) or not values:
+            remedy = 'map what was measured to columns, as in values={x: "z"}'
+            raise TableError(f"values of {what} are {values!r}", remedy)
+        for key, column in values.items():
+            if not isinstance(key, sympy.Expr):
+                raise TableError(f"values of {what} have the key {key!r}", "use states, or expressions of them")
+            _require_name(f"the column of {key} in {what}", column)
         _require_name(f"time of {what}", time)
-        sigmas = _checked_sigmas(what, sigma, columns)
+        sigmas: list[float | str | None] = [None] * len(values)
+        if sigma is not None:
+            deviations = sigma if isinstance(sigma, Mapping) else dict.fromkeys(values, sigma)
+            for key in deviations:
+                if key not in values:
+                    remedy = f"use those of values, {', '.join(map(str, values))}"
+                    raise TableError(f"sigma of {what} has the key {key}", remedy)
+            for index, key in enumerate(values):
+                if key not in deviations:
+                    raise TableError(f"sigma of {what} lacks {key}", "give every value one, or leave sigma out")
+                sigmas[index] = _checked_sigma(f"sigma of {key} in {what}", deviations[key])
         if not isinstance(loss, str) or loss not in LOSSES:
             raise TableError(f"loss of {what} is {loss!r}", f"use one of {', '.join(LOSSES)}")
         if loss != "squares" and None in sigmas:
             raise TableError(
                 f"{what} have the loss {loss!r} and no sigma", "give sigma, beyond which errors count less"
             )
-        self.values: dict[Any, str] = columns
+        self.values: dict[Any, str] = dict(values)
         self.loss = loss
-        layout = Layout(time, tuple(columns.values()), sigmas)
+        layout = Layout(time, tuple(self.values.values()), tuple(sigmas))
         names = [layout.time, *layout.columns]
         if len(set(names)) < len(names):
             raise TableError(f"{what} have a column twice among {', '.join(names)}", "name each once")
@@ -210,42 +263,17 @@ class Measurements:
         return f"Measurements({self.data.source!r}, values={self.values!r})"
 
 
-def _checked_values(what: str, values: Any) -> dict[Any, str]:
-    if not isinstance(values, Mapping) or not values:
-        raise TableError(f"values of {what} are {values!r}", 'map what was measured to columns, as in values={x: "z"}')
-    for key, column in values.items():
-        if not isinstance(key, sympy.Expr):
-            raise TableError(f"values of {what} have the key {key!r}", "use states, or expressions of them")
-        _require_name(f"the column of {key} in {what}", column)
-    return dict(values)
-
-
 def _require_name(what: str, name: Any) -> None:
     if not isinstance(name, str) or not name.strip():
         raise TableError(f"{what} is {name!r}", "give the name of a column, as text")
 
 
-def _checked_sigmas(what: str, sigma: Any, values: Mapping[Any, str]) -> tuple[float | str | None, ...]:
-    """Of each column its standard deviation; either all of them have one, or none."""
-    if sigma is None:
-        return (None,) * len(values)
-    given = sigma if isinstance(sigma, Mapping) else dict.fromkeys(values, sigma)
-    for key in given:
-        if key not in values:
-            raise TableError(
-                f"sigma of {what} has the key {key}", f"use those of values, {', '.join(map(str, values))}"
-            )
-    found: list[float | str | None] = []
-    for key in values:
-        if key not in given:
-            raise TableError(f"sigma of {what} lacks {key}", "give every value one, or leave sigma out")
-        own = given[key]
-        if isinstance(own, str):
-            _require_name(f"sigma of {key} in {what}", own)
-            found.append(own)
-            continue
-        number = float(own) if isinstance(own, (int, float, sympy.Number)) and not isinstance(own, bool) else math.nan
-        if not 0.0 < number < math.inf:
-            raise TableError(f"sigma of {key} in {what} is {own!r}", "give a positive number, or the name of a column")
-        found.append(number)
-    return tuple(found)
+def _checked_sigma(what: str, value: Any) -> float | str:
+    if isinstance(value, str):
+        _require_name(what, value)
+        return value
+    is_number = isinstance(value, (int, float, sympy.Number)) and not isinstance(value, bool)
+    number = float(value) if is_number else math.nan
+    if not 0.0 < number < math.inf:
+        raise TableError(f"{what} is {value!r}", "give a positive number, or the name of a column")
+    return number

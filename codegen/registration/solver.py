@@ -174,9 +174,8 @@ def problem_file() -> Path:
 
 def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
     """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
-    from codegen.solving.cache import stored
-    from codegen.solving.compiler import build
-    from codegen.solving.machine_code.parts import has_machine_code
+    from codegen.solving.compiler import build, stored
+    from codegen.solving.machine_code.compilation import has_machine_code
 
     if not stored(problem_file(), arguments_of(dimension), scheme=scheme).is_file():
         return False
@@ -190,8 +189,7 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
     That is announced on stderr. Raises SchemeError for a scheme without fixed steps.
     """
     from codegen.solving.compiler import build
-    from codegen.solving.machine_code.compilation import compile_all
-    from codegen.solving.machine_code.parts import has_machine_code
+    from codegen.solving.machine_code.compilation import compile_all, has_machine_code
     from codegen.solving.machine_code.processes import compilers
 
     made = build(problem_file(), arguments_of(dimension), scheme=scheme)

@@ -22,7 +22,7 @@ from codegen.problem.sources import ProblemFile, Source
 from codegen.show import figures
 from codegen.show.figures import shapes
 from codegen.show.figures.quantities import first_guess_of_segments
-from codegen.solving.interfaces import GeneratedModule, is_control
+from codegen.solving.loading import GeneratedModule, is_control
 from codegen.solving.results.result import Result
 from codegen.symbolic.functions import NUMPY
 

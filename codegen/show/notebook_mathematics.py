@@ -16,8 +16,7 @@ from codegen.identifiers import in_latex, written_unit
 from codegen.problem.description import quantities_in
 from codegen.problem.particles import Connect, Pairwise
 from codegen.problem.problem import Control, Phases, Problem
-from codegen.problem.quantities import Delayed, Moving, Parameter, Quantity
-from codegen.problem.symbols import Coordinate, FreeParameter, Velocity
+from codegen.problem.symbols import Coordinate, Delayed, FreeParameter, Moving, Parameter, Quantity, Velocity
 
 
 class Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped

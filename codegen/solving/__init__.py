@@ -1,1 +1,1 @@
-"""Accuracy on request: intervals of different lengths, chosen such that the estimated error is small enough."""
+"""Build, load, solve: from a request to a result."""

@@ -1,8 +1,8 @@
-"""The loop from grid to grid: solve, compare with the bisected grid, distribute nodes anew, until it is enough.
+"""Refinement of grids: to a requested accuracy by equidistribution of errors, or by doubling the number of intervals.
 
-Time grids as fractions of every phase: bisected, and distributed anew by how much error an interval makes. A grid is an
-array (phases, N) of what its intervals last, in parts of their phase. Sources: de Boor (1973), Good approximation by
-splines with variable knots, for equidistribution; Betts (2010), Practical methods for optimal control, section 4.7.
+A grid is an array (phases, N) with the fractions of its phase that each interval lasts. Sources: de Boor (1973), Good
+approximation by splines with variable knots, for equidistribution; Betts (2010), Practical methods for optimal control,
+section 4.7, for mesh refinement; Richardson (1911) for the extrapolation.
 """
 
 from __future__ import annotations
@@ -13,31 +13,182 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from codegen.solving.arcs import FAR, Estimate, Gap, around, compared, gaps, interval_errors
-from codegen.solving.interfaces import ControlModule, Matrix, Vector, few_steps, inner_places
+from codegen.solving.arcs import FAR, Estimate, Gap, around, compared, gaps, interval_errors, order_of_optima
+from codegen.solving.loading import ControlModule, Matrix, Vector, few_steps, inner_places
 from codegen.solving.results.result import Accuracy, GridLevel, Result
-from codegen.solving.run import order_of_optima, transferred
+from codegen.solving.warm_start import transferred
 
 LEAST_DENSITY = 0.1
-"""Of the mean density of nodes, where nothing happens."""
+"""Lower limit of the density of nodes relative to its mean."""
 GRADE = 0.5
-"""By how much of the distance between them two intervals may differ in length."""
+"""Difference of the lengths of two intervals relative to the distance between the intervals."""
 CUTS = 8
-"""Intervals into which a gap between two arcs is cut."""
+"""Intervals into which a gap between two arcs is divided."""
 PIECES = 8
-"""Parts of an interval on each of which new intervals have one length."""
+"""Pieces of an old interval; the new intervals on a piece have one length."""
 SHORTEST = 1e-9
-"""Part of a phase that an interval has at least."""
+"""Shortest interval as a fraction of its phase."""
+LEAST = 10.0
+"""Fewest intervals of a phase."""
+MOST_GRIDS = 30
+"""Pairs of grids after which the search ends with the best estimate."""
+MOST_INTERVALS = 200_000
+FIRST_GRIDS = 5
+"""Number of attempts with the first grid, each with twice as many intervals."""
+GROWTH = 4.0
+"""Largest factor by which the number of intervals on arcs grows from one grid to the next."""
+GROWTH_AT_SWITCHES = 1.2
+"""The same while the error is largest at a switching time; finer grids beside the switching time do not reduce it."""
+SHRINKAGE = 0.7
+"""Smallest factor by which the number of intervals changes."""
+AIM = 0.5
+"""Error for which a grid is designed, relative to the request."""
+NARROW = 2e-3
+"""Fraction of its phase below which a gap is not divided if controls determine its switching time."""
+STAGNANT, PATIENCE = 0.8, 3
+"""Ratio of successive differences that counts as stagnation; number of such differences that ends the search."""
+
+Solve = Callable[[int, Vector | None, Matrix | None], Result]
+
+
+def to_accuracy(solve: Solve, module: ControlModule, steps: int, request: float, warm: Vector | None) -> Result:
+    """Solve on successively adapted grids until the estimated relative error is below `request`.
+
+    `solve` takes a number of intervals, an initial guess and a grid (phases, N). The first grid has `steps` equal
+    intervals in every phase. Each grid is solved together with its bisection; the result on the bisected grid of the
+    best pair is returned. If the request is not met, the status is "accuracy not reached", and `accuracy` has the best
+    estimate and the reason. A failure on the first grids is returned unchanged.
+    """
+    search = _Search(solve, module, request, order_of_optima(module))
+    pair: _Pair | Result | None = None
+    for doubling in range(FIRST_GRIDS):  # a grid may be too coarse for a solution
+        count = few_steps(module, steps) * 2**doubling
+        start = None if warm is None else transferred(module, warm, count)
+        pair = search.pair(through(equal(module.metadata.phases, count), inner_places(module)), start, None)
+        if isinstance(pair, _Pair):
+            break
+    assert pair is not None
+    if isinstance(pair, Result):
+        return replace(pair, accuracy=search.accuracy(math.inf, Estimate(math.inf, "", 0.0), pair.message))
+    best, stagnant, reason = pair, 0, ""
+    while pair.error > request and not reason:
+        grid = search.next_grid(pair)
+        if grid.shape[1] > MOST_INTERVALS:
+            reason = f"it would take more than {MOST_INTERVALS} intervals"
+            break
+        following = search.pair(grid, search.carried(pair.fine, grid), pair)
+        if isinstance(following, Result):
+            reason = f"the grid of {following.steps} intervals ended in: {following.message}"
+            break
+        stagnant = 0 if following.estimate.difference <= STAGNANT * pair.estimate.difference else stagnant + 1
+        pair = following
+        best = min(best, pair, key=lambda pair: pair.error)
+        if stagnant == PATIENCE:
+            reason = f"finer grids change the solution no less, with a residual of {pair.fine.residual:.1e}"
+        elif len(search.levels) >= MOST_GRIDS:
+            reason = f"after {MOST_GRIDS} grids"
+    reason = "" if best.error <= request else reason
+    result = replace(best.fine, accuracy=search.accuracy(best.error, best.estimate, reason))
+    if not reason:
+        return result
+    message = f"accuracy {request:g} not reached, but {best.error:.2g}: {reason}"
+    return replace(result, status="accuracy not reached", message=message)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Solutions on a grid and on the bisected grid, their difference, and the errors of intervals, `local` (phases, N).
+
+    `error` is the estimate for the finer solution from the observed `order`.
+    """
+
+    coarse: Result
+    fine: Result
+    estimate: Estimate
+    local: Matrix
+    order: float
+    error: float
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The request and the grids that were solved."""
+
+    solve: Solve
+    module: ControlModule
+    request: float
+    order: int
+    levels: list[GridLevel] = field(default_factory=list)
+
+    def pair(self, grid: Matrix, start: Vector | None, before: _Pair | None) -> _Pair | Result:
+        """Return the solutions on a grid and on the bisected grid, or the first failure."""
+        coarse = self.solve(grid.shape[1], start, grid)
+        if not coarse.solved:
+            return self._recorded(coarse, math.inf)
+        halves = bisected(grid)
+        fine = self.solve(halves.shape[1], self.carried(coarse, halves), halves)
+        if not fine.solved:
+            return self._recorded(fine, math.inf)
+        estimate, local = compared(self.module, coarse, fine), interval_errors(self.module, fine, self.order)
+        order = 1.0  # unless the differences of two pairs show another order
+        if before is not None and 0.0 < estimate.difference < before.estimate.difference:
+            ratio = grid.shape[1] / before.coarse.steps
+            if ratio > 1.0:
+                observed = math.log(before.estimate.difference / estimate.difference) / math.log(ratio)
+                order = float(np.clip(observed, 1.0, self.order))
+        error = estimate.difference / (2.0**order - 1.0)
+        if local.max() > math.sqrt(self.request):  # the nodes miss an event between them
+            error = max(error, float(local.max()))
+        self._recorded(fine, error)
+        return _Pair(coarse, fine, estimate, local, order, error)
+
+    def next_grid(self, pair: _Pair) -> Matrix:
+        """Return the grid that is designed to meet the request."""
+        between = gaps(self.module, pair.fine)
+        on_arcs = compared(self.module, pair.coarse, pair.fine, without=between)
+        growth = GROWTH if on_arcs.difference == pair.estimate.difference else GROWTH_AT_SWITCHES
+        ratio = on_arcs.difference / (2.0**pair.order - 1.0) / (AIM * self.request)
+        steps = pair.coarse.steps
+        assert pair.coarse.grid is not None, "grids are given to all solves"
+        limits = SHRINKAGE * steps, growth * steps
+        grid = refined(pair.coarse.grid, pair.local, self.order, ratio, limits, between, NARROW)
+        return through(grid, inner_places(self.module))
+
+    def carried(self, result: Result, grid: Matrix) -> Vector:
+        """Return the unknowns of a result on another grid."""
+        assert result.unknowns is not None
+        return transferred(self.module, result.unknowns, grid.shape[1], result.grid, grid)
+
+    def accuracy(self, error: float, estimate: Estimate, reason: str) -> Accuracy:
+        """Return the outcome of the request."""
+        return Accuracy(self.request, error, estimate.quantity, estimate.time, reason, tuple(self.levels))
+
+    def _recorded(self, result: Result, error: float) -> Result:
+        self.levels.append(GridLevel(result.steps, result.status, error, result.iterations, result.seconds_solve))
+        return result
 
 
 def equal(phases: int, steps: int) -> Matrix:
-    """N = `steps` equal intervals in every phase."""
+    """Return the grid of N = `steps` equal intervals in every phase."""
     return np.full((phases, steps), 1.0 / steps)
 
 
 def bisected(grid: Matrix) -> Matrix:
-    """The grid with every interval cut in two."""
+    """Return the grid with every interval halved."""
     return np.repeat(grid / 2.0, 2, axis=1)
+
+
+def through(grid: Matrix, times: Sequence[float]) -> Matrix:
+    """Return a grid of one phase with nodes moved to given times, as fractions of the duration."""
+    if not times:
+        return grid
+    nodes, count = np.append(0.0, np.cumsum(grid[0])), len(times)
+    chosen = [0]
+    for number, time in enumerate(times):
+        nearest = int(np.argmin(np.abs(nodes - time)))
+        chosen.append(min(max(nearest, chosen[-1] + 1), nodes.size - 1 - (count - number)))
+    moved = np.interp(nodes, nodes[[*chosen, -1]], [0.0, *times, nodes[-1]])
+    return np.asarray(np.diff(moved)[None] / nodes[-1], dtype=float)
 
 
 def refined(
@@ -49,240 +200,97 @@ def refined(
     gaps: Sequence[Gap],
     narrow: float = SHORTEST,
 ) -> Matrix:
-    """A grid whose intervals on arcs make equal errors, `ratio` times smaller in all, and whose gaps are cut.
+    """Return a grid whose intervals on arcs have equal errors, `ratio` times smaller, and whose gaps are divided.
 
-    `errors` (phases, N) are those of the intervals of `grid`, of the order p + 1, p = `order`, in their length. The
-    number of intervals on the arcs of a phase is between the two `limits`. Lengths of neighbours do not differ by much.
-    A gap that is `narrow` is not cut any more, and where its switching time is known, a node is moved there.
+    `errors` (phases, N) belong to the intervals of `grid` and have the order p + 1, p = `order`, in their length. The
+    number of intervals on the arcs of a phase is within `limits`. Lengths of neighbours differ little. Gaps shorter
+    than `narrow` are not divided further; a known switching time becomes a node.
     """
-    amounts = _amounts(grid, errors, order, gaps)
+    # The number of new intervals that each interval is worth, up to a factor. Errors in gaps and beside gaps are
+    # replaced by interpolation of the density from farther away.
+    amounts = np.maximum(errors, 0.0) ** (1.0 / (order + 1))
+    for phase, lengths in enumerate(grid):
+        on_arc = np.ones(lengths.size, bool)
+        for gap in gaps:
+            if gap.phase == phase:
+                on_arc[around(np.cumsum(lengths), gap, FAR)] = False
+        if on_arc.any():
+            middles = np.cumsum(lengths) - lengths / 2.0
+            density = amounts[phase, on_arc] / lengths[on_arc]
+            amounts[phase, ~on_arc] = np.interp(middles[~on_arc], middles[on_arc], density) * lengths[~on_arc]
     total = float((amounts ** (order + 1)).sum())
     wished = (ratio * (amounts.sum(axis=1) ** (order + 1)).sum() / total) ** (1.0 / order) if total > 0.0 else LEAST
     count = float(np.clip(wished, max(LEAST, limits[0]), limits[1]))
-    lengths = [
-        _lengths(own, amount, count, [gap for gap in gaps if gap.phase == phase], narrow)
-        for phase, (own, amount) in enumerate(zip(grid, amounts, strict=True))
-    ]
-    steps = max(int(np.ceil((pieces / wanted).sum())) for pieces, wanted in lengths)
-    times = [[gap.switch for gap in gaps if gap.phase == phase] for phase in range(len(grid))]
-    return np.array([_placed(*own, steps, known) for own, known in zip(lengths, times, strict=True)])
+    of_phases = [[gap for gap in gaps if gap.phase == phase] for phase in range(len(grid))]
+    pieces = [_pieces(grid[k], amounts[k], count, own, narrow) for k, own in enumerate(of_phases)]
+    steps = max(int(np.ceil((lengths / wanted).sum())) for lengths, wanted in pieces)
+    new = np.empty((len(grid), steps))
+    for phase, (lengths, wanted) in enumerate(pieces):  # lengths of intervals in proportion to the wanted lengths
+        share = np.concatenate([[0.0], np.cumsum(lengths / wanted)])
+        nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, np.concatenate([[0.0], np.cumsum(lengths)]))
+        for gap in of_phases[phase]:
+            if gap.switch is not None:
+                nodes[1 + int(np.argmin(np.abs(nodes[1:-1] - gap.switch)))] = gap.switch
+        new[phase] = np.maximum(np.diff(nodes), SHORTEST / 4.0)
+        new[phase] /= new[phase].sum()
+    return new
 
 
-def through(grid: Matrix, places: Sequence[float]) -> Matrix:
-    """A grid of one phase whose nodes are moved so that some of them are at given places, in parts of the whole."""
-    if not places:
-        return grid
-    nodes, count = np.append(0.0, np.cumsum(grid[0])), len(places)
-    chosen = [0]
-    for number, place in enumerate(places):
-        nearest = int(np.argmin(np.abs(nodes - place)))
-        chosen.append(min(max(nearest, chosen[-1] + 1), nodes.size - 1 - (count - number)))
-    moved = np.interp(nodes, nodes[[*chosen, -1]], [0.0, *places, nodes[-1]])
-    return np.asarray(np.diff(moved)[None] / nodes[-1], dtype=float)
-
-
-def _amounts(grid: Matrix, errors: Matrix, order: int, gaps: Sequence[Gap]) -> Matrix:
-    """How many intervals each interval is worth, up to a factor; in gaps and beside them as many as farther away."""
-    amounts = np.maximum(errors, 0.0) ** (1.0 / (order + 1))
-    for phase, lengths in enumerate(grid):
-        known = np.ones(lengths.size, bool)
-        for gap in gaps:
-            if gap.phase == phase:
-                known[around(np.cumsum(lengths), gap, FAR)] = False
-        if known.any():
-            middles = np.cumsum(lengths) - lengths / 2.0
-            density = amounts[phase, known] / lengths[known]
-            amounts[phase, ~known] = np.interp(middles[~known], middles[known], density) * lengths[~known]
-    return amounts
-
-
-LEAST = 10.0
-"""Intervals of a phase at least."""
-
-
-def _lengths(
+def _pieces(
     lengths: Vector, amounts: Vector, count: float, gaps: Sequence[Gap], narrow: float
 ) -> tuple[Vector, Vector]:
-    """The pieces of a phase, and how long intervals on each of them shall be."""
+    """Return the lengths of the pieces of a phase, and the wanted length of intervals on each piece."""
     mean = amounts.sum() / count
     longest = 1.0 / (LEAST_DENSITY * count)
-    wanted = np.minimum(lengths * mean / np.maximum(amounts, 1e-3 * mean * lengths + 1e-300), longest)
+    of_intervals = np.minimum(lengths * mean / np.maximum(amounts, 1e-3 * mean * lengths + 1e-300), longest)
     nodes = np.concatenate([[0.0], np.cumsum(np.repeat(lengths / PIECES, PIECES))])
     cuts = [np.linspace(gap.begin, gap.end, CUTS + 1) for gap in gaps]
     nodes = np.unique(np.clip(np.concatenate([nodes, *cuts]), 0.0, nodes[-1]))
     nodes = nodes[np.append(True, np.diff(nodes) > 1e-14)]
-    pieces, middles = np.diff(nodes), 0.5 * (nodes[:-1] + nodes[1:])
-    own = np.searchsorted(np.cumsum(lengths), middles)
-    fine = wanted[np.minimum(own, lengths.size - 1)]
+    middles = 0.5 * (nodes[:-1] + nodes[1:])
+    interval = np.searchsorted(np.cumsum(lengths), middles)
+    wanted = of_intervals[np.minimum(interval, lengths.size - 1)]
     for gap in gaps:
         inside = (middles > gap.begin) & (middles < gap.end)
-        fine[inside] = np.minimum(fine[inside], max((gap.end - gap.begin) / CUTS, narrow / 4.0))
-    # Lengths, no longer than those that are wanted, that change no faster than GRADE times the distance.
-    out, distance = fine.copy(), GRADE * np.diff(middles)
-    for k in range(1, out.size):
-        out[k] = min(out[k], out[k - 1] + distance[k - 1])
-    for k in range(out.size - 2, -1, -1):
-        out[k] = min(out[k], out[k + 1] + distance[k])
-    return pieces, out
+        wanted[inside] = np.minimum(wanted[inside], max((gap.end - gap.begin) / CUTS, narrow / 4.0))
+    # Reduce lengths until they change no faster than GRADE times the distance.
+    distance = GRADE * np.diff(middles)
+    for k in range(1, wanted.size):
+        wanted[k] = min(wanted[k], wanted[k - 1] + distance[k - 1])
+    for k in range(wanted.size - 2, -1, -1):
+        wanted[k] = min(wanted[k], wanted[k + 1] + distance[k])
+    return np.diff(nodes), wanted
 
 
-def _placed(pieces: Vector, wanted: Vector, steps: int, switches: Sequence[float | None]) -> Vector:
-    """N = `steps` intervals whose lengths are in proportion to those that are wanted, with nodes at switching times."""
-    share = np.concatenate([[0.0], np.cumsum(pieces / wanted)])
-    nodes = np.interp(np.linspace(0.0, share[-1], steps + 1), share, np.concatenate([[0.0], np.cumsum(pieces)]))
-    for switch in switches:
-        if switch is not None:
-            nodes[1 + int(np.argmin(np.abs(nodes[1:-1] - switch)))] = switch
-    new = np.maximum(np.diff(nodes), SHORTEST / 4.0)
-    return np.asarray(new / new.sum(), dtype=float)
+def refine(
+    solve: Callable[[int, Vector | None], Result],
+    module: ControlModule,
+    steps: int,
+    doublings: int,
+    warm: Vector | None = None,
+) -> Result:
+    """Solve on N, 2N, 4N, ... intervals, each from the solution before, and return the last result.
 
-
-MOST_GRIDS = 30
-"""Pairs of grids after which the best estimate must do."""
-MOST_INTERVALS = 200_000
-FIRST_GRIDS = 5
-"""Numbers of intervals, each twice the last, on which the first grid may fail."""
-GROWTH = 4.0
-"""By how much the number of intervals on arcs grows at most from one grid to the next."""
-GROWTH_AT_SWITCHES = 1.2
-"""The same while the error is largest at a switching time: it is felt beside it, where finer grids do not help."""
-SHRINKAGE = 0.7
-"""The same where fewer will do."""
-AIM = 0.5
-"""The part of the request that a grid aims at."""
-NARROW = 2e-3
-"""Part of its phase that a gap lasts whose switching time is told by its controls, and which is not cut any more."""
-STAGNANT, PATIENCE = 0.8, 3
-"""Part of the last difference above which one is no smaller, and how often in a row that may be."""
-
-Solve = Callable[[int, Vector | None, Matrix | None], Result]
-
-
-def to_accuracy(solve: Solve, module: ControlModule, steps: int, request: float, warm: Vector | None) -> Result:
-    """Solve on grids that fit the solution ever better, until its estimated relative error is below `request`.
-
-    `solve` takes a number of intervals, a start and a grid, (phases, N); the first grid has `steps` equal intervals in
-    every phase. Returned is the solution on the bisected grid of the last pair; where the request is not met, its
-    status is "accuracy not reached", and `accuracy` says what the best estimate is, and why there is none better.
+    `solve` takes a number of intervals and an initial guess; `warm` is the first guess. After a failed grid the next
+    one starts from the last solution, or from the guess of the problem: a grid may be too coarse for a solution. All
+    results are in `levels`. If the last two or more grids were solved, the summary has the cost extrapolated by the
+    order of the optima, its distance from the last cost as an error estimate, and the order that three grids show.
     """
-    return _Search(solve, module, request, order_of_optima(module)).run(steps, warm)
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """Solutions on a grid and on the bisected one, how they differ, and the errors of single intervals (phases, N).
-
-    `error` is the estimate for the finer one, at the `order` that was observed.
-    """
-
-    coarse: Result
-    fine: Result
-    found: Estimate
-    local: Matrix
-    order: float
-    error: float
-
-
-@dataclass(frozen=True)
-class _Search:
-    """What is asked, and the grids so far."""
-
-    solve: Solve
-    module: ControlModule
-    request: float
-    order: int
-    levels: list[GridLevel] = field(default_factory=list)
-
-    def run(self, steps: int, warm: Vector | None) -> Result:
-        """The loop; a failure of the first grids is returned as it is."""
-        pair = self._first(steps, warm)
-        if isinstance(pair, Result):
-            return replace(pair, accuracy=self._accuracy(math.inf, Estimate(math.inf, "", 0.0), pair.message))
-        best, stagnant, reason = pair, 0, ""
-        while pair.error > self.request and not reason:
-            grid = self._next(pair)
-            if grid.shape[1] > MOST_INTERVALS:
-                reason = f"it would take more than {MOST_INTERVALS} intervals"
-                break
-            following = self._pair(grid, self._carried(pair.fine, grid), pair)
-            if isinstance(following, Result):
-                reason = f"the grid of {following.steps} intervals ended in: {following.message}"
-                break
-            is_smaller = following.found.difference <= STAGNANT * pair.found.difference
-            stagnant = 0 if is_smaller else stagnant + 1
-            pair = following
-            best = min(best, pair, key=lambda one: one.error)
-            if stagnant == PATIENCE:
-                reason = f"finer grids change the solution no less, with a residual of {pair.fine.residual:.1e}"
-            elif len(self.levels) >= MOST_GRIDS:
-                reason = f"after {MOST_GRIDS} grids"
-        return self._ended(best, "" if best.error <= self.request else reason)
-
-    def _first(self, steps: int, warm: Vector | None) -> _Pair | Result:
-        """The first pair that is solved: of equal intervals, of which there may be too few."""
-        phases, pair = self.module.metadata.phases, None
-        for doubling in range(FIRST_GRIDS):
-            count = few_steps(self.module, steps) * 2**doubling
-            known = None if warm is None else transferred(self.module, warm, count)
-            pair = self._pair(through(equal(phases, count), inner_places(self.module)), known, None)
-            if isinstance(pair, _Pair):
-                break
-        assert pair is not None
-        return pair
-
-    def _pair(self, grid: Matrix, known: Vector | None, before: _Pair | None) -> _Pair | Result:
-        """Solutions on a grid and on the bisected one, or the first that failed."""
-        coarse = self.solve(grid.shape[1], known, grid)
-        if not coarse.solved:
-            return self._noted(coarse, math.inf)
-        halves = bisected(grid)
-        fine = self.solve(halves.shape[1], self._carried(coarse, halves), halves)
-        if not fine.solved:
-            return self._noted(fine, math.inf)
-        found, local = compared(self.module, coarse, fine), interval_errors(self.module, fine, self.order)
-        order = self._observed(found, grid, before)
-        error = found.difference / (2.0**order - 1.0)
-        if local.max() > math.sqrt(self.request):  # something happens between nodes that they do not show
-            error = max(error, float(local.max()))
-        self._noted(fine, error)
-        return _Pair(coarse, fine, found, local, order, error)
-
-    def _observed(self, found: Estimate, grid: Matrix, before: _Pair | None) -> float:
-        """The order at which differences fell from the pair before to this one; one where that tells nothing."""
-        if before is None or not 0.0 < found.difference < before.found.difference:
-            return 1.0
-        finer = grid.shape[1] / before.coarse.steps
-        if finer <= 1.0:
-            return 1.0
-        return float(np.clip(math.log(before.found.difference / found.difference) / math.log(finer), 1.0, self.order))
-
-    def _next(self, pair: _Pair) -> Matrix:
-        """The grid that is to meet the request."""
-        between = gaps(self.module, pair.fine)
-        on_arcs = compared(self.module, pair.coarse, pair.fine, without=between)
-        growth = GROWTH if on_arcs.difference == pair.found.difference else GROWTH_AT_SWITCHES
-        ratio = on_arcs.difference / (2.0**pair.order - 1.0) / (AIM * self.request)
-        steps = pair.coarse.steps
-        assert pair.coarse.grid is not None, "grids are given to all solves"
-        limits = SHRINKAGE * steps, growth * steps
-        grid = refined(pair.coarse.grid, pair.local, self.order, ratio, limits, between, NARROW)
-        return through(grid, inner_places(self.module))
-
-    def _carried(self, result: Result, grid: Matrix) -> Vector:
-        assert result.unknowns is not None
-        return transferred(self.module, result.unknowns, grid.shape[1], result.grid, grid)
-
-    def _noted(self, result: Result, error: float) -> Result:
-        level = GridLevel(result.steps, result.status, error, result.iterations, result.seconds_solve)
-        self.levels.append(level)
-        return result
-
-    def _accuracy(self, error: float, found: Estimate, reason: str) -> Accuracy:
-        return Accuracy(self.request, error, found.quantity, found.time, reason, tuple(self.levels))
-
-    def _ended(self, pair: _Pair, reason: str) -> Result:
-        accuracy = self._accuracy(pair.error, pair.found, reason)
-        if not reason:
-            return replace(pair.fine, accuracy=accuracy)
-        message = f"accuracy {self.request:g} not reached, but {pair.error:.2g}: {reason}"
-        return replace(pair.fine, accuracy=accuracy, status="accuracy not reached", message=message)
+    known, results = warm, list[Result]()
+    for number in [steps * 2**k for k in range(doublings + 1)]:
+        results.append(solve(number, None if known is None else transferred(module, known, number)))
+        known = results[-1].unknowns if results[-1].solved else known
+    failed = [index for index, result in enumerate(results) if not result.solved]
+    costs = [result.cost for result in results[failed[-1] + 1 if failed else 0 :] if result.cost is not None]
+    estimates: dict[str, float] = {}
+    if len(costs) > 1:
+        error = (costs[-1] - costs[-2]) / (2 ** order_of_optima(module) - 1)
+        estimates |= {"cost_extrapolated": costs[-1] + error, "cost_error_estimate": abs(error)}
+    if len(costs) > 2:
+        before, last = costs[-2] - costs[-3], costs[-1] - costs[-2]
+        # Differences at rounding level show no order.
+        if min(abs(before), abs(last)) > 1e-12 * max(1.0, abs(costs[-1])) and before / last > 0.0:
+            estimates["observed_order"] = float(np.log2(before / last))
+    # The first result alone has entries such as the number of guesses.
+    summary = {**results[0].summary, **results[-1].summary, **estimates}
+    return replace(results[-1], summary=summary, attempts=results[0].attempts, levels=tuple(results))

@@ -1,40 +1,77 @@
-"""The story of a build: problem file -> model -> program -> derivatives -> strings -> module.
+"""The build of a module: problem file -> model -> program -> derivatives -> strings -> text.
 
-    author           model        transcribe        derive             lower          emit
-    Problem  --->    Model --->   Program   --->    derivatives --->   Module  --->   text of one .py
+    problem          discretise                        emit
+    Problem  --->    Model --->   Program   --->       derivatives --->   Module  --->   text of one .py
 
-`generate_from_model` is that line. Before the text is written, `verify` compares its derivatives with an independent
-differentiation of the program. `build` runs the line, or takes the text from the cache, whose key is everything that
-the text depends on; a hit needs no sympy at all.
+`generate_from_model` runs these stages. Before the text is written, `verify` compares its derivatives with an
+independent differentiation of the program. `build` runs the stages, or takes the text from the cache. The key of the
+cache is a digest of everything that the text depends on. A cache hit does not import sympy.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import marshal
 import math
+import os
+import re
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codegen.emit import rendering
 from codegen.emit.deadline import BUILD, Stages, described, extent, rare_collections
-from codegen.emit.naming import Choices, chosen, origin_of
-from codegen.errors import ArgumentError
-from codegen.problem.points import recorded_files
-from codegen.problem.sources import Source, settings_of, source_of
-from codegen.solving import cache
+from codegen.emit.naming import Choices, choice_texts, chosen, module_name, origin_of, versions
+from codegen.errors import ArgumentError, FileError
+from codegen.problem.points import digest_of, recorded_files
+from codegen.problem.sources import Source, input_digest, settings_of, source_of
 
 if TYPE_CHECKING:
     from codegen.discretise.model.definitions import Model
     from codegen.discretise.model.pairwise import PairwiseModel
     from codegen.emit.lower.module import Origin
 
+GENERATED = Path("generated")
+"""The folder, below the current one, for modules that a user wants to read."""
+GENERATORS = (
+    "symbolic",
+    "problem",
+    "discretise",
+    "emit",
+    "runtime",
+    "drawing.py",
+    "identifiers.py",
+    "solving/compiler.py",
+)
+"""The parts of this package on which generated texts depend."""
+_READ = re.compile(r"^# Reads (.+), sha256 ([0-9a-f]{64})$", re.MULTILINE)
+"""A line in the header of a module that names a file which the derivation has read."""
+_DERIVING = threading.Lock()
+"""Problem files are run with their folder on the path and redirected output, which excludes other threads."""
+
 
 @dataclass(frozen=True)
 class Build:
-    """A generated module on disk, how long it took, and whether the cache had it."""
+    """A generated module on disk.
+
+    Attributes
+    ----------
+    path : Path
+    name : str
+    seconds : float
+        Duration of the build.
+    cached : bool
+        True for a cache hit.
+    written : bool
+        True if the file is new or has changed.
+    """
 
     path: Path
     name: str
@@ -57,16 +94,38 @@ def build(
     time_limit: float = BUILD,
     deriving: Callable[[], None] = lambda: None,
 ) -> Build:
-    """Derive, emit and write the module of a problem file, or of an object, into the folder `out`.
+    """Derive, emit and write the module of a problem.
 
-    `arguments` are those of problem(), as values or as the text that `--set` takes. With `sensitivities` the module of
-    an optimisation has what derivatives of its solutions by parameters and boundary values need. A `standalone` module
-    is one file with the numerics that it uses, and runs where this package is not installed. Without `out` the
-    module stays in the user's cache, unless ./generated already holds the very same text: then that file is used, and
-    with it the machine code that numba keeps beside it. A derivation may take `time_limit` seconds of processor time;
-    what takes longer is a SizeError, which names the stage and what is large. `deriving` is called when a derivation
-    begins. Raises a kind of CodegenError when the
-    problem or a choice is unusable; then nothing is written.
+    Parameters
+    ----------
+    problem : path or object
+        A problem file, or a Control, Simulate, Phases or Connect.
+    arguments : dict
+        Arguments of problem() in a problem file, as values or as the text that `--set` takes.
+    scheme, method, controls : str
+        Discretisation; by default the scheme and method for the task.
+    general : bool
+        Write every term, also those that vanish for this problem.
+    sensitivities : bool
+        Include what derivatives of solutions by parameters and boundary values need.
+    standalone : bool
+        Write one file with all numerics, which needs numpy and numba but not this package.
+    out : path
+        Folder for the module. By default the module stays in the cache of the user; a file in ./generated with the same
+        text is used in its place, with its machine code.
+    time_limit : float
+        Processor time in seconds. A longer derivation raises SizeError, which names the stage and what is large.
+    deriving : callable
+        Called when a derivation begins.
+
+    Returns
+    -------
+    Build
+
+    Raises
+    ------
+    CodegenError
+        If the problem or a choice is unusable; no file is written.
     """
     begin = time.perf_counter()
     source, choices = source_of(problem), chosen(scheme, method, controls, general, sensitivities)
@@ -79,19 +138,26 @@ def build(
         deriving()
         return generate(source, settings, choices, time_limit)
 
-    entry = cache.entry_of(source, settings, choices, derived)
+    path, text, is_new = _cached(source, settings, choices, derived)
     if standalone:
         from codegen.emit.standalone import bundle
 
-        entry = cache.entry_of(source, settings, replace(choices, standalone=True), partial(bundle, entry.text))
-    path, written = (entry.as_found(), entry.is_new) if out is None else entry.written_to(Path(out))
-    return Build(path, entry.path.stem, time.perf_counter() - begin, not entry.is_new, written)
+        path, text, is_new = _cached(source, settings, replace(choices, standalone=True), partial(bundle, text))
+    name, written = path.stem, is_new
+    if out is not None:
+        path = Path(out) / path.name
+        written = rendering.write(path, text)
+        with suppress(OSError):  # Python has no permission either to write bytecode there
+            _remove_partial_bytecode(Path(cache_from_source(path)))
+    elif (kept := GENERATED / path.name).is_file() and kept.read_bytes() == text.encode():
+        path = kept
+    return Build(path, name, time.perf_counter() - begin, not is_new, written)
 
 
 def generate(
     problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, time_limit: float = BUILD
 ) -> str:
-    """The text of the module of a problem, derived anew within so many seconds of processor time."""
+    """Derive the text of the module of a problem, within so many seconds of processor time."""
     stages = Stages(time_limit)
     with rare_collections(), stages.limited():
         from codegen.discretise.model.from_problem import load_problem
@@ -104,7 +170,7 @@ def generate(
 def generate_from_model(
     model: Model | PairwiseModel, choices: Choices, origin: Origin, stages: Stages | None = None
 ) -> str:
-    """The pipeline itself, from a checked problem to the text of its module."""
+    """Derive the text of a module from a validated problem."""
     from codegen.discretise import transcribe
     from codegen.emit import differentiation, lower, verify
 
@@ -125,3 +191,119 @@ def generate_from_model(
     stages.begin("verifying the kernels")
     verify.verify(program, text)
     return text
+
+
+# The cache
+
+
+def _cached(
+    source: Source, settings: Mapping[str, str], choices: Choices, derived: Callable[[], str]
+) -> tuple[Path, str, bool]:
+    """Return the file and the text of a module in the cache, and True if `derived` was called for the text.
+
+    Raise FileError if the text cannot be stored.
+    """
+    path = path_of(source, settings, choices)
+    if text := kept_text(path):
+        return path, text, False
+    with _DERIVING:
+        path = path_of(source, settings, choices)  # another thread may have derived the text meanwhile
+        if text := kept_text(path):
+            return path, text, False
+        text = derived()
+        try:
+            path = path_of_text(source, settings, choices, text)
+            rendering.write(path, text)
+        except FileError as error:
+            raise FileError(error.finding, "make room there, or let CODEGEN_CACHE_DIR name another folder") from error
+        return path, text, True
+
+
+def _remove_partial_bytecode(file: Path) -> None:
+    """Remove the bytecode of a module if it is incomplete.
+
+    On a full disk Python before 3.13 writes incomplete bytecode, with which every later import fails.
+    """
+    header = 16  # bytes before the code itself
+    try:
+        marshal.loads(file.read_bytes()[header:])
+    except (EOFError, ValueError, TypeError):
+        file.unlink(missing_ok=True)
+    except FileNotFoundError:
+        pass
+
+
+def stored(problem: Source | Path | str, arguments: Mapping[str, str], *, scheme: str | None = None) -> Path:
+    """Return the file in the cache for the module of a problem, which may not have been built."""
+    return path_of(problem, arguments, chosen(scheme))
+
+
+def cache_folder() -> Path:
+    """Return the folder of the cache: $CODEGEN_CACHE_DIR, or a folder in the cache directory of the user."""
+    folder = os.environ.get("CODEGEN_CACHE_DIR")
+    if folder:
+        return Path(folder)
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "variational-codegen"
+
+
+def path_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices) -> Path:
+    """Return the file in the cache for a problem with arguments and choices, which may not have been built.
+
+    The last build has recorded the further files that the problem reads. Their present contents are part of the key.
+    """
+    source = source_of(problem)
+    digest = input_digest(source, arguments, *choice_texts(choices), *versions(), _generator_digest())
+    name = f"{module_name(source, arguments, choices)}.py"
+    return _with_files(digest, name, [(read, digest_of(source.folder / read)) for read in _files_read(digest, name)])
+
+
+def path_of_text(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, text: str) -> Path:
+    """Return the file in the cache for a new text, and record the files that the derivation has read."""
+    digest = input_digest(problem, arguments, *choice_texts(choices), *versions(), _generator_digest())
+    name = f"{module_name(problem, arguments, choices)}.py"
+    files = _READ.findall(text.partition('"""')[0])
+    if files or _files_read(digest, name):
+        rendering.write(_record_of_reads(digest, name), json.dumps([read for read, _ in files]) + "\n")
+    return _with_files(digest, name, files)
+
+
+def _with_files(digest: str, name: str, files: Iterable[tuple[str, str]]) -> Path:
+    """Return the file for a digest of the inputs and for the digests of further files."""
+    parts = [part for pair in files for part in pair]
+    if parts:
+        digest = hashlib.sha256("\0".join([digest, *parts]).encode()).hexdigest()
+    return cache_folder() / digest[:20] / name
+
+
+def _record_of_reads(digest: str, name: str) -> Path:
+    return cache_folder() / digest[:20] / f"{name}.reads.json"
+
+
+def _files_read(digest: str, name: str) -> list[str]:
+    """Return the further files that the last build has read; none without a usable record."""
+    try:
+        return [str(file) for file in json.loads(_record_of_reads(digest, name).read_text(encoding="utf-8"))]
+    except (OSError, UnicodeDecodeError, ValueError, TypeError):
+        return []
+
+
+def kept_text(store: Path) -> str:
+    """Return the text of a file in the cache; empty if the file is missing or incomplete."""
+    try:
+        text = store.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""
+    return text if rendering.is_whole(text) else ""
+
+
+@cache
+def _generator_digest() -> str:
+    """Return the digest of the sources that generate modules, so that a changed generator invalidates the cache."""
+    digest = hashlib.sha256()
+    folder = Path(__file__).parents[1]
+    for file in sorted([*folder.rglob("*.py"), *folder.rglob("*.j2")]):
+        name = file.relative_to(folder).as_posix()
+        if name in GENERATORS or name.split("/")[0] in GENERATORS:
+            digest.update(name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()

@@ -1,8 +1,8 @@
-"""Loading a generated module: from the path of a file to a typed view of what is in it, without sympy.
+"""Generated modules: the types of their functions by task, and loading from a file, without sympy.
 
-Every file is imported under a name made from its text and its path, so that two modules of the same name never meet,
-and so that another process finds it by that name: solutions, and functions such as `solve`, can be pickled. The machine
-code that numba keeps beside the file does not depend on that name.
+Every file is imported under a name made from its text and its path. Hence two modules of the same name do not collide,
+and another process can import a module by its name: solutions, and functions such as `solve`, can be pickled. The
+machine code that numba stores beside the file does not depend on that name.
 """
 
 from __future__ import annotations
@@ -10,25 +10,279 @@ from __future__ import annotations
 import hashlib
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
-from typing import Any, cast
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
 from urllib.parse import quote, unquote
 
+import numpy as np
+from numpy.typing import NDArray
+
 from codegen.errors import ModuleError
-from codegen.solving.interfaces import GeneratedModule
+from codegen.runtime.record import ConnectRecord, ControlRecord, Task
 from codegen.solving.tasks import TASKS
+
+Vector: TypeAlias = NDArray[np.float64]
+Matrix: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.intp]
+Entries: TypeAlias = tuple[Indices, Indices, Vector]
+"""A sparse matrix as (rows, columns, values), where duplicates add up."""
+
+
+class Grid(Protocol):
+    """N intervals of mean length h, the parameters of each body, and a mask of the unknowns that are multipliers.
+
+    `nodes` (N + 1,) are the times of all nodes in units of h. `inner` are the numbers of the nodes at inner times.
+    """
+
+    steps: int
+    h: float
+    nodes: Vector
+    parameters: Matrix
+    is_multiplier: NDArray[np.bool_]
+    sizes: Vector
+    weight: float
+    inner: tuple[int, ...]
+    problem: Any
+
+
+class ControlSolution(Protocol):
+    """The return value of `solve` of an optimal-control module.
+
+    `log` has a row for each iterate; `scaled` is the grid with the first scaling factors.
+    """
+
+    status: str
+    message: str
+    cost: float
+    residual: float
+    stationarity: float
+    iterations: int
+    t: Vector
+    q: Matrix
+    p: Matrix
+    u: Matrix
+    multipliers: Matrix
+    unknowns: Vector
+    log: Matrix
+    scaled: Grid
+
+
+class Unpacked(NamedTuple):
+    """A vector of unknowns as trajectories."""
+
+    t: Vector
+    q: Matrix
+    p: Matrix
+    u: Matrix
+    multipliers: Matrix
+
+
+class NonlinearProgram(Protocol):
+    """Minimise a cost subject to equations and bounds; see `codegen.runtime.search.nlp`."""
+
+    grid: Grid
+    guess: Vector
+    primal: Indices
+    dual: Indices
+    x0: Vector
+    bounds: tuple[Vector, Vector]
+    constraint_bounds: tuple[Vector, Vector]
+    names: tuple[str, ...]
+
+    cost: Callable[[Vector], float]
+    gradient: Callable[[Vector], Vector]
+    constraints: Callable[[Vector], Vector]
+    stationarity: Callable[[Vector, Vector], Vector]
+    jacobian: Callable[[Vector], Any]
+    hessian: Callable[..., Any]
+    unknowns: Callable[..., Vector]
+    evaluate: Callable[..., Any]
+    unpack: Callable[..., Any]
+
+
+class ControlModule(Protocol):
+    """The functions of a generated module for optimal control.
+
+    `variable_bounds` exists if `metadata.inequalities`. `problem` is the ControlProblem of all grids of the module,
+    from which `codegen.runtime.search` computes other quantities. Views are of nodes and intervals; the first axis is
+    the body.
+    """
+
+    metadata: ControlRecord
+    problem: Any
+
+    solve: Callable[..., ControlSolution]
+    make_grid: Callable[..., Grid]
+    initial_guess: Callable[[Grid], Vector]
+    with_pinned_values: Callable[[Grid, Vector], Vector]
+    nlp: Callable[..., NonlinearProgram]
+    primal_unknowns: Callable[[Grid], Indices]
+    multiplier_unknowns: Callable[[Grid], Indices]
+    evaluate: Callable[[Grid, Vector], Any]
+    unpack: Callable[[Grid, Vector], Unpacked]
+    views: Callable[[Grid, Vector], tuple[Matrix, Matrix]]
+    variable_bounds: Callable[[Grid], tuple[Vector, Vector]]
+
+
+class StepGrid(Protocol):
+    """N steps of length h, the values of the parameters, and the initial state (q, p)."""
+
+    steps: int
+    h: float
+    parameters: Vector
+    start: Vector
+
+
+class SimulateSolution(Protocol):
+    """The return value of `solve` of a simulation module; arrays have an entry for each stored step."""
+
+    status: str
+    message: str
+    steps: int
+    t: Vector
+    q: Matrix
+    p: Matrix
+    energy: Vector
+    residual: float
+    iterations: int
+
+
+class SimulateModule(Protocol):
+    """The functions of a generated module for a simulation."""
+
+    metadata: Any
+
+    solve: Callable[..., SimulateSolution]
+    make_grid: Callable[..., StepGrid]
+    energy: Callable[[Vector, float, Vector], float]
+    step: Callable[[StepGrid, Vector, float], Vector]
+    path_residual: Callable[[StepGrid, Matrix], float]
+
+
+class ImplicitModule(SimulateModule, Protocol):
+    """A simulation by an implicit scheme; the unknowns are those of one step."""
+
+    predict: Callable[[StepGrid, Vector, float], Vector]
+    residual: Callable[[StepGrid, Vector, Vector, float], Vector]
+    jacobian: Callable[[StepGrid, Vector, Vector, float], Matrix]
+    complete: Callable[[StepGrid, Vector, Vector, float], Vector]
+
+
+class ConnectModule(Protocol):
+    """The functions of a generated module that connects points; a case is the return value of `make_case`.
+
+    The functions of the action exist if `metadata.method` is Method.ACTION.
+    """
+
+    metadata: ConnectRecord
+
+    solve: Callable[..., Any]
+    solve_case: Callable[..., Any]
+    make_case: Callable[..., Any]
+    first_momenta: Callable[[Any], Any]
+    trajectory: Callable[[Any, Any], tuple[int, Any, Any]]
+    residual: Callable[[Any, Vector], Vector]
+    jacobian: Callable[[Any, Vector], Matrix]
+    path_of: Callable[[Any, Vector], Any]
+    path_cost: Callable[[Any, Any], float]
+    path_errors: Callable[[Any, Any], tuple[Any, Vector]]
+    first_unknowns: Callable[[Any], Vector]
+    all_equations: Callable[[Any, Vector], Vector]
+    all_equations_jacobian: Callable[[Any, Vector], Matrix]
+    end_residual: Callable[[Any, Any, Any], Vector]
+    preconditioner: Callable[[Any], Any]
+    Linearised: Callable[..., Any]
+    hamiltonian: Callable[..., float]
+    hamiltonian_gradient: Callable[..., None]
+    momentum_matrix: Callable[..., None]
+    domain_margin: Callable[[Any], float]
+    guessed_path: Callable[..., Any]
+    momenta_of: Callable[..., Any]
+    all_states: Callable[..., tuple[int, int, float]]
+    action_start: Callable[[Any], Vector]
+    action_path: Callable[[Any, Vector], Any]
+    action_cost: Callable[[Any, Vector], float]
+    action_cost_gradient: Callable[[Any, Vector], Vector]
+    action_constraints: Callable[[Any, Vector], Vector]
+    action_jacobian: Callable[[Any, Vector], Matrix]
+    action_hessian: Callable[[Any, Vector, Vector], Matrix]
+    BLOCKS: int
+    POINTS: int
+
+
+GeneratedModule: TypeAlias = ControlModule | SimulateModule | ConnectModule
+
+
+def few_steps(module: Any, steps: int) -> int:
+    """Return a number of intervals, increased where inner times need more."""
+    return max(steps, int(module.metadata.inner_times) + 1)
+
+
+def inner_places(module: Any) -> tuple[float, ...]:
+    """Return the inner times as fractions of the duration, or of the number of intervals if they are free."""
+    if not module.metadata.inner_times:
+        return ()
+    grid = module.make_grid(few_steps(module, 1))
+    return tuple(float(grid.nodes[number]) / grid.steps for number in grid.inner)
+
+
+def time_grid(module: ControlModule, steps: int, fractions: Vector | None = None) -> Grid:
+    """Return the grid of N = `steps` equal intervals, or of intervals with given fractions of the duration.
+
+    The fractions may be those of each phase. Raises ValueError if they are not positive or their sum is not one.
+    """
+    return module.make_grid(steps) if fractions is None else module.make_grid(steps, grid=fractions)
+
+
+def is_control(module: GeneratedModule) -> TypeGuard[ControlModule]:
+    """Return True for a module for optimal control."""
+    return bool(module.metadata.task == Task.CONTROL)
+
+
+def is_connect(module: GeneratedModule) -> TypeGuard[ConnectModule]:
+    """Return True for a module that connects points."""
+    return bool(module.metadata.task == Task.CONNECT)
+
+
+def is_simulation(module: GeneratedModule) -> TypeGuard[SimulateModule]:
+    """Return True for a module for a simulation."""
+    return bool(module.metadata.task == Task.SIMULATE)
+
+
+def is_of_particles(module: GeneratedModule) -> bool:
+    """Return True for a module for particles."""
+    return bool(module.metadata.of_particles)
+
+
+def is_implicit(module: SimulateModule) -> TypeGuard[ImplicitModule]:
+    """Return True if a simulation solves equations in every step."""
+    return all(callable(getattr(module, name, None)) for name in ("predict", "residual", "jacobian", "complete"))
+
 
 _FIRST_LINE = "# Generated by codegen"
 _REMEDY = "make it again with codegen build"
 
 
 def load(path: Path | str) -> GeneratedModule:
-    """Import a generated module by its path; the same file with the same text is imported once.
+    """Import a generated module.
 
-    Raises ModuleError when the file is missing, was not generated, or is damaged.
+    Parameters
+    ----------
+    path : path
+        The same file with the same text is imported once.
+
+    Returns
+    -------
+    module
+        See ControlModule, SimulateModule and ConnectModule for its functions.
+
+    Raises
+    ------
+    ModuleError
+        If the file is missing, was not generated, or is damaged.
     """
     path = Path(path)
     text = _text(path)
@@ -36,7 +290,7 @@ def load(path: Path | str) -> GeneratedModule:
 
 
 def machine_code_counts(module: GeneratedModule) -> tuple[int, int]:
-    """Return how many functions of a module and of the runtime numba has compiled in this process, and has read."""
+    """Return how many functions of a module and the runtime numba has compiled, and read, in this process."""
     runtime = [vars(other) for name, other in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
     functions = {id(value): value for space in (vars(module), *runtime) for value in list(space.values())}
     statistics: list[Any] = [getattr(value, "stats", None) for value in functions.values()]
@@ -60,17 +314,17 @@ def _text(path: Path) -> str:
 
 
 def _name(path: Path, text: str) -> str:
-    """The name of the module of a file, from which `_ByName` finds the file."""
+    """Return the name of the module of a file; `_ByName` recovers the path from it."""
     digest = hashlib.sha256(text.encode()).hexdigest()
     return f"{__name__}.{path.stem}_{digest[:16]}@{quote(str(path)).replace('.', '%2E')}"
 
 
 class _ByName:
-    """Imports the modules of this package: generated ones, whose names hold a digest of the text and the path."""
+    """Importer of generated modules, whose names contain a digest of the text and the path."""
 
     @staticmethod
     def find_spec(name: str, _path: Sequence[str] | None = None, _: ModuleType | None = None) -> ModuleSpec | None:
-        """The file of a module, or None for a module of another package."""
+        """Return the specification of a generated module, None for other modules."""
         if not name.startswith(f"{__name__}."):
             return None
         path = Path(unquote(name.partition("@")[2]))
@@ -78,11 +332,11 @@ class _ByName:
 
     @staticmethod
     def create_module(_spec: ModuleSpec) -> None:
-        """Leave it to Python to make a module."""
+        """Let Python create the module."""
 
     @staticmethod
     def exec_module(module: ModuleType) -> None:
-        """Run the text of a file; ModuleError when it is not the one that the name tells, or is damaged."""
+        """Execute the text of a file; raise ModuleError if the text has changed or is damaged."""
         assert module.__spec__ is not None
         path = Path(module.__spec__.origin or "")
         text = _text(path)
@@ -103,7 +357,7 @@ class _ByName:
 
 
 __path__: list[str] = []
-"""Makes this module the package of all generated modules."""
+"""Declares this module as the package of all generated modules."""
 sys.meta_path.append(cast(Any, _ByName))
 
 

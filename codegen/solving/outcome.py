@@ -1,8 +1,12 @@
-"""The way of a request: build, load, machine code, runs of a driver on one grid or several, verdict."""
+"""From a request to an outcome: build, load, machine code, runs of a driver, evaluation of the residuals.
+
+A request may take several runs, from different initial guesses or on different grids. They share the time limit.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -11,16 +15,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from codegen.errors import SchemeError
+from codegen.errors import NumericsError, SchemeError
 from codegen.problem.points import PointSet, read_points
 from codegen.runtime.record import Kind, Role
 from codegen.solving import compiler, loading
-from codegen.solving.accuracy import to_accuracy
+from codegen.solving.accuracy import refine, to_accuracy
 from codegen.solving.arcs import discretisation_error
 from codegen.solving.drivers import DRIVERS, Driver
-from codegen.solving.interfaces import GeneratedModule, Matrix, Vector, is_control
-from codegen.solving.machine_code import ahead_of_time
-from codegen.solving.machine_code.processes import Compilers, compilers
+from codegen.solving.drivers.shared import quiet_single_thread
+from codegen.solving.loading import GeneratedModule, Vector, is_control, machine_code_counts
+from codegen.solving.machine_code import processes
+from codegen.solving.machine_code.compilation import seconds_of_machine_code
+from codegen.solving.machine_code.processes import Compilers
 from codegen.solving.request import Request, with_observations, with_tables, with_values
 from codegen.solving.results import output
 from codegen.solving.results.between_nodes import excursions, poles, stages_beyond
@@ -28,37 +34,42 @@ from codegen.solving.results.display import Background
 from codegen.solving.results.result import UNKNOWN_ERROR, Result, Run, Watch
 from codegen.solving.results.segments import put_together, segments_of
 from codegen.solving.results.sensitivities import require_sensitive, with_sensitivities
-from codegen.solving.run import refine, run_and_verify, transferred
 from codegen.solving.tasks import task_of
-from codegen.solving.warm_start import best_of, start_of
+from codegen.solving.warm_start import best_of, start_of, transferred
 
 LEAST_TIME = 1e-9
-"""Seconds in which a search does not begin."""
+"""Time limit in seconds that ends a search before its first iteration."""
 ACCURATE_SCHEME = "gauss-4"
-"""The scheme where accuracy is asked for, and no path inequality: of a higher order it is there for every method.
+"""The scheme for a request for accuracy: order four for every method.
 
 With controls that are constant on intervals it has no false optima on singular arcs, where midpoints alternate.
 """
 LEAST_TOLERANCE, LARGEST_TOLERANCE, NEGLIGIBLE_PART = 1e-15, 1e-10, 1e-4
-"""Tolerances where accuracy is asked for, and what part of it an interval that lasts all the time may leave."""
-
+"""Tolerances for a request for accuracy, and the residual relative to the request that is negligible."""
+LEAST_ITERATIONS = 50
+"""Lower limit of the iterations of a search for the optimum on double steps."""
+_TOO_TIGHT = ("inaccurate", "stalled")
+"""Statuses of solves whose tolerance is below the rounding errors."""
+_ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
 
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
-"""A sign of life while something takes long."""
+"""A context that displays a text while a slow operation runs."""
+Following: TypeAlias = Callable[[], AbstractContextManager[Watch | None]]
+"""A context that displays the iterates of a driver."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a request: the module, its result, how long both took, and what is to be said about it.
+    """The module of a request, the result, the times of both, and lines for the user.
 
-    `build_seconds` are those of derivation and compilation, `load_seconds` of reading the module and its machine code.
+    `build_seconds` is the time of derivation and compilation, `load_seconds` that of reading module and machine code.
     """
 
     module: GeneratedModule
     result: Result
     build_seconds: float
     load_seconds: float
-    said: list[str]
+    notices: list[str]
 
     @property
     def record(self) -> dict[str, Any]:
@@ -66,71 +77,205 @@ class Outcome:
         return output.as_record(self.result, self.build_seconds, self.load_seconds)
 
 
-def outcome_of(
-    request: Request,
-    working: Working = nullcontext,
-    following: Callable[[], AbstractContextManager[Watch | None]] = nullcontext,
-) -> Outcome:
-    """Do what is asked; see `codegen.solve`. What is wrong with the request is said before anything takes long.
+def outcome_of(request: Request, working: Working = nullcontext, following: Following = nullcontext) -> Outcome:
+    """Execute a request; see `codegen.solve`.
 
-    Only names that a module has to know, of parameters, tables and measurements, are looked up once there is one.
-
-    `working` and `following` show signs of life where there is a terminal: of what takes long, and of the iterates of a
-    driver that can be watched, as the table of drivers says.
+    Errors of the request are raised before slow operations. Names of parameters, tables and measurements are compared
+    with those of the module after the build. `working` and `following` display progress in a terminal; the table of
+    drivers states which drivers can be watched.
     """
-    with compilers() as processes:
-        return _outcome(request, working, following, processes)
+    with processes.compilers() as compilers:
+        start = start_of(request.warm)
+        path, is_new, build_seconds = _built(request, working, compilers)
+        begin = time.perf_counter()
+        module: Any = request.problem if path is None else loading.load(path)
+        load_seconds = time.perf_counter() - begin
+        values = dict(request.parameters or {})
+        module = with_values(with_observations(with_tables(module, request.tables), request.observations), values)
+        driver, warm, points = request.driver_for(module), start(module), points_of(request, module)
+        if request.sensitivities:
+            require_sensitive(module)
+        notices: list[str] = []
+        if path is not None and driver.generated:
+            seconds, notices = processes.require(path, module, is_new, working, compilers)
+            build_seconds += seconds
+        segments, steps = segments_of(module.metadata), request.steps or module.metadata.steps
+        if segments and request.steps:
+            steps = segments.steps(request.steps)
+            if (total := segments.number * steps) != request.steps:
+                why = f"as many in each of the {segments.number} segments between multiples of the delay"
+                notices = [*notices, f"codegen: note: {total} steps instead of {request.steps}, {why}"]
+        is_watched = driver.takes(task_of(module).name, "watch")
+        with following() if is_watched else working("Solving") as watch:
+            shown = request.watch or (watch if is_watched else None)
+            result = _solved(request, module, driver, steps, warm, points, shown)
+        result = _with_notes(module, _with_error(request, module, driver, result))
+        if request.sensitivities:
+            result = with_sensitivities(result, module)
+        file = getattr(module, "__file__", None)
+        background = Background(module, None if file is None else Path(file))
+        if not request.is_built:
+            background = replace(background, source=request.source, arguments=request.settings)
+        result = replace(put_together(result, module.metadata), parameters=values, background=background)
+        if result.compiled:
+            return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, notices)
+        return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, notices)
 
 
-def _outcome(
+def _built(request: Request, working: Working, compilers: Compilers) -> tuple[Path | None, bool, float]:
+    """Return the file of the module (None if it is loaded), True if it is new, and the seconds of its derivation.
+
+    A request for accuracy without a scheme takes `ACCURATE_SCHEME`, unless the problem does not allow it or has path
+    inequalities. With a control that is constant on an interval path inequalities hold where they are strictest. That
+    error is of order one if there are several stages.
+    """
+    if request.is_built:
+        return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
+    build = partial(
+        compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
+        out=request.out, sensitivities=request.sensitivities,
+        deriving=compilers.start if DRIVERS[request.driver].generated else lambda: None,
+    )  # fmt: skip
+    with working("Deriving"):
+        if request.accuracy is not None and request.scheme is None:
+            with suppress(SchemeError):
+                made = build(scheme=ACCURATE_SCHEME)
+                meanings = getattr(loading.load(made.path).metadata, "meanings", {})
+                slacks = {m.kind for m in meanings.values() if m.kind.role == Role.SLACK}
+                if slacks <= {Kind.INTEGRAL_SLACK, Kind.BOUND_SLACK}:
+                    return made.path, made.written, made.seconds
+        made = build(scheme=request.scheme)
+    return made.path, made.written, made.seconds
+
+
+def points_of(request: Request, module: GeneratedModule) -> PointSet | None:
+    """Return the points of the request, or else those of the problem file."""
+    file, own = request.points, module.metadata.points
+    if file is None and own and not request.is_built:
+        file = request.settings.points or request.source.folder / own
+    if isinstance(file, Path | str):
+        return read_points(Path(file), len(module.metadata.coordinates))
+    return file
+
+
+def _solved(
     request: Request,
-    working: Working,
-    following: Callable[[], AbstractContextManager[Watch | None]],
-    processes: Compilers,
-) -> Outcome:
-    """The outcome, with processes that compile."""
-    start = start_of(request.warm)
-    path, is_new, build_seconds = _built(request, working, processes)
+    module: Any,
+    driver: Driver,
+    steps: int,
+    warm: Vector | None,
+    points: PointSet | None,
+    watch: Watch | None,
+) -> Result:
+    """Return the result of all runs: from several guesses, on several grids."""
+    remaining = math.inf if request.time_limit is None else request.time_limit
+
+    def solve_from(count: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:
+        nonlocal remaining
+        tolerance = request.tolerance
+        if tolerance is None and request.accuracy is not None and grid is not None:
+            # Derivatives by a control, and the barrier term on them, are proportional to the length of the interval.
+            shortest = float(grid.min())
+            tolerance = max(LEAST_TOLERANCE, min(LARGEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy * shortest))
+        run = Run(
+            count, request.every, start, points, tolerance, near, request.max_iterations, max(remaining, LEAST_TIME),
+            watch, request.scaling, grid,
+        )  # fmt: skip
+        while True:
+            result = run_and_verify(module, driver, run, request.repeat)
+            remaining -= result.seconds_solve
+            looser = min(LARGEST_TOLERANCE, 100.0 * (run.tolerance or LARGEST_TOLERANCE))
+            if request.accuracy is None or result.status not in _TOO_TIGHT or looser == run.tolerance:
+                return result
+            run = replace(run, tolerance=looser, guess=result.unknowns)
+
+    def solve_on(count: int, start: Vector | None, grid: Vector | None = None) -> Result:
+        if start is None and request.guesses > 1:
+            return best_of(lambda guess: solve_from(count, guess, False, grid), module, count, request.guesses)
+        return solve_from(count, start, True, grid)
+
+    if request.accuracy is not None:
+        return to_accuracy(solve_on, module, steps, request.accuracy, warm)
+    if request.doublings:
+        return refine(solve_on, module, steps, request.doublings, warm)
+    return solve_on(steps, None if warm is None else transferred(module, warm, steps))
+
+
+def run_and_verify(module: GeneratedModule, driver: Driver, run: Run, repeat: int) -> Result:
+    """Run a driver `repeat` times, and evaluate the residuals of the last solution.
+
+    The time is that of the fastest run. The time of compiling or reading machine code is subtracted, because a driver
+    may call functions for the first time.
+    """
+    task = task_of(module)
+    require_memory(task.numbers(module.metadata, run), run.steps)
+    solve = driver.function(task.name)
+    compiled_before = machine_code_counts(module)[0]
     begin = time.perf_counter()
-    module: Any = request.problem if path is None else loading.load(path)
-    load_seconds = time.perf_counter() - begin
-    values = dict(request.parameters or {})
-    module = with_values(with_observations(with_tables(module, request.tables), request.observations), values)
-    driver, warm, points = request.driver_for(module), start(module), points_of(request, module)
-    if request.sensitivities:
-        require_sensitive(module)
-    said: list[str] = []
-    if path is not None and driver.generated:
-        seconds, said = ahead_of_time.require(path, module, is_new, working, processes)
-        build_seconds += seconds
-    said = [*said, *_rounded(request, module)]
-    is_watched = driver.takes(task_of(module).name, "watch")
-    with following() if is_watched else working("Solving") as watch:
-        result = _solved(request, module, driver, warm, points, request.watch or (watch if is_watched else None))
-    result = _with_notes(module, _with_error(request, module, driver, result))
-    found = put_together(with_sensitivities(result, module) if request.sensitivities else result, module.metadata)
-    result = replace(found, parameters=values, background=_background(request, module))
-    if result.compiled:
-        return Outcome(module, result, build_seconds + result.seconds_code, load_seconds, said)
-    return Outcome(module, result, build_seconds, load_seconds + result.seconds_code, said)
+    try:
+        # Load machine code before the timed runs, by calls of a smaller problem.
+        if not driver.generated:
+            with quiet_single_thread():
+                task.touch(module, run.steps)
+        elif machine_code_counts(module) == (0, 0):
+            with quiet_single_thread():
+                task.small(module)
+        code_seconds = time.perf_counter() - begin
+        seconds = math.inf
+        for _ in range(repeat):
+            with seconds_of_machine_code() as spent:
+                begin = time.perf_counter()
+                attempt = solve(module, run)
+                elapsed = time.perf_counter() - begin
+            code_seconds += spent.seconds
+            seconds = min(seconds, max(elapsed - spent.seconds, 0.0))
+    except ValueError as error:  # generated modules raise no errors of codegen
+        raise NumericsError(str(error), "correct the problem's numbers or the options") from error
+    except OSError as error:
+        raise processes.unwritable_cache_error(module, error) from error
+    result: Result = task.result(module, driver.name, run, attempt, seconds)
+    compiled = machine_code_counts(module)[0] > compiled_before
+    return replace(result, seconds_code=code_seconds, compiled=compiled)
+
+
+def require_memory(numbers: int, steps: int) -> None:
+    """Raise NumericsError if so many floating-point numbers exceed the memory; the system would end the process."""
+    if not hasattr(os, "sysconf"):
+        return
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if 8 * numbers > memory:
+        raise NumericsError(
+            f"{steps} steps need about {8e-9 * numbers:.0f} GB of memory, and there are {1e-9 * memory:.0f}",
+            "take fewer steps, or store only every so many-th of a simulation",
+        )
+
+
+def _with_notes(module: GeneratedModule, result: Result) -> Result:
+    """Return the result with notes on the motion between nodes."""
+    if not (is_control(module) and result.solved and result.unknowns is not None):
+        return result
+    solution = module, result.unknowns, result.steps, result.grid
+    gross = [excursion.note for excursion in excursions(*solution) if excursion.is_gross]
+    beyond = [stage.note for stage in stages_beyond(*solution)]
+    return replace(result, notes=(*result.notes, *gross, *beyond, *(pole.note for pole in poles(*solution))))
 
 
 def _with_error(request: Request, module: GeneratedModule, driver: Driver, result: Result) -> Result:
-    """The result of an optimal-control problem with its estimated discretisation error, and a note where it is large.
+    """Return the result with its estimated discretisation error, and a note if the error is large.
 
-    Where accuracy was asked for there is an estimate already. Other drivers than the generated solver, which take
-    longer and are there for comparisons, get none.
+    A request for accuracy has an estimate already. Drivers other than the generated solver serve comparisons and get no
+    estimate, which would take long.
     """
     if not (is_control(module) and result.solved and result.unknowns is not None):
         return result
     if result.accuracy or not driver.generated:
         return result
-    left = math.inf if request.time_limit is None else request.time_limit - result.seconds_solve
+    remaining = math.inf if request.time_limit is None else request.time_limit - result.seconds_solve
 
     def search(steps: int, start: Vector, grid: Vector | None) -> Vector | None:
         run = Run(
             steps, guess=start, max_iterations=max(LEAST_ITERATIONS, result.iterations), scaling=request.scaling,
-            time_limit=max(LEAST_TIME, left), grid=grid,
+            time_limit=max(LEAST_TIME, remaining), grid=grid,
         )  # fmt: skip
         attempt = driver.function("control")(module, run)
         return attempt.unknowns if attempt.status == "solved" else None
@@ -141,141 +286,3 @@ def _with_error(request: Request, module: GeneratedModule, driver: Driver, resul
     summary = {**result.summary, "state_error": error.states, "cost_error": error.cost}
     notes = (*result.notes, *([error.note] if error.is_large else []))
     return replace(result, error=error, summary=summary, notes=notes, labels={**result.labels, **_ERROR_LABELS})
-
-
-LEAST_ITERATIONS = 50
-"""Iterations that a search for the optimum on double steps has at least."""
-_ERROR_LABELS = {"state_error": "relative error of states", "cost_error": "relative error of the cost"}
-
-
-def _with_notes(module: GeneratedModule, result: Result) -> Result:
-    """The result with what is to be said of its motion between nodes."""
-    if not (is_control(module) and result.solved and result.unknowns is not None):
-        return result
-    where = module, result.unknowns, result.steps, result.grid
-    gross = [one.note for one in excursions(*where) if one.is_gross]
-    beyond = [stage.note for stage in stages_beyond(*where)]
-    return replace(result, notes=(*result.notes, *gross, *beyond, *(pole.note for pole in poles(*where))))
-
-
-def _background(request: Request, module: Any) -> Background:
-    """What pictures of the result need."""
-    file = getattr(module, "__file__", None)
-    path = None if file is None else Path(file)
-    if request.is_built:
-        return Background(module, path)
-    return Background(module, path, request.source, request.settings)
-
-
-def _built(request: Request, working: Working, processes: Compilers) -> tuple[Path | None, bool, float]:
-    """The file of the module, whether it is new, and the seconds of its derivation; no file of a loaded one."""
-    if request.is_built:
-        return (Path(request.problem) if isinstance(request.problem, Path | str) else None), False, 0.0
-    with working("Deriving"):
-        made = _made(request, processes.start if DRIVERS[request.driver].generated else lambda: None)
-    return made.path, made.written, made.seconds
-
-
-def _made(request: Request, deriving: Callable[[], None]) -> compiler.Build:
-    """The module by the scheme that is asked for; where accuracy is, by one of order four if the problem allows it."""
-    build = partial(
-        compiler.build, request.source, request.settings, method=request.method, controls=request.controls,
-        out=request.out, sensitivities=request.sensitivities, deriving=deriving,
-    )  # fmt: skip
-    if request.accuracy is not None and request.scheme is None:
-        with suppress(SchemeError):
-            made = build(scheme=ACCURATE_SCHEME)
-            if not _has_path_inequalities(made.path):
-                return made
-    return build(scheme=request.scheme)
-
-
-def _has_path_inequalities(path: Path) -> bool:
-    """Whether a module imposes inequalities inside intervals.
-
-    With a control that is constant on an interval they hold where they are strictest, and that error is of order one
-    where there are several stages.
-    """
-    kinds = (meaning.kind for meaning in getattr(loading.load(path).metadata, "meanings", {}).values())
-    return any(kind.role == Role.SLACK and kind not in (Kind.INTEGRAL_SLACK, Kind.BOUND_SLACK) for kind in kinds)
-
-
-def _tolerance(request: Request, grid: Matrix | None) -> float | None:
-    """The tolerance of the equations: where accuracy is asked for, what is left on the shortest interval is negligible.
-
-    Slopes by a control are in proportion to the length of its interval, and so is the weight with which a barrier may
-    still move it.
-    """
-    if request.tolerance is not None or request.accuracy is None or grid is None:
-        return request.tolerance
-    return max(LEAST_TOLERANCE, min(LARGEST_TOLERANCE, NEGLIGIBLE_PART * request.accuracy * float(grid.min())))
-
-
-_TOO_TIGHT = ("inaccurate", "stalled")
-"""How solves end whose tolerance is below what rounding allows."""
-
-
-def _looser(run: Run) -> float:
-    return min(LARGEST_TOLERANCE, 100.0 * (run.tolerance or LARGEST_TOLERANCE))
-
-
-def points_of(request: Request, module: GeneratedModule) -> PointSet | None:
-    """The points that are given, or those of the problem file, where there are any."""
-    file, own = request.points, module.metadata.points
-    if file is None and own and not request.is_built:
-        file = request.settings.points or request.source.folder / own
-    if isinstance(file, Path | str):
-        return read_points(Path(file), len(module.metadata.coordinates))
-    return file
-
-
-def _steps(request: Request, module: Any) -> int:
-    """The number of intervals, of each segment where the motion was cut into several."""
-    own: int = module.metadata.steps
-    segments = segments_of(module.metadata)
-    if request.steps is None:
-        return own
-    return segments.steps(request.steps) if segments else request.steps
-
-
-def _rounded(request: Request, module: Any) -> list[str]:
-    """What is to be said where there are more steps than were asked for."""
-    segments, asked = segments_of(module.metadata), request.steps
-    if segments is None or asked is None or asked % segments.number == 0:
-        return []
-    made = segments.number * segments.steps(asked)
-    why = f"as many in each of the {segments.number} segments between multiples of the delay"
-    return [f"codegen: note: {made} steps instead of {asked}, {why}"]
-
-
-def _solved(
-    request: Request, module: Any, driver: Driver, warm: Vector | None, points: PointSet | None, watch: Watch | None
-) -> Result:
-    """The result of all runs, which share the time: of several guesses, and on grids of which each is twice as fine."""
-    left = math.inf if request.time_limit is None else request.time_limit
-
-    def solve_from(steps: int, start: Vector | None, near: bool, grid: Vector | None = None) -> Result:
-        nonlocal left
-        run = Run(
-            steps, request.every, start, points, _tolerance(request, grid), near, request.max_iterations,
-            max(left, LEAST_TIME), watch, request.scaling, grid,
-        )  # fmt: skip
-        result = run_and_verify(module, driver, run, request.repeat)
-        left -= result.seconds_solve
-        while request.accuracy is not None and result.status in _TOO_TIGHT and _looser(run) != run.tolerance:
-            run = replace(run, tolerance=_looser(run), guess=result.unknowns)
-            result = run_and_verify(module, driver, run, request.repeat)
-            left -= result.seconds_solve
-        return result
-
-    def solve_on(steps: int, start: Vector | None, grid: Vector | None = None) -> Result:
-        if start is None and request.guesses > 1:
-            return best_of(lambda guess: solve_from(steps, guess, False, grid), module, steps, request.guesses)
-        return solve_from(steps, start, True, grid)
-
-    steps = _steps(request, module)
-    if request.accuracy is not None:
-        return to_accuracy(solve_on, module, steps, request.accuracy, warm)
-    if request.doublings:
-        return refine(solve_on, module, steps, request.doublings, warm)
-    return solve_on(steps, None if warm is None else transferred(module, warm, steps))

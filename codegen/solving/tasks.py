@@ -1,8 +1,7 @@
-"""The table of tasks: what may be done with a problem, and which functions do what is special to each.
+"""The table of tasks: for each task its options and the functions that depend on the task.
 
-Whoever would ask for a module's task takes its row instead, `task_of(module)`, and calls what stands there. The
-functions belong to files of higher floors, which are imported when they are called first: this file imports nothing
-slow, and parts of any floor may use it. What tasks have each in its own way is a field of the row.
+Code that depends on the task of a module calls the functions in the row `task_of(module)`. These functions belong to
+other files, which are imported on the first call. Hence this file imports nothing slow, and all rooms may use it.
 """
 
 from __future__ import annotations
@@ -15,11 +14,10 @@ from codegen.deferred import Deferred
 
 @dataclass(frozen=True)
 class Task:
-    """What is special to a task.
+    """The properties of a task.
 
-    `noun` is what it is called to solve such a problem. `options` are arguments of `codegen.solve` that mean something
-    for this task, whatever the driver; those that depend on the driver stand in the table of drivers. `functions` are
-    what a module of the task has at least.
+    `noun` names problems of the task in messages. `options` are arguments of `codegen.solve` that apply to the task
+    with every driver; the table of drivers has the other options. `functions` are required of a module of the task.
     """
 
     name: str
@@ -27,29 +25,30 @@ class Task:
     options: frozenset[str]
     functions: tuple[str, ...]
     result: Deferred
-    """(module, name of the driver, run, attempt) -> Result: residuals evaluated anew, false claims taken back."""
+    """(module, name of the driver, run, attempt) -> Result, from residuals that are evaluated outside the driver."""
     numbers: Deferred
-    """(metadata, run) -> how many floating-point numbers a run keeps."""
+    """(metadata, run) -> number of floating-point numbers that a run stores."""
     touch: Deferred
-    """(module, steps): have machine code ready of what drivers of scipy call."""
+    """(module, steps): load the machine code that drivers of scipy call."""
     small: Deferred
-    """(module): solve on a few intervals, or for a few particles, so that functions have been called once."""
+    """(module): solve on a few intervals, or for a few particles, which loads all machine code."""
     outline: Deferred
-    """(module, name of the driver, run, attempt) -> Outline: as `result`, without what is told of it beside."""
+    """(module, name of the driver, run, attempt) -> Outline: the part of the result that sweeps store."""
 
 
 def _task(name: str, noun: str, options: str, functions: str) -> Task:
-    """A row: what the functions are called that parts of the package have for a task."""
+    """Return the row of a task, whose functions are found by their names."""
+    file = "control" if name == "control" else "motions"
     return Task(
         name,
         noun,
         frozenset(options.split()),
         tuple(functions.split()),
-        result=Deferred(f"solving.results.{name}", f"{name}_result"),
-        numbers=Deferred(f"solving.results.{name}", "stored_numbers"),
-        touch=Deferred("solving.machine_code.parts", f"{name}_touched"),
-        small=Deferred("solving.machine_code.parts", f"{name}_small"),
-        outline=Deferred(f"solving.results.{name}", f"{name}_outline"),
+        result=Deferred(f"solving.results.{file}", f"{name}_result"),
+        numbers=Deferred(f"solving.results.{file}", f"{name}_numbers"),
+        touch=Deferred("solving.machine_code.compilation", f"{name}_touched"),
+        small=Deferred("solving.machine_code.compilation", f"{name}_small"),
+        outline=Deferred(f"solving.results.{file}", f"{name}_outline"),
     )
 
 
@@ -71,9 +70,9 @@ TASKS = {
         ),
     )
 }
-"""Every task by the name that problem files and modules give it; tests run over this table."""
+"""All tasks by name; tests run over this table."""
 
 
 def task_of(module: Any) -> Task:
-    """The task of a loaded module."""
+    """Return the task of a loaded module."""
     return TASKS[module.metadata.task]

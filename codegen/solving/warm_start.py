@@ -1,8 +1,8 @@
-"""Saved results to start from: reading a file of `--save`, and refusing one that belongs to another problem.
+"""Initial guesses: warm starts from saved results, several varied guesses, and transfer between time grids.
 
-Several first guesses: a nonlinear problem has local optima, and points near which its equations cannot be satisfied.
-The first guess is the problem's own. To each further one smooth curves are added, sums of a few sines that vanish at
-both ends with random amplitudes, one curve for each quantity. They are seeded: the same call gives the same guesses.
+A nonlinear problem has local optima, and points near which its equations cannot be satisfied. The first guess is that
+of the problem. Each further guess adds smooth curves, one for each quantity. Such a curve is a sum of a few sines that
+vanish at both ends and have random amplitudes. The seeds are fixed: the same call gives the same guesses.
 """
 
 from __future__ import annotations
@@ -18,20 +18,18 @@ import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.runtime.search.cascade import varied_guess
-from codegen.solving.interfaces import ControlModule, GeneratedModule, Vector
+from codegen.solving.loading import ControlModule, GeneratedModule, Matrix, Vector, time_grid
 from codegen.solving.results.result import Result, component_names
 from codegen.solving.results.segments import segments_of
-from codegen.solving.run import source_steps
 
+SAME = 1e-6
+"""Relative difference below which two costs belong to the same optimum."""
 _REMEDY = "give a file that --save wrote when this problem was solved"
 
 
 @dataclass(frozen=True)
 class SavedStart:
-    """The unknowns of a saved optimisation, and what the file says of their meaning, if it does.
-
-    `names` are those of the columns of q and u; `nodes` is how many times there are.
-    """
+    """The unknowns of a saved optimisation; names of the columns of q and u, and the number of nodes, if saved."""
 
     path: Path
     unknowns: Vector
@@ -40,7 +38,7 @@ class SavedStart:
 
 
 def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Vector | None]:
-    """What gives the unknowns to start from, read from their file already, once there is a module for them to fit."""
+    """Read a warm start; return the function that checks the warm start against a module and returns the unknowns."""
     if warm is None:
         return lambda module: None
     if not isinstance(warm, Path | str):
@@ -51,7 +49,7 @@ def start_of(warm: Vector | Path | str | None) -> Callable[[GeneratedModule], Ve
 
 
 def read_start(path: Path) -> SavedStart:
-    """Read a saved optimisation; ArgumentError when there is no such file, or no solution in it."""
+    """Read a saved optimisation; raise ArgumentError for a missing file, and for a file without a solution."""
     if not path.is_file():
         raise ArgumentError(f"--warm {path}: {'is a directory' if path.is_dir() else 'no such file'}", _REMEDY)
     try:
@@ -71,7 +69,6 @@ def read_start(path: Path) -> SavedStart:
 
 
 def _vector(what: str, values: Any, remedy: str) -> Vector:
-    """Values as a vector; ArgumentError says what is none."""
     try:
         vector = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
@@ -82,18 +79,19 @@ def _vector(what: str, values: Any, remedy: str) -> Vector:
 
 
 def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
-    """The saved unknowns, if they may be those of a module; ArgumentError tells by what they are not.
+    """Return the saved unknowns; raise ArgumentError if they belong to another problem than the module.
 
-    A file without names is judged by its size alone.
+    Only the number of unknowns is compared if the file has no names.
     """
-    own, segments = component_names(module.metadata), segments_of(module.metadata)
+    names, segments = component_names(module.metadata), segments_of(module.metadata)
     if segments is not None:
-        own = {kind: segments.columns(names)[0] for kind, names in own.items()}
-    for kind, what in (("q", "coordinates"), ("u", "controls")):
-        given = saved.names.get(kind, ())
-        if saved.names and given != own[kind]:
-            differ = f"its {what} are {_listed(given)}, those of the problem {_listed(own[kind])}"
-            raise ArgumentError(f"--warm {saved.path}: {differ}", _REMEDY)
+        names = {kind: segments.columns(columns)[0] for kind, columns in names.items()}
+    for kind, quantities in (("q", "coordinates"), ("u", "controls")):
+        in_file = saved.names.get(kind, ())
+        if saved.names and in_file != names[kind]:
+            lists = [", ".join(each) or "none" for each in (in_file, names[kind])]
+            finding = f"--warm {saved.path}: its {quantities} are {lists[0]}, those of the problem {lists[1]}"
+            raise ArgumentError(finding, _REMEDY)
     remedy = f"{_REMEDY}, by the same method, scheme and controls"
     try:
         steps = source_steps(cast(ControlModule, module), saved.unknowns)
@@ -107,43 +105,77 @@ def fitting(saved: SavedStart, module: GeneratedModule) -> Vector:
     return saved.unknowns
 
 
-def _listed(names: tuple[str, ...]) -> str:
-    return ", ".join(names) or "none"
-
-
-SAME = 1e-6
-"""The relative difference up to which two costs belong to one optimum."""
-
-
 def varied(module: ControlModule, steps: int, seed: int) -> Vector:
-    """The problem's own guess on N = `steps` intervals with a random smooth curve added to every quantity."""
+    """Return the guess of the problem on N = `steps` intervals with a random smooth curve added to every quantity."""
     grid = module.make_grid(steps)
     guess: Vector = varied_guess(grid, module.initial_guess(grid), seed)
     return guess
 
 
 def best_of(solve: Callable[[Vector | None], Result], module: ControlModule, steps: int, starts: int) -> Result:
-    """Solve from `starts` guesses; the solution of least cost, or the first failure where nothing is solved.
+    """Solve from `starts` guesses; return the solution of least cost, or the first failure if no guess succeeds.
 
-    Every guess has a line in `attempts`. The summary gains how many guesses were solved, and how many of them ended in
-    the optimum that is returned.
+    `attempts` has a line for every guess. The summary has the number of solved guesses, and the number of those that
+    have the cost of the returned solution.
     """
     results = [solve(None), *(solve(varied(module, steps, seed)) for seed in range(1, starts))]
-    solved = [result for result in results if result.solved and result.cost is not None]
-    best = min(solved, key=_cost, default=results[0])
-    alike = sum(abs(_cost(result) - _cost(best)) <= SAME * max(1.0, abs(_cost(best))) for result in solved)
-    return replace(
-        best,
-        attempts=tuple(_line(number, result) for number, result in enumerate(results, start=1)),
-        summary={**best.summary, "guesses": starts, "guesses_solved": len(solved), "guesses_with_this_cost": alike},
-    )
+    solved = [(result.cost, result) for result in results if result.solved and result.cost is not None]
+    least, best = min(solved, key=lambda pair: pair[0], default=(np.inf, results[0]))
+    alike = sum(abs(cost - least) <= SAME * max(1.0, abs(least)) for cost, _ in solved)
+    attempts = []
+    for number, result in enumerate(results, start=1):
+        origin = "the problem's own" if number == 1 else "varied"
+        cost = f", cost {result.cost:.9g}" if result.solved and result.cost is not None else ""
+        attempts.append(f"guess {number} ({origin}): {result.status}, {result.iterations} iterations{cost}")
+    summary = {**best.summary, "guesses": starts, "guesses_solved": len(solved), "guesses_with_this_cost": alike}
+    return replace(best, attempts=tuple(attempts), summary=summary)
 
 
-def _cost(result: Result) -> float:
-    return float("inf") if result.cost is None else result.cost
+def transferred(
+    module: ControlModule, unknowns: Vector, steps: int, source: Vector | None = None, target: Vector | None = None
+) -> Vector:
+    """Return the unknowns of a solution on a grid of N = `steps` intervals, interpolated in time without overshoot.
+
+    Values at nodes are interpolated between nodes, and values on intervals between midpoints, in every phase
+    separately. Intervals are equal, or last the fractions `source` in the solution and `target` in the new grid. Raise
+    NumericsError if the vector belongs to another problem.
+    """
+    old_steps = source_steps(module, unknowns)
+    old_grid, new_grid = time_grid(module, old_steps, source), time_grid(module, steps, target)
+    result = np.zeros(new_grid.is_multiplier.size)
+    old_nodes, old_intervals = module.views(old_grid, unknowns)
+    new_nodes, new_intervals = module.views(new_grid, result)
+    old_times, new_times = old_grid.nodes / old_steps, new_grid.nodes / steps
+    old_middles, new_middles = (0.5 * (times[:-1] + times[1:]) for times in (old_times, new_times))
+    for phase in range(module.metadata.phases):
+        first = min(phase, 1)  # the node at a switch belongs to the phase before, since it has the values before a jump
+        old, new = (slice(phase * n + first, (phase + 1) * n + 1) for n in (old_steps, steps))
+        new_nodes[:, new] = _interpolated(old_times[old], old_nodes[:, old], new_times[new])
+        old, new = (slice(phase * n, (phase + 1) * n) for n in (old_steps, steps))
+        new_intervals[:, new] = _interpolated(old_middles[old], old_intervals[:, old], new_middles[new])
+    root = module.problem.structure.root
+    result[result.size - root :] = unknowns[unknowns.size - root :]
+    return module.with_pinned_values(new_grid, result)
 
 
-def _line(number: int, result: Result) -> str:
-    origin = "the problem's own" if number == 1 else "varied"
-    cost = f", cost {result.cost:.9g}" if result.solved and result.cost is not None else ""
-    return f"guess {number} ({origin}): {result.status}, {result.iterations} iterations{cost}"
+def _interpolated(t: Vector, values: Matrix, at: Vector) -> Matrix:
+    if t.size == 1:
+        return np.repeat(values, at.size, axis=1)
+    from scipy.interpolate import PchipInterpolator  # which takes long to import
+
+    with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+        return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
+
+
+def source_steps(module: ControlModule, unknowns: Vector) -> int:
+    """Return the number of intervals of each phase for a vector of unknowns."""
+    metadata, root = module.metadata, module.problem.structure.root
+    node, bodies = len(metadata.node), metadata.bodies
+    phase = metadata.phases * (node + len(metadata.interval))
+    steps: int
+    steps, rest = divmod((unknowns.size - root) // bodies - node, phase)
+    if rest or steps < 1 or bodies * (steps * phase + node) + root != unknowns.size:
+        raise NumericsError(
+            f"the start has {unknowns.size} unknowns, which fit no number of steps", "use a solution of this problem"
+        )
+    return steps

@@ -1,4 +1,4 @@
-"""The directive `signature`: how a name of the package is called, and its docstring, which is Markdown already."""
+"""The directive `signature`: the call of a name of the package, and its docstring, whose sections become lists."""
 
 from __future__ import annotations
 
@@ -40,6 +40,26 @@ def text(name: str) -> str:
         if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
     ]
     return str(below[0]) if below else ""
+
+
+def markdown(docstring: str) -> list[str]:
+    """Return a docstring as Markdown: a section of numpydoc becomes a bold heading and a list of its entries."""
+    lines, written, section = docstring.splitlines(), list[str](), ""
+    for number, line in enumerate(lines):
+        following = lines[number + 1] if number + 1 < len(lines) else ""
+        if line and set(line) == {"-"}:
+            continue
+        if line and following and set(following) == {"-"}:
+            section = line
+            written += [f"**{line}**", ""]
+        elif section not in ("", "Notes") and line and not line.startswith(" "):
+            entry, _, kind = line.partition(" : ")
+            is_named = kind or section in ("Parameters", "Attributes")
+            names = ", ".join(f"`{each}`" for each in entry.split(", ")) if is_named else entry
+            written.append(f"- {names}{f' ({kind})' if kind else ''}")
+        else:
+            written.append(f"  {line.strip()}" if section not in ("", "Notes") and line else line)
+    return written
 
 
 def call(name: str) -> str:
@@ -90,8 +110,7 @@ class Signature(SphinxDirective):
         block = nodes.literal_block("", call(name), language="python")
         shown = nodes.container()
         if "no-text" not in self.options:
-            lines = text(name).splitlines()
-            self.state.nested_parse(StringList(lines, source=name), 0, shown)
+            self.state.nested_parse(StringList(markdown(text(name)), source=name), 0, shown)
         return [block, *shown.children]
 
 

@@ -29,7 +29,7 @@ from compiled_modules import compiled
 from published_references import PUBLISHED
 
 from codegen.solving.compiler import build
-from codegen.solving.interfaces import time_grid
+from codegen.solving.loading import time_grid
 from codegen.solving.results.control import held_at_bounds
 from codegen.solving.results.estimates import Fit, estimates_of
 

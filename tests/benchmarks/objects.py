@@ -25,7 +25,7 @@ import codegen
 from pathlib import Path
 file = Path({file!r})
 if {kind!r} == "object":
-    from codegen.problem.problem_file import written_problem
+    from codegen.problem.sources import written_problem
     title, problem, _ = written_problem(file, {{}})
     given, named = problem, dict(name=file.stem, title=title)
 else:

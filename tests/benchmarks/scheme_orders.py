@@ -22,7 +22,7 @@ from simulation_systems import model_of, text_of  # noqa: E402
 from codegen.discretise import schemes  # noqa: E402
 from codegen.emit import rendering  # noqa: E402
 from codegen.evidence.report.drift import answer, drift_values  # noqa: E402
-from codegen.solving.cache import cache_folder  # noqa: E402
+from codegen.solving.compiler import cache_folder  # noqa: E402
 from codegen.solving.loading import load  # noqa: E402
 
 MOMENTUM, DURATION, LONG = 1.4, 2.0, 1_000_000

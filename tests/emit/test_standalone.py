@@ -21,8 +21,7 @@ from codegen.emit.rendering import is_whole
 from codegen.emit.standalone import File, bundle
 from codegen.errors import ModuleError
 from codegen.solving.compiler import build
-from codegen.solving.interfaces import is_control
-from codegen.solving.loading import load
+from codegen.solving.loading import is_control, load
 
 MODULES = {
     "cart_pole": {},  # optimal control: all of the search is in it, with bounds or without

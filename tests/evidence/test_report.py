@@ -14,7 +14,7 @@ from conftest import PROBLEMS
 from codegen.cli import main
 from codegen.evidence.report import landmark_motion, landmark_questions, landmark_study, page, settings
 from codegen.evidence.report.store import Case, Store
-from codegen.solving.results.connect import intersecting_paths
+from codegen.solving.results.motions import intersecting_paths
 
 
 @pytest.fixture

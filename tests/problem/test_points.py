@@ -9,7 +9,7 @@ from conftest import PROBLEMS
 from codegen.cli import main
 from codegen.errors import PointsError
 from codegen.problem.points import read_points
-from codegen.solving.results.connect import intersecting_paths
+from codegen.solving.results.motions import intersecting_paths
 
 HEAD = "x0,y0,x1,y1\n"
 

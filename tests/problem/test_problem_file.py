@@ -157,7 +157,7 @@ def test_input_digest_sees_every_input_and_no_order(tmp_path: Path) -> None:
 
 def test_import_and_digest_need_neither_sympy_nor_numba() -> None:
     program = (
-        "import sys, pathlib, codegen.problem.problem_file as p, codegen.problem.sources as s\n"
+        "import sys, pathlib, codegen.problem.sources as p, codegen.problem.sources as s\n"
         "p.parse_arguments(['a=1']), s.input_digest(pathlib.Path(sys.argv[1]), {})\n"
         "print(sorted({'sympy', 'numba', 'numpy', 'scipy'} & set(sys.modules)))"
     )

@@ -13,7 +13,7 @@ from refused_files import PROBLEMS, refusal
 
 from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ArgumentError, CodegenError, ProblemFileError
-from codegen.problem.problem_file import parse_arguments
+from codegen.problem.sources import parse_arguments
 
 TYPED = '''"""Arguments of every type."""
 

@@ -14,7 +14,7 @@ from codegen.discretise.model.from_problem import load_problem
 from codegen.errors import ExpressionError
 from codegen.problem import symbols
 from codegen.problem.particles import ParticleQuantity, particles
-from codegen.problem.quantities import Quantity
+from codegen.problem.symbols import Quantity
 
 T = time()
 Q, DQ = coordinate("q")

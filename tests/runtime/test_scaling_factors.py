@@ -17,7 +17,7 @@ from codegen.runtime.search.solve import scaled_unknowns
 from codegen.runtime.search.termination import sizes_of_terms
 from codegen.solving import api
 from codegen.solving.compiler import build
-from codegen.solving.interfaces import time_grid
+from codegen.solving.loading import time_grid
 
 POISON = 1.093664682973  # IPOPT 3.14 on the same program
 

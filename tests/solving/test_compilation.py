@@ -13,7 +13,7 @@ from sympy import exp, log
 from codegen.emit.lower.printer import stabilised
 from codegen.solving import loading
 from codegen.solving.compiler import build
-from codegen.solving.machine_code.parts import parts_of
+from codegen.solving.machine_code.compilation import parts_of
 
 COUNT = """
 import sys

@@ -12,7 +12,7 @@ from codegen.problem.points import PointSet, read_points
 from codegen.runtime.particles import cascade, shooting
 from codegen.runtime.particles.steps import follow
 from codegen.solving import api
-from codegen.solving.results.connect import connect_result
+from codegen.solving.results.motions import connect_result
 from codegen.solving.results.result import ConnectAttempt, Run
 
 

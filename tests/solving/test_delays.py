@@ -172,7 +172,7 @@ def test_a_solve_is_of_the_whole_motion(interpreted: Interpreted, folder: Path):
     module = interpreted("delayed_oscillator")
     outcome = outcome_of(Request(module, steps=98))
     result = outcome.result
-    assert outcome.said == [
+    assert outcome.notices == [
         "codegen: note: 100 steps instead of 98, as many in each of the 5 segments between multiples of the delay"
     ]
     assert result.cost == pytest.approx(CALMED[100], rel=1e-10)

@@ -23,7 +23,7 @@ from codegen.runtime.search.bounds import prescribed_beyond
 from codegen.runtime.search.solve import has_run_away
 from codegen.solving import api
 from codegen.solving.compiler import generate
-from codegen.solving.interfaces import time_grid
+from codegen.solving.loading import time_grid
 from codegen.solving.results.output import notes
 from codegen.solving.results.result import STATUSES
 

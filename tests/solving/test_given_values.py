@@ -10,8 +10,7 @@ import pytest
 from codegen.batch.quantities import quantities
 from codegen.errors import ArgumentError
 from codegen.solving.loading import load
-from codegen.solving.request import with_values
-from codegen.solving.results.overrides import as_number, duration_arguments, parameter_arguments, prescribed_ends
+from codegen.solving.request import as_number, duration_arguments, parameter_arguments, prescribed_ends, with_values
 
 GENERATED = Path(__file__).parents[2] / "generated"
 

@@ -137,7 +137,7 @@ def test_all_guesses_and_grids_share_the_time(interpreted, monkeypatch):
             super().__init__(limit, watch)
 
     monkeypatch.setattr(solution, "Log", Recording)
-    monkeypatch.setattr("codegen.solving.run.time.perf_counter", Clock())  # every solve takes one second
+    monkeypatch.setattr("codegen.solving.outcome.time.perf_counter", Clock())  # every solve takes one second
     result = api.solve(module, steps=10, time_limit=1.5, guesses=2, doublings=1)
     assert result.levels[0].status == "solved"
     assert limits[0] == 1.5
@@ -216,7 +216,7 @@ def test_a_long_solve_tells_of_itself_on_a_terminal_only(monkeypatch):
 def solved(monkeypatch, interpreted, *words):
     """What `codegen solve` prints with a module that is run by the interpreter."""
     monkeypatch.setattr("codegen.solving.loading.load", lambda path: interpreted("cart_pole"))
-    monkeypatch.setattr("codegen.solving.machine_code.ahead_of_time.require", lambda *_: (0.0, []))
+    monkeypatch.setattr("codegen.solving.machine_code.processes.require", lambda *_: (0.0, []))
     found = CliRunner().invoke(main, ["solve", str(PROBLEMS / "cart_pole.py"), "--steps", "10", "--json", *words])
     return json.loads(found.stdout), found.stderr
 

@@ -13,8 +13,8 @@ import pytest
 from codegen.runtime import kept_code
 from codegen.solving.compiler import build
 from codegen.solving.loading import load, machine_code_counts
-from codegen.solving.machine_code import ahead_of_time
-from codegen.solving.machine_code.parts import has_machine_code
+from codegen.solving.machine_code import processes
+from codegen.solving.machine_code.compilation import has_machine_code
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "pendulum.py"
 
@@ -24,13 +24,13 @@ def test_a_module_without_machine_code_is_compiled_once(tmp_path):
     module = load(made.path)
     assert not has_machine_code(module)
     before = machine_code_counts(module)
-    assert ahead_of_time.require(made.path, module, made.written, nullcontext)[0] > 0.0
+    assert processes.require(made.path, module, made.written, nullcontext)[0] > 0.0
     assert has_machine_code(module)
     module.solve(2)
     compiled, read = machine_code_counts(module)
     assert compiled == before[0]
     assert read > before[1]
-    assert ahead_of_time.require(made.path, module, False, nullcontext) == (0.0, [])
+    assert processes.require(made.path, module, False, nullcontext) == (0.0, [])
 
 
 def test_it_is_said_what_is_compiled_and_how_much_of_it_is_done(tmp_path):
@@ -52,9 +52,9 @@ def test_it_is_said_what_is_compiled_and_how_much_of_it_is_done(tmp_path):
         return Line()
 
     made = build(PROBLEM, out=tmp_path / "first")
-    ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)
+    processes.require(made.path, load(made.path), made.written, nullcontext)
     made = build(PROBLEM, out=tmp_path / "second")
-    ahead_of_time.require(made.path, load(made.path), made.written, working)
+    processes.require(made.path, load(made.path), made.written, working)
     count = len(said) - 1
     assert said == ["Compiling", *(f"Compiling: {done + 1} of {count} parts ..." for done in range(count))]
     assert count > 2
@@ -65,7 +65,7 @@ def script(tmp_path):
     return f"""
 import sys
 from contextlib import nullcontext
-from codegen.solving.machine_code import ahead_of_time
+from codegen.solving.machine_code import processes
 from codegen.solving.compiler import build
 from codegen.solving.loading import load
 
@@ -75,7 +75,7 @@ said = []
 def working(what):
     said.append(what)
     return nullcontext()
-print(*[ahead_of_time.require(made.path, module, is_new, working)[0] > 0.0 for is_new in (True, False)])
+print(*[processes.require(made.path, module, is_new, working)[0] > 0.0 for is_new in (True, False)])
 print(*said, sep="; ")
 """
 
@@ -146,7 +146,7 @@ def test_folders_that_cannot_be_written_to_are_no_reason_to_fail(tmp_path, runti
 def test_machine_code_that_was_cut_off_is_made_anew(tmp_path):
     """In every file of a module, and of an index; it is said where it was."""
     made = build(PROBLEM, out=tmp_path)
-    ahead_of_time.require(made.path, load(made.path), made.written, nullcontext)
+    processes.require(made.path, load(made.path), made.written, nullcontext)
     program = f"""
 import codegen
 print(codegen.solve({str(made.path)!r}).status)

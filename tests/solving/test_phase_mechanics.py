@@ -23,7 +23,7 @@ from codegen import (
 from codegen.show import figures
 from codegen.show.figures.quantities import quantities
 from codegen.solving import api
-from codegen.solving.run import transferred
+from codegen.solving.warm_start import transferred
 
 N = 4
 

@@ -8,9 +8,9 @@ from conftest import PROBLEMS
 
 from codegen.errors import ArgumentError, NumericsError
 from codegen.solving import api
+from codegen.solving.arcs import order_of_optima
 from codegen.solving.results import output
-from codegen.solving.run import order_of_optima, source_steps, transferred
-from codegen.solving.warm_start import fitting, read_start
+from codegen.solving.warm_start import fitting, read_start, source_steps, transferred
 
 
 def test_error_estimate_against_the_closed_form(interpreted):

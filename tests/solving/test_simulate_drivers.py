@@ -10,8 +10,8 @@ import pytest
 from codegen.errors import ArgumentError
 from codegen.solving import api
 from codegen.solving.drivers.newton import simulate as newton
+from codegen.solving.results.motions import simulate_result
 from codegen.solving.results.result import Run
-from codegen.solving.results.simulate import simulate_result
 
 
 @pytest.mark.parametrize("every", [1, 7])

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 from codegen.errors import CodegenError, clause
 from codegen.files import refused
-from codegen.solving.cache import cache_folder
+from codegen.solving.compiler import cache_folder
 
 if TYPE_CHECKING:
     from rich.table import Table

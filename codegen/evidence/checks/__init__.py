@@ -36,8 +36,7 @@ from codegen.evidence.checks.evaluation import NoPointError
 from codegen.problem.points import recorded_files
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.solving import compiler
-from codegen.solving.interfaces import is_of_particles
-from codegen.solving.loading import load
+from codegen.solving.loading import is_of_particles, load
 
 Finder: TypeAlias = Callable[[Context], Iterable[Finding]]
 

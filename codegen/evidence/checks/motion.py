@@ -25,7 +25,7 @@ from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import InnerCondition, Model
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.solving.drivers import find
-from codegen.solving.interfaces import Vector
+from codegen.solving.loading import Vector
 from codegen.solving.results.control import control_result
 from codegen.solving.results.result import Result, Run
 from codegen.solving.results.segments import put_together, segments_of

@@ -24,7 +24,7 @@ from codegen.problem.points import PointSet
 from codegen.solving import api
 from codegen.solving.drivers import DRIVERS
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.interfaces import ConnectModule, Vector
+from codegen.solving.loading import ConnectModule, Vector
 
 REFERENCES, TABLE, TOLERANCES, WORK = "references", "table 5.2", "tolerances", "work and precision"
 EXACT = 1e-13

@@ -28,7 +28,7 @@ from codegen.evidence.report.store import Case, Store, Values
 from codegen.problem.points import PointSet
 from codegen.solving import api
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.interfaces import ConnectModule, Matrix, Vector
+from codegen.solving.loading import ConnectModule, Matrix, Vector
 
 JUMPS_SECTION = "jumps"
 LOOSE, TIGHT = 1e-6, 1e-14

@@ -38,10 +38,10 @@ from codegen.evidence.report.settings import Extent
 from codegen.evidence.report.store import Case, Store, Values
 from codegen.runtime.search import point
 from codegen.solving import api, drivers
-from codegen.solving.interfaces import ControlModule, GeneratedModule, Vector, is_control
+from codegen.solving.arcs import order_of_optima
+from codegen.solving.loading import ControlModule, GeneratedModule, Vector, is_control
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
-from codegen.solving.run import order_of_optima
 
 FAR = 0.2
 """Costs that differ by more than this part belong to optima that have nothing in common."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from codegen.problem.points import PointSet, read_points
 from codegen.solving.compiler import build
-from codegen.solving.interfaces import ConnectModule
-from codegen.solving.loading import load
+from codegen.solving.loading import ConnectModule, load
 
 NODES = tuple(range(10, 101, 5))
 """The thesis's numbers of steps, 10:5:100."""

@@ -27,7 +27,7 @@ from codegen.evidence.report.optima import well_timed
 from codegen.evidence.report.orders import Order, is_exhausted, measured_order
 from codegen.evidence.report.settings import Extent
 from codegen.evidence.report.store import Case, Store, Values
-from codegen.solving.interfaces import SimulateModule, Vector, is_simulation
+from codegen.solving.loading import SimulateModule, Vector, is_simulation
 
 TIGHT, LOOSE = 3e-14, 1e-13
 """Relative tolerances of the reference, and of the run that tells how far it can be trusted."""

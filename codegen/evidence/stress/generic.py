@@ -14,8 +14,7 @@ from codegen.errors import CodegenError
 from codegen.evidence.stress.cases import EXPECTATIONS, OUTCOMES, Case, Setup, Values
 from codegen.evidence.stress.families.common import registered
 from codegen.runtime.record import Form, Record
-from codegen.solving.interfaces import is_connect, is_of_particles
-from codegen.solving.loading import load
+from codegen.solving.loading import is_connect, is_of_particles, load
 
 FACTORS = (1e-12, 1e-6, 1e6, 1e12)
 STEPS = (1, 2, 10)

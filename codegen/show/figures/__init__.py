@@ -16,7 +16,7 @@ from codegen.show.figures.picture import finished, using, write
 from codegen.show.figures.simulation import connect_figure, simulation_figure, specimen_figure
 from codegen.show.figures.style import label
 from codegen.show.figures.sweep import sweep_figure
-from codegen.solving.interfaces import GeneratedModule, is_connect, is_control
+from codegen.solving.loading import GeneratedModule, is_connect, is_control
 from codegen.solving.results.result import Result
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from codegen.show.figures.picture import letter_size, letters_across, new_figure
 from codegen.show.figures.style import AMBER, BLUE, CRIMSON, GREY, RED, label
-from codegen.solving.interfaces import Matrix, Vector
+from codegen.solving.loading import Matrix, Vector
 
 MOST_STATES, MOST_INPUTS = 12, 8
 """Panels of each kind at most."""

@@ -31,7 +31,7 @@ from codegen.show.figures.style import (
     quantity,
     title,
 )
-from codegen.solving.interfaces import ControlModule, Matrix, Vector, time_grid
+from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit
 from codegen.solving.results.result import Result, Sensitivities
 from codegen.solving.results.sensitivities import quantity_values

@@ -24,7 +24,7 @@ from codegen.show.figures.style import (
     label,
     relation,
 )
-from codegen.solving.interfaces import Matrix, Vector
+from codegen.solving.loading import Matrix, Vector
 
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}
 """The colour of each kind of quantity, where there is one body."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from codegen.runtime.record import Form, Meaning, Method, Place
 from codegen.runtime.search.grid import free_unknowns
-from codegen.solving.interfaces import ControlModule, Matrix, Vector, time_grid
+from codegen.solving.loading import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.result import Result
 from codegen.solving.results.segments import Segments, multiplier_names, put_together, segments_of
 

@@ -17,7 +17,7 @@ from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
 from codegen.show.figures.picture import letter_size, new_figure
 from codegen.show.figures.style import AMBER, BLUE, DARK, GREY, RED, Units, title
-from codegen.solving.interfaces import ConnectModule, Vector
+from codegen.solving.loading import ConnectModule, Vector
 from codegen.solving.results.result import Result
 
 _MOST_COORDINATES = 12

@@ -1,7 +1,7 @@
-"""The registry of drivers: ways to solve what a generated module describes.
+"""The registry of drivers: methods that solve the problem of a generated module.
 
-`newton` is the generated solver itself; the others hand the module's functions to scipy, so that its answers can be
-cross-checked. Importing this file imports no driver, and neither numpy nor numba nor scipy.
+`newton` is the generated solver. The other drivers call scipy or IPOPT with the functions of the module, for
+comparison. Importing this file imports no driver, and neither numpy nor numba nor scipy.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from codegen.errors import ArgumentError
 
 @dataclass(frozen=True)
 class Driver:
-    """Name, summary, and by task the options of a request that it takes; its file has a function named after each.
+    """Name, summary, and the options of a request that apply to a driver, by task.
 
-    The one that is `generated` is the module's own solver: it calls nothing of a module but that, and explains itself.
+    The file of a driver has a function for each task. The driver that is `generated` is the module's own solver. It
+    calls only `solve` of a module, and its messages are complete.
     """
 
     name: str
@@ -30,15 +31,15 @@ class Driver:
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """Those that it applies to."""
+        """The tasks of the driver."""
         return tuple(self.options)
 
     def takes(self, task: str, option: str) -> bool:
-        """Whether an option means something to it for a task."""
+        """Return True if an option applies to the driver for a task."""
         return option in self.options.get(task, ())
 
     def function(self, task: str) -> Callable[..., Any]:
-        """The function (module, run) -> attempt for a task, imported when it is asked for."""
+        """Import and return the function (module, run) -> attempt for a task."""
         return getattr(import_module(f"codegen.solving.drivers.{self.file}"), task)  # type: ignore[no-any-return]
 
 
@@ -69,11 +70,11 @@ _ROWS = (
 )  # fmt: skip
 
 DRIVERS: dict[str, Driver] = {driver.name: driver for driver in _ROWS}
-"""Every driver by name; tests run over this table."""
+"""All drivers by name; tests run over this table."""
 
 
 def find(name: str, task: str | None = None) -> Driver:
-    """The driver of that name, which must apply to the task; ArgumentError tells which do."""
+    """Return the driver with a name; raise ArgumentError if the driver does not exist or does not apply to the task."""
     if not isinstance(name, str) or name not in DRIVERS:
         close = difflib.get_close_matches(str(name), DRIVERS, 1)
         remedy = f"did you mean {close[0]}?" if close else f"use one of {', '.join(DRIVERS)}"

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from codegen.solving.drivers.shared import quiet_single_thread, require_at_most, require_method, verdict
-from codegen.solving.interfaces import ConnectModule, Vector
-from codegen.solving.results.connect import case_of
+from codegen.solving.loading import ConnectModule, Vector
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, Run
 
 LIMIT = 24
@@ -25,9 +25,11 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
         return value if np.isfinite(value) else 1e10
 
     with quiet_single_thread():
-        found = minimize(
+        solution = minimize(
             distance, start, method="Nelder-Mead",
             options={"maxiter": 400 * start.size, "maxfev": 800 * start.size, "xatol": 1e-10, "fatol": 1e-18,
                      "adaptive": start.size > 6},
         )  # fmt: skip
-    return verdict(module, "fmin", case, module.trajectory(case, found.x)[1], int(found.nit), 1e-6, found.message)
+    return verdict(
+        module, "fmin", case, module.trajectory(case, solution.x)[1], int(solution.nit), 1e-6, solution.message
+    )

@@ -1,4 +1,4 @@
-"""MINPACK's hybrid Powell method with exact Jacobians: implicit steps, and the KKT system as square equations.
+"""MINPACK's hybrid Powell method with exact Jacobians, for implicit steps, and for the KKT system as square equations.
 
 Source: Powell (1970), A hybrid method for nonlinear equations; More, Garbow and Hillstrom (1980), User guide for
 MINPACK-1.
@@ -24,18 +24,17 @@ from codegen.solving.drivers.shared import (
     require_small,
     verdict,
 )
-from codegen.solving.interfaces import (
+from codegen.solving.loading import (
     ConnectModule,
     ControlModule,
     ImplicitModule,
     Matrix,
     SimulateModule,
-    StepGrid,
     Vector,
     is_implicit,
     is_of_particles,
 )
-from codegen.solving.results.connect import case_of
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
 TOLERANCE = 1e-8
@@ -45,9 +44,8 @@ LIMIT = 3000
 def control(module: ControlModule, run: Run) -> ControlAttempt:
     """Solve residual = 0 and stationarity = 0 for unknowns and multipliers together.
 
-    Finds a stationary point, which need not be a minimum. Equations are not scaled: the method finds scales of the
-    unknowns by itself. Of 60 searches (four problems, 10 to 30 steps) 55 were solved so, and fewer than half
-    by scaled rows.
+    The stationary point need not be a minimum. Equations are not scaled: the method determines scales of the unknowns.
+    Of 60 searches (four problems, 10 to 30 steps) 55 were solved, and fewer than half with scaled rows.
     """
     if module.metadata.inequalities:
         raise ArgumentError(
@@ -78,27 +76,34 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Solve the equations of each step from the scheme's own prediction; iterations are evaluations of the residual.
+    """Solve the equations of each step from the prediction of the scheme; iterations are evaluations of the residual.
 
-    Raises ArgumentError when the scheme is explicit for this problem, and for particles.
+    Raises ArgumentError for an explicit scheme, and for particles.
     """
     if not _is_stepwise(module):
         raise ArgumentError(
             f"driver fsolve has nothing to solve: {module.metadata.scheme} is explicit for this problem",
             "use newton, or a scheme that is implicit for it",
         )
-    grid = module.make_grid(run.steps)
+    grid, residual, jacobian = module.make_grid(run.steps), module.residual, module.jacobian
     states, evaluations = [grid.start], 0
     status, message = "solved", ""
     with quiet_single_thread():
         for k in range(grid.steps):
-            y, details, code, reason = _solve_step(module, grid, states[-1], k * grid.h)
+            state, t = states[-1], k * grid.h
+            y, details, code, reason = fsolve(
+                lambda y, state=state, t=t: residual(grid, y, state, t),
+                module.predict(grid, state, t),
+                fprime=lambda y, state=state, t=t: jacobian(grid, y, state, t),
+                full_output=True,
+                xtol=1e-13,
+            )
             evaluations += int(details["nfev"])
             status, message = _verdict(y, details, code, reason)
             if status != "solved":
                 message = f"in step {k + 1} of {grid.steps}, from t = {k * grid.h:g}, {message}"
                 break
-            states.append(np.asarray(module.complete(grid, y, states[-1], k * grid.h)))
+            states.append(np.asarray(module.complete(grid, y, state, t)))
     path, steps = np.array(states), len(states) - 1
     stored = np.unique([*range(0, steps + 1, run.every), steps])
     times, dimension = grid.h * stored, path.shape[1] // 2
@@ -117,7 +122,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Solve the module's equations, of the initial momenta or of all nodes, with their generated Jacobian."""
+    """Solve the equations of the module, for initial momenta or for all nodes, with their generated Jacobian."""
     require_method(module, "fsolve", ("stepping", "full"))
     case = case_of(module, run)
     shooting = module.metadata.method == Method.STEPPING
@@ -127,19 +132,19 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
     derivative = module.jacobian if shooting else module.all_equations_jacobian
     start = module.first_momenta(case).ravel() if shooting else module.first_unknowns(case)
     with quiet_single_thread():
-        found, details, _, reason = fsolve(
+        y, details, _, reason = fsolve(
             lambda y: finite(equations(case, y)),
             start,
             fprime=lambda y: finite(derivative(case, y)),
             full_output=True,
             xtol=1e-13,
         )
-    path = module.trajectory(case, found)[1] if shooting else module.path_of(case, found)
+    path = module.trajectory(case, y)[1] if shooting else module.path_of(case, y)
     return verdict(module, "fsolve", case, path, int(details["nfev"]), 1e-8, reason)
 
 
 def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
-    """Whether a step is one system of equations; ArgumentError where it is several, or its module's own."""
+    """Return True if a step is one system of equations; ArgumentError for several systems, and for particles."""
     if is_of_particles(module):
         raise ArgumentError(
             "driver fsolve does not solve the steps of particles, whose module has its own Newton method", "use newton"
@@ -153,18 +158,8 @@ def _is_stepwise(module: SimulateModule) -> TypeGuard[ImplicitModule]:
     return is_implicit(module)
 
 
-def _solve_step(module: ImplicitModule, grid: StepGrid, state: Vector, t: float) -> Any:
-    return fsolve(
-        lambda y: module.residual(grid, y, state, t),
-        module.predict(grid, state, t),
-        fprime=lambda y: module.jacobian(grid, y, state, t),
-        full_output=True,
-        xtol=1e-13,
-    )
-
-
 def _verdict(y: Vector, details: Mapping[str, Any], code: int, reason: str) -> tuple[str, str]:
-    """Status and message; slow progress (codes 3 to 5) is how the method ends at rounding level."""
+    """Return status and message; slow progress (codes 3 to 5) is the normal end of the method at rounding level."""
     residual = max_norm(details["fvec"])
     if not np.isfinite(y).all() or not np.isfinite(residual):
         return "non-finite", "non-finite: an expression is infinite or no number; check the start and the parameters"

@@ -1,4 +1,4 @@
-"""IPOPT through cyipopt, with exact sparse Hessians: an interior point method from outside, to compare with.
+"""IPOPT through cyipopt, with exact sparse Hessians: an independent interior point method for comparison.
 
 Source: Waechter and Biegler (2006), On the implementation of an interior-point filter line-search algorithm for
 large-scale nonlinear programming. cyipopt is an extra: `pip install variational-codegen[ipopt]`.
@@ -16,7 +16,7 @@ from scipy.sparse import tril
 from codegen.errors import ArgumentError
 from codegen.runtime.search.messages import not_finite
 from codegen.solving.drivers.shared import claim, program_on_grid, quiet_single_thread
-from codegen.solving.interfaces import ControlModule, Indices, NonlinearProgram, Vector
+from codegen.solving.loading import ControlModule, Indices, NonlinearProgram, Vector
 from codegen.solving.results.result import ControlAttempt, Run
 
 TOLERANCE = 1e-8
@@ -29,7 +29,7 @@ _STATUSES = {
     0: "solved", 1: "solved", 2: "infeasible", 4: "unbounded", 5: "time limit", -1: "iteration limit",
     -10: "rank-deficient", -13: "non-finite",
 }  # fmt: skip
-"""IPOPT's return codes; what is missing here counts as stalled."""
+"""Statuses by return codes of IPOPT; other codes count as stalled."""
 _TOO_FEW_UNKNOWNS, _NOT_FINITE = -10, -13
 _REASONS = {
     3: "its steps have become too small",
@@ -40,14 +40,14 @@ _REASONS = {
     -12: "it does not take an option",
     -102: "there is not enough memory",
 }
-"""What other codes mean, by IPOPT's documentation of its return statuses; the rest are errors inside it."""
+"""The meaning of other codes in IPOPT's documentation of its return statuses; the rest are internal errors."""
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Minimise the cost with IPOPT's own defaults. Raises ArgumentError when cyipopt is not installed.
+    """Minimise the cost with the default options of IPOPT. Raises ArgumentError if cyipopt is not installed.
 
-    The defaults include its scaling, its limit of iterations and bounds that it relaxes by 1e-8 of their size; the
-    solution is moved back onto the bounds.
+    The defaults include its scaling, its iteration limit, and bounds that are relaxed by a relative 1e-8. The solution
+    is projected onto the bounds.
     """
     try:
         import cyipopt  # type: ignore[import-not-found, import-untyped, unused-ignore]
@@ -83,7 +83,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def _cause(program: NonlinearProgram, code: int, x: Vector, iterations: int) -> str:
-    """What was wrong and the remedy, where that is not an equation which does not hold; else nothing."""
+    """Return the cause of a failure and the remedy, empty if the cause is a violated equation."""
     if code == _TOO_FEW_UNKNOWNS:
         lower, upper = program.bounds
         sizes = f"{np.count_nonzero(lower < upper)} unknowns for {program.dual.size} equations"
@@ -101,9 +101,9 @@ def _pattern(matrix: Any) -> tuple[Indices, Indices]:
 
 
 class _Callbacks:
-    """The problem under the names that cyipopt asks for; sparse matrices have one pattern for all points.
+    """The problem with the method names of cyipopt; sparse matrices have the same pattern at all points.
 
-    After `time_limit` seconds IPOPT is told to stop: its own limit is one of the processor's time, before IPOPT 3.14.
+    After `time_limit` seconds IPOPT stops. Before IPOPT 3.14 its own limit is one of processor time.
     """
 
     def __init__(self, program: NonlinearProgram, time_limit: float = math.inf) -> None:

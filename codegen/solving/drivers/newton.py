@@ -1,8 +1,8 @@
-"""The generated solver: structured Newton on the KKT system, or step after step of a simulation.
+"""The generated solver: structured Newton on the KKT system, steps of a simulation, or shooting of particles.
 
-Shooting through scipy's adaptive integrators, with Newton's matrix from the module's own fixed steps. The matrix
-differs from the exact one by the error of the fixed steps only, so that the iteration converges by about that factor
-each time and costs one adaptive trajectory for each iteration.
+For adaptive schemes, shooting integrates with scipy. Newton's matrix comes from the fixed steps of the module. It
+differs from the exact matrix by the error of the fixed steps. The iteration contracts by about that factor, and costs
+one adaptive trajectory for each iteration.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.solving.drivers.shared import quiet_single_thread
-from codegen.solving.interfaces import ConnectModule, ControlModule, SimulateModule, Vector, is_of_particles
-from codegen.solving.results.connect import case_of
+from codegen.solving.loading import ConnectModule, ControlModule, SimulateModule, Vector, is_of_particles
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, SimulateAttempt, max_norm
 
 ADAPTIVE_TOLERANCE = 1e-8
-"""Relative and absolute error of each adaptive step, unless asked otherwise."""
+"""Default relative and absolute error of each adaptive step."""
 _MAX_ITERATIONS, _HALVINGS = 60, 10
 
 
 def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tolerance: float) -> tuple[Any, int]:
-    """States at the nodes, shape (N + 1, 2, n, d), and how often the field was evaluated; NaN where scipy gives up."""
+    """Return the states at the nodes, (N + 1, 2, n, d), and the evaluations of the field; NaN if scipy fails."""
     shape = (2, *case.start.shape)
     gradient = np.empty(shape)
 
@@ -35,15 +35,15 @@ def integrated(module: ConnectModule, case: Any, momenta: Vector, code: str, tol
 
     start = np.concatenate([case.start.ravel(), np.ravel(momenta)])
     times = np.linspace(0.0, case.duration, case.steps + 1)
-    from scipy.integrate import solve_ivp  # only now: no other driver needs it
+    from scipy.integrate import solve_ivp  # no other driver needs it
 
-    found = solve_ivp(
+    solution = solve_ivp(
         field, (0.0, case.duration), start, method=code, t_eval=times, rtol=max(tolerance, 2.3e-14), atol=tolerance
     )
     path = np.full((case.steps + 1, *shape), np.nan)
-    if found.success:
-        path[:] = found.y.T.reshape(path.shape)
-    return path, int(found.nfev)
+    if solution.success:
+        path[:] = solution.y.T.reshape(path.shape)
+    return path, int(solution.nfev)
 
 
 def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
@@ -55,25 +55,25 @@ def adaptive(module: ConnectModule, case: Any, run: Run) -> ConnectAttempt:
         momenta, factor = begin.p[0], module.preconditioner(case)
         path, evaluations = integrated(module, case, momenta, code, tolerance)
         error = _error(module, case, path)
-        for iterations in range(1, _MAX_ITERATIONS + 1):  # noqa: B007  it is reported below
+        for iterations in range(1, _MAX_ITERATIONS + 1):  # noqa: B007  reported below
             if error <= 1e-13:
                 break
             _, _, points = module.trajectory(case, momenta)
             linear = module.Linearised(case, points, factor)
             change = linear.solved(-module.end_residual(path[-1], case.target, case.sigma), 1e-3)
-            length, found = 1.0, False
+            length, is_smaller = 1.0, False
             for _ in range(_HALVINGS):
                 trial = momenta + length * change.reshape(momenta.shape)
                 trial_path, count = integrated(module, case, trial, code, tolerance)
                 evaluations += count
                 trial_error = _error(module, case, trial_path)
                 if trial_error < error:
-                    found = True
+                    is_smaller = True
                     break
                 if error <= max(1e-11, tolerance):
                     break
                 length *= 0.5
-            if not found:
+            if not is_smaller:
                 break
             momenta, path, error = trial, trial_path, trial_error
     status = "solved" if error <= max(1e-10, tolerance) else "stalled"
@@ -89,7 +89,7 @@ def _error(module: ConnectModule, case: Any, path: Any) -> float:
 TOLERANCE = 1e-10
 _ROUNDED = 1e-9  # neighbours that move apart have momenta so large that rounding errors of positions come near to this
 _OWN = ("tolerance", "trajectories", "scaled", "is_explained", "generated")
-"""What an attempt has beside what a module's solution calls the same, or modules of earlier versions do not have."""
+"""Fields of an attempt that a solution of a module does not have, or does not have in earlier versions."""
 _CLAIMED: dict[type, tuple[str, ...]] = {
     attempt: tuple(f.name for f in fields(attempt) if f.name not in _OWN)
     for attempt in (ControlAttempt, SimulateAttempt)
@@ -97,10 +97,15 @@ _CLAIMED: dict[type, tuple[str, ...]] = {
 
 
 def control(module: ControlModule, run: Run) -> ControlAttempt:
-    """Call the module's `solve`."""
+    """Call `solve` of the module."""
     warm = run.guess is not None and run.near
     tolerance = TOLERANCE if run.tolerance is None else run.tolerance
-    solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **_options(run))
+    options: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
+    options |= {"watch": run.watch, "scaling": run.scaling}
+    options = {name: value for name, value in options.items() if value not in (None, math.inf, "auto")}
+    if run.grid is not None:
+        options["grid"] = run.grid
+    solution = module.solve(steps=run.steps, guess=run.guess, warm=warm, tolerance=tolerance, **options)
     trajectories = (solution.t, solution.q, solution.p, solution.u, solution.multipliers)
     scaled = getattr(solution, "scaled", None)
     return ControlAttempt(
@@ -110,7 +115,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
 
 
 def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
-    """Call the module's `solve`. Raises ArgumentError for a limit of iterations where the module has its own."""
+    """Call `solve` of the module; raise ArgumentError for an iteration limit of particles, whose module has its own."""
     limit = {} if run.max_iterations is None else {"max_iterations": run.max_iterations}
     if limit and is_of_particles(module):
         raise ArgumentError("--max-iterations of particles, whose module limits Newton's method itself", "leave it out")
@@ -119,7 +124,7 @@ def simulate(module: SimulateModule, run: Run) -> SimulateAttempt:
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
-    """Call the module's `solve_case`, or integrate adaptively where the scheme says so."""
+    """Call `solve_case` of the module, or integrate adaptively if the scheme is adaptive."""
     case = case_of(module, run)
     if module.metadata.adaptive:
         return adaptive(module, case, run)
@@ -134,13 +139,5 @@ def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
 
 
 def _claimed(attempt: type[ControlAttempt | SimulateAttempt], solution: Any) -> dict[str, Any]:
-    """What an attempt takes from a module's solution, which calls it the same."""
+    """Return the fields of an attempt that a solution of a module has under the same names."""
     return {name: getattr(solution, name) for name in _CLAIMED[attempt]}
-
-
-def _options(run: Run) -> dict[str, Any]:
-    """The arguments of an optimisation's `solve` whose own defaults are not to hold."""
-    given: dict[str, Any] = {"max_iterations": run.max_iterations, "time_limit": run.time_limit}
-    given |= {"watch": run.watch, "scaling": run.scaling}
-    given = {name: value for name, value in given.items() if value not in (None, math.inf, "auto")}
-    return given if run.grid is None else given | {"grid": run.grid}

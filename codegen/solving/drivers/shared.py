@@ -1,9 +1,9 @@
-"""What drivers share: scaled optimal control, particles, warnings and threads.
+"""Common parts of drivers: scaled optimal control, particles, warnings and threads.
 
-The optimal-control problem as scipy wants it: free unknowns only, equations of comparable size. Each equation is
-divided by the largest entry of its row of the Jacobian at the initial guess, and the cost by its largest derivative
-there if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not scaled. With the
-multipliers nu of the scaled problem, lambda = r nu / f belongs to the original one.
+The optimal-control problem for scipy has free unknowns only, and equations of comparable size. Each equation is divided
+by the largest entry of its row of the Jacobian at the initial guess. The cost is divided by its largest derivative at
+the guess if that exceeds one, as in section 3.8 of Waechter and Biegler (2006). Unknowns are not scaled. A multiplier
+nu of the scaled problem corresponds to lambda = r nu / f.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from scipy.optimize import Bounds, lsq_linear
 from threadpoolctl import ThreadpoolController
 
 from codegen.errors import ArgumentError
-from codegen.solving.interfaces import ConnectModule, ControlModule, NonlinearProgram, Vector, time_grid
-from codegen.solving.results.connect import case_of
+from codegen.solving.loading import ConnectModule, ControlModule, NonlinearProgram, Vector, time_grid
+from codegen.solving.results.motions import case_of
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run, max_norm
 
 _SIGN_ROUNDING = 1e-9
@@ -35,7 +35,7 @@ _DENSE_LIMIT = 1500
 def claim(
     name: str, status: str, iterations: int, unknowns: Vector, tolerance: float, remedy: str = "; try driver newton"
 ) -> ControlAttempt:
-    """What an optimiser says that it has found, or with what status it gave up."""
+    """Return the attempt of an optimiser, solved or with the status of its failure."""
     message = f"{name} found a local minimum in {iterations} iterations"
     if status != "solved":
         message = f"{status}: {name} gave up after {iterations} iterations{remedy}"
@@ -43,13 +43,13 @@ def claim(
 
 
 def program_on_grid(module: ControlModule, run: Run) -> NonlinearProgram:
-    """The nonlinear program on N intervals, from the guess that is asked for, else the problem's own."""
+    """Return the nonlinear program on N intervals, from the guess of the run, or else that of the problem."""
     guess = module.initial_guess(time_grid(module, run.steps, run.grid)) if run.guess is None else run.guess
     return module.nlp(run.steps, grid=run.grid, guess=guess)
 
 
 def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
-    """Refuse problems that would take a dense solver minutes and gigabytes."""
+    """Raise ArgumentError for problems that would take a dense solver minutes and gigabytes."""
     size = program.primal.size + program.dual.size
     if size > limit:
         raise ArgumentError(
@@ -60,25 +60,25 @@ def require_small(program: NonlinearProgram, limit: int, driver: str) -> None:
 
 @dataclass(frozen=True)
 class ScaledProblem:
-    """Minimise f J(x) such that r_i c_i(x) = 0, for optimisers that do not scale by themselves."""
+    """Minimise f J(x) such that r_i c_i(x) = 0, for optimisers without scaling of their own."""
 
     program: NonlinearProgram
 
     @classmethod
     def on_grid(cls, module: ControlModule, run: Run) -> ScaledProblem:
-        """The problem on N intervals, from the guess that is asked for, else the problem's own."""
+        """Return the problem on N intervals, from the guess of the run, or else that of the problem."""
         return cls(program_on_grid(module, run))
 
     @cached_property
     def inner_start(self) -> Vector:
-        """The initial guess, moved off and inside the bounds, which some optimisers insist on."""
+        """The initial guess, moved into the interior of the bounds, which some optimisers require."""
         (lower, upper), start = self.program.bounds, self.program.x0
         push = 1e-2 * np.minimum(np.maximum(1.0, np.abs(start)), upper - lower)
         return np.clip(start, lower + push, upper - push)
 
     @property
     def scipy_bounds(self) -> Bounds | None:
-        """The bounds as scipy.optimize wants them, None where there are none; iterates stay within them."""
+        """The bounds for scipy.optimize, None if there are none; iterates stay within them."""
         lower, upper = self.program.bounds
         if not (np.isfinite(lower).any() or np.isfinite(upper).any()):
             return None
@@ -86,54 +86,54 @@ class ScaledProblem:
 
     @cached_property
     def row_scale(self) -> Vector:
-        """The factors r of the equations."""
+        """The scaling factors r of the equations."""
         jacobian = abs(self.program.jacobian(self.program.x0))
         size = jacobian.max(axis=1).toarray().ravel()
         return np.asarray(1.0 / np.where((size > 0.0) & np.isfinite(size), size, 1.0), dtype=float)
 
     @cached_property
     def cost_scale(self) -> float:
-        """The factor f of the cost."""
+        """The scaling factor f of the cost."""
         size = max_norm(self.program.gradient(self.program.x0))
         return 1.0 / max(1.0, size) if np.isfinite(size) else 1.0
 
     def unscaled(self, nu: Vector) -> Vector:
-        """The multipliers of the problem itself for those of the scaled one."""
+        """Return the multipliers of the problem for those of the scaled problem."""
         return self.row_scale * nu / self.cost_scale
 
     def unknowns(self, x: Vector, nu: Vector) -> Vector:
-        """All unknowns, for free primal unknowns x and scaled multipliers nu."""
+        """Return all unknowns for free primal unknowns x and scaled multipliers nu."""
         return self.program.unknowns(x, self.unscaled(nu))
 
     def cost(self, x: Vector) -> float:
-        """The scaled cost."""
+        """Return the scaled cost."""
         return self.cost_scale * self.program.cost(x)
 
     def cost_gradient(self, x: Vector) -> Vector:
-        """Its gradient."""
+        """Return the gradient of the scaled cost."""
         return self.cost_scale * self.program.gradient(x)
 
     def constraints(self, x: Vector) -> Vector:
-        """The scaled equations."""
+        """Return the scaled equations."""
         return self.row_scale * self.program.constraints(x)
 
     def jacobian(self, x: Vector) -> Any:
-        """Their Jacobian, a sparse matrix."""
+        """Return the Jacobian of the scaled equations, a sparse matrix."""
         return scipy.sparse.diags_array(self.row_scale) @ self.program.jacobian(x)
 
     def hessian(self, x: Vector, nu: Vector | None = None, weight: float = 1.0) -> Any:
-        """Hessian of the scaled Lagrangian, a sparse matrix, whose cost has a weight; without nu that of the cost."""
+        """Return the sparse Hessian of the scaled Lagrangian with a weight of the cost; without nu that of the cost."""
         return self.cost_scale * self.program.hessian(x, None if nu is None else self.unscaled(nu), weight)
 
     def stationarity(self, x: Vector, nu: Vector) -> Vector:
-        """Gradient of the scaled Lagrangian."""
+        """Return the gradient of the scaled Lagrangian."""
         return self.cost_scale * self.program.stationarity(x, self.unscaled(nu))
 
     def multipliers(self, x: Vector) -> Vector:
-        """Scaled multipliers that minimise the 2-norm of the stationarity.
+        """Return the scaled multipliers that minimise the 2-norm of the stationarity.
 
-        Unknowns on their bounds are left out, because duals of the bounds balance them. Where a dual then has the wrong
-        sign, multipliers and duals are found together by bounded least squares, unless the matrix is too large.
+        Unknowns on their bounds are omitted, because duals of the bounds balance them. If a dual then has the wrong
+        sign, multipliers and duals are computed together by bounded least squares, unless the matrix is too large.
         """
         jacobian, gradient = self.jacobian(x), self.cost_gradient(x)
         lower, upper = self.program.bounds
@@ -147,16 +147,16 @@ class ScaledProblem:
         duals = np.zeros((x.size, indices.size))
         duals[indices, np.arange(indices.size)] = -held[indices]
         least = np.concatenate([np.full(nu.size, -np.inf), np.zeros(indices.size)])
-        found = lsq_linear(np.hstack([jacobian.T.toarray(), duals]), -gradient, (least, np.inf), method="bvls")
-        return np.asarray(found.x[: nu.size], dtype=float)
+        solution = lsq_linear(np.hstack([jacobian.T.toarray(), duals]), -gradient, (least, np.inf), method="bvls")
+        return np.asarray(solution.x[: nu.size], dtype=float)
 
     def unbalanced(self, x: Vector, nu: Vector) -> float:
-        """The largest slope times the distance to the bound that it leads to, one where that is farther away."""
+        """Return the largest slope times the distance, at most one, to the bound in its direction."""
         slope, (lower, upper) = self.stationarity(x, nu), self.program.bounds
         return max_norm(slope * np.clip(np.where(slope > 0.0, x - lower, upper - x), 0.0, 1.0))
 
     def _balanced(self, jacobian: Any, gradient: Vector, inside: NDArray[np.bool_]) -> Vector:
-        """The multipliers with which the stationarity of some unknowns is least, by a sparse augmented system."""
+        """Return the multipliers that minimise the stationarity of some unknowns, by a sparse augmented system."""
         jacobian, gradient = jacobian[:, inside], gradient[inside]
         identity = scipy.sparse.identity(gradient.size)
         system = scipy.sparse.bmat([[identity, jacobian.T], [jacobian, None]], format="csc")
@@ -170,22 +170,22 @@ class ScaledProblem:
         return np.asarray(nu, dtype=float)
 
 
-@cache
-def _libraries() -> ThreadpoolController:
-    """Libraries with threads of their own; looking for them takes longer than many a solve."""
-    return ThreadpoolController()
-
-
 @contextmanager
-def _of_the_process() -> Iterator[None]:
-    """One BLAS thread, and no warnings: settings of the whole process."""
-    with _libraries().limit(limits=1), warnings.catch_warnings():
+def _quiet_process() -> Iterator[None]:
+    """Use one BLAS thread and no warnings: settings of the whole process."""
+    with _blas().limit(limits=1), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
+@cache
+def _blas() -> ThreadpoolController:
+    """Return the libraries with threads; the search for them takes longer than many a solve."""
+    return ThreadpoolController()
+
+
 class _Shared:
-    """A context that several threads may be in at once: the first enters it, and the last leaves it."""
+    """A context that several threads share: the first one enters it, and the last one leaves it."""
 
     def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
         self.make, self.lock, self.inside = make, Lock(), 0
@@ -204,27 +204,27 @@ class _Shared:
                 self.context.__exit__(None, None, None)
 
 
-_QUIET = _Shared(_of_the_process)
+_QUIET = _Shared(_quiet_process)
 
 
 @contextmanager
 def quiet_single_thread() -> Iterator[None]:
-    """One BLAS thread, because more only wait for each other on small matrices, and no warnings.
+    """Use one BLAS thread, because more threads wait for each other on small matrices, and suppress warnings.
 
-    What would be warned of, a singular matrix or an overflow, shows in the status and in the residuals.
+    A singular matrix or an overflow appears in the status and in the residuals.
     """
     with _QUIET, np.errstate(all="ignore"):
         yield
 
 
 DENSE_LIMIT = 3000
-"""Unknowns and equations of a dense method at most."""
+"""Most unknowns and equations of a dense method."""
 
 
 def minimised(
     module: ConnectModule, run: Run, driver: str, minimise: Callable[[ConnectModule, Any, Vector], Any]
 ) -> ConnectAttempt:
-    """The motion of least discrete action, by an optimiser of scipy; ArgumentError for what it cannot take."""
+    """Return the motion of least discrete action from an optimiser of scipy; ArgumentError if it does not apply."""
     require_method(module, driver, ("action",))
     case = case_of(module, run)
     if case.sigma.any():
@@ -232,36 +232,38 @@ def minimised(
     start = module.action_start(case)
     require_at_most(start.size + case.steps * case.start.size, DENSE_LIMIT, driver)
     with quiet_single_thread():
-        found = minimise(module, case, start)
-    return verdict(module, driver, case, module.action_path(case, found.x), int(found.nit), 1e-6, str(found.message))
+        solution = minimise(module, case, start)
+    return verdict(
+        module, driver, case, module.action_path(case, solution.x), int(solution.nit), 1e-6, str(solution.message)
+    )
 
 
 def verdict(
     module: ConnectModule, driver: str, case: Any, path: Any, iterations: int, tolerance: float, reason: str
 ) -> ConnectAttempt:
-    """Solved is what satisfies the equations, whatever the driver says about itself."""
+    """Return the attempt, solved if the path satisfies the equations, whatever the driver reports."""
     error = largest_error(module, case, path)
     if error <= tolerance:
         text = f"{driver} connects the points with residual {error:.1e} after {iterations} iterations"
         return ConnectAttempt("solved", text, iterations, path, tolerance)
-    said = " ".join(str(reason).split())
-    text = f"stalled: {driver} stopped with residual {error:.1e} ({said}); try driver newton, or more steps"
+    text = " ".join(str(reason).split())
+    text = f"stalled: {driver} stopped with residual {error:.1e} ({text}); try driver newton, or more steps"
     return ConnectAttempt("stalled", text, iterations, path, tolerance)
 
 
 def largest_error(module: ConnectModule, case: Any, path: Any) -> float:
-    """The largest error of the equations on a path, and of its end."""
+    """Return the largest error of the equations on a path, and of its end."""
     errors, end = module.path_errors(case, path)
     return max(max_norm(errors.ravel()), max_norm(end))
 
 
 def finite(values: Any) -> Any:
-    """What is no number becomes large, so that a root finder turns back."""
+    """Replace NaN and infinity by large numbers, which a root finder avoids."""
     return np.nan_to_num(values, nan=1e3, posinf=1e3, neginf=-1e3)
 
 
 def require_method(module: ConnectModule, driver: str, methods: tuple[str, ...]) -> None:
-    """Refuse modules of another method, and of an integrator that chooses its own steps."""
+    """Raise ArgumentError for modules of another method, and for an integrator that chooses its own steps."""
     method = module.metadata.method
     if method not in methods:
         raise ArgumentError(f"driver {driver} does not solve method {method}", f"use --method {' or '.join(methods)}")
@@ -270,7 +272,7 @@ def require_method(module: ConnectModule, driver: str, methods: tuple[str, ...])
 
 
 def require_at_most(size: int, limit: int, driver: str) -> None:
-    """Refuse problems that are too large for a driver."""
+    """Raise ArgumentError for problems that are too large for a driver."""
     if size > limit:
         raise ArgumentError(
             f"driver {driver} would have {size} unknowns and equations", f"take at most {limit}, or use newton"

@@ -15,14 +15,14 @@ from codegen.solving.drivers.shared import (
     quiet_single_thread,
     require_small,
 )
-from codegen.solving.interfaces import ConnectModule, ControlModule, Vector
+from codegen.solving.loading import ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
 LIMIT = 3000
 MAX_ITERATIONS = 1000
 ARRIVED = 1e-8
-"""Error of the equations of particles at which the search ends."""
+"""Error of the equations of particles below which the search ends."""
 
 _FAILURES = {2: "rank-deficient", 4: "infeasible", 5: "rank-deficient", 6: "rank-deficient", 9: "iteration limit"}
 
@@ -36,7 +36,7 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
     # SLSQP compares changes of the cost with ftol itself.
     ftol = 1e-12 * max(1.0, abs(problem.cost(start)))
     with quiet_single_thread():
-        found = minimize(
+        solution = minimize(
             problem.cost,
             start,
             jac=problem.cost_gradient,
@@ -45,10 +45,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             method="SLSQP",
             options={"maxiter": run.max_iterations or MAX_ITERATIONS, "ftol": ftol},
         )
-        unknowns = problem.unknowns(found.x, problem.multipliers(found.x))
-    status = "solved" if found.success else _FAILURES.get(int(found.status), "stalled")
-    status = status if np.isfinite(found.fun) else "non-finite"
-    return claim("SLSQP", status, int(found.nit), unknowns, TOLERANCE, f" ({found.message}); try driver newton")
+        unknowns = problem.unknowns(solution.x, problem.multipliers(solution.x))
+    status = "solved" if solution.success else _FAILURES.get(int(solution.status), "stalled")
+    status = status if np.isfinite(solution.fun) else "non-finite"
+    return claim("SLSQP", status, int(solution.nit), unknowns, TOLERANCE, f" ({solution.message}); try driver newton")
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:
@@ -61,7 +61,7 @@ class _Arrived(Exception):
 
 
 def _action(module: ConnectModule, case: Any, start: Vector) -> Any:
-    """Minimise until the equations hold: near the minimum changes of the cost are rounding, and say nothing."""
+    """Minimise until the equations hold: near the minimum changes of the cost are rounding errors."""
     equations = {
         "type": "eq",
         "fun": lambda x: module.action_constraints(case, x),

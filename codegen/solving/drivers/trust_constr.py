@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 from codegen.solving.drivers.shared import ScaledProblem, claim, minimised, quiet_single_thread
-from codegen.solving.interfaces import ConnectModule, ControlModule, Vector
+from codegen.solving.loading import ConnectModule, ControlModule, Vector
 from codegen.solving.results.result import ConnectAttempt, ControlAttempt, Run
 
 TOLERANCE = 1e-6
@@ -29,10 +29,10 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
             0.0,
             0.0,
             jac=problem.jacobian,
-            # scipy wants the equations' share alone.
+            # scipy expects the Hessian of the equations without that of the cost.
             hess=lambda x, nu: problem.hessian(x, nu, 0.0),
         )
-        found = minimize(
+        solution = minimize(
             problem.cost,
             problem.inner_start,
             jac=problem.cost_gradient,
@@ -47,13 +47,13 @@ def control(module: ControlModule, run: Run) -> ControlAttempt:
                 "barrier_tol": 1e-12,
             },
         )
-        # Where a barrier keeps unknowns off their bounds, the method itself may know better which are held there.
-        nu = min(found.v[0], problem.multipliers(found.x), key=lambda nu: problem.unbalanced(found.x, nu))
-        unknowns = problem.unknowns(found.x, nu)
-    # A vanishing trust region is how the method ends at rounding level; where it ends elsewhere, the residuals tell.
-    status = "solved" if found.status in (_GRADIENT_SMALL, _STEP_SMALL) else "iteration limit"
-    status = status if np.isfinite(found.fun) else "non-finite"
-    return claim("trust-constr", status, int(found.nit), unknowns, TOLERANCE)
+        # A barrier keeps unknowns off their bounds; the multipliers of the method may then fit better.
+        nu = min(solution.v[0], problem.multipliers(solution.x), key=lambda nu: problem.unbalanced(solution.x, nu))
+        unknowns = problem.unknowns(solution.x, nu)
+    # A vanishing trust region is the normal end at rounding level; the residuals show other cases.
+    status = "solved" if solution.status in (_GRADIENT_SMALL, _STEP_SMALL) else "iteration limit"
+    status = status if np.isfinite(solution.fun) else "non-finite"
+    return claim("trust-constr", status, int(solution.nit), unknowns, TOLERANCE)
 
 
 def connect(module: ConnectModule, run: Run) -> ConnectAttempt:

@@ -1,11 +1,12 @@
 """Compile the machine code of a generated module in two processes.
 
-numba compiles one function after the other. `python -m codegen.solving.machine_code.compilation` is started by
-`processes`. It loads numba during the derivation of the module, and reads the path of the module from its standard
-input. A process that can fork becomes two then, so that numba is loaded once; each takes the next free part.
-Elsewhere two processes are started, and each takes every other part. numba's cache on disk joins their work.
+The parts are kernels, the linear system of the shape, and functions of the runtime. numba compiles one function at a
+time. `processes` starts `python -m codegen.solving.machine_code.compilation`. This program loads numba during the
+derivation of the module, and reads the path of the module from its standard input. A process that can fork then becomes
+two, so that numba is loaded once; each takes the next free part. On other systems two processes are started, and each
+takes every other part. numba's cache on disk joins their work.
 
-In these processes functions that only compiled functions call are not made machine code of, see `runtime.linking`.
+In these processes functions that only compiled functions call are linked, not compiled alone, see `runtime.linking`.
 """
 
 from __future__ import annotations
@@ -15,24 +16,265 @@ import io
 import math
 import os
 import sys
-from collections.abc import Iterable
-from contextlib import redirect_stderr
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, config, float64, int64, njit, types
+from numba import boolean, carray, cfunc, config, float64, int64, njit, typeof, types
+from numba.core.event import Event, Listener, install_listener
 
 from codegen.runtime.kept_code import add_checksums, code_folder, runtime_folders
 from codegen.runtime.kernels import packed_operations
-from codegen.solving.loading import load
-from codegen.solving.machine_code.parts import Part, parts_of
-from codegen.solving.machine_code.processes import COUNT, DONE
+from codegen.runtime.record import Task
+from codegen.solving.loading import few_steps, load
 from codegen.solving.tasks import task_of
+
+COUNT, DONE = "codegen: parts: ", "codegen: part done"
+"""Prefix of the line with the number of parts, and the line for each compiled part."""
+
+REALS, TABLE, CUBE, FOURFOLD = (types.Array(float64, d, "C") for d in (1, 2, 3, 4))
+INTEGERS, INDEX_TABLE = (types.Array(int64, d, "C") for d in (1, 2))
+MASK, MASKS, READ_MASK = types.Array(boolean, 1, "C"), types.Array(boolean, 2, "C"), types.Array(boolean, 1, "C", True)
+INTEGERS_AT = types.CPointer(int64)
+
+Signature = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Machine code that one process compiles: the Python function, the call that compiles it, and its scope.
+
+    The scope `serves` is one "problem", all problems of a "shape", or as part of the "runtime" all problems.
+    """
+
+    function: Any
+    make: Callable[[], Any]
+    serves: str = "problem"
+
+    @property
+    def is_kept(self) -> bool:
+        """True if machine code of the function is on the disk."""
+        from codegen.runtime.kept_code import is_kept
+
+        return bool(is_kept(self.function))
+
+
+def has_machine_code(module: Any) -> bool:
+    """Return True if all machine code that solutions of a module need is on the disk."""
+    return all(part.is_kept for part in parts_of(module))
+
+
+def parts_of(module: Any) -> list[Part]:
+    """Return all parts, in the order in which processes are to take them.
+
+    Nothing if numba is switched off, or if the module has numerics of its own.
+    """
+    runtime = {
+        "codegen.runtime.search.problem": search_functions,
+        "codegen.runtime.stepping.problem": step_functions,
+        "codegen.runtime.particles.problem": particle_functions,
+    }.get(type(module.problem).__module__)
+    if config.DISABLE_JIT or runtime is None:  # type: ignore[attr-defined]
+        return []
+    first, *others = (
+        Part(function.py_func, partial(function.compile, signature), "runtime")
+        for function, signature in runtime(module.problem)
+    )
+    kernels = [Part(kernel.function, partial(getattr, kernel, "address")) for kernel in module.problem.kernels()]
+    if hasattr(module.problem, "structure"):
+        *system_parts, system = linear_system(module.problem.structure.shape)
+        return [first, *system_parts, *others, *kernels, system]
+    return [first, *kernels, *others]
+
+
+def linear_system(shape: Any) -> Iterator[Part]:
+    """Yield the parts of the linear system of a shape; the last one takes the others in."""
+    from codegen.runtime.kkt.specialised import compiled_system, system_module
+
+    system = system_module(shape)
+    of_stages: Signature = (types.none, types.none)
+    if shape.stages:
+        kept = types.Tuple((TABLE, CUBE, TABLE, CUBE, CUBE, CUBE, CUBE, INDEX_TABLE))
+        of_stages = (kept, types.Tuple((TABLE, TABLE, TABLE, TABLE, REALS)))
+    elimination = (
+        INTEGERS_AT, TABLE, REALS, REALS, REALS, REALS, int64, TABLE, TABLE, INTEGERS, CUBE, CUBE, *of_stages, TABLE,
+        TABLE, TABLE,
+    )  # fmt: skip
+    substitution = {
+        system.forward: (INTEGERS_AT, TABLE, TABLE, INTEGERS, int64, REALS, REALS, REALS),
+        system.backward: (INTEGERS_AT, TABLE, INTEGERS, int64, int64, REALS, REALS, REALS),
+        system.condense: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS),
+        system.recover_condensed: (INTEGERS_AT, REALS, CUBE, CUBE, *of_stages, int64, REALS, REALS),
+    }
+
+    def solve() -> None:
+        for function, signature in substitution.items():
+            function.compile(signature)
+
+    yield Part(system.system, partial(system.eliminate_body.compile, elimination), "shape")
+    yield Part(system.system, solve, "shape")
+    yield Part(system.system, partial(compiled_system, shape), "shape")
+
+
+def search_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+    """Yield the functions of searches that Python calls, and the types that all problems call them with."""
+    from codegen.runtime.search import bounds as box
+    from codegen.runtime.search import cascade, descent, iterates, linear_system, point, scaling, solve
+    from codegen.runtime.search import sensitivities as changes
+
+    grid = (int64, float64, REALS, TABLE)  # steps, h, nodes, parameters
+    factors = (int64, REALS, INTEGERS, int64, INTEGERS)  # equations, factors, orders, inverses, counts
+    bounds = types.Tuple((INTEGERS, *[REALS] * 5))
+    addresses = types.UniTuple(int64, 3)
+    on_grid = types.Tuple((*grid, MASK, REALS, REALS, float64, INDEX_TABLE, READ_MASK, INDEX_TABLE))
+    yield descent.descend, (
+        addresses, on_grid,
+        types.Tuple((INTEGERS, REALS, INTEGERS, *[REALS] * 3, int64, INTEGERS, int64, INTEGERS, INTEGERS)),
+        bounds, float64, int64, int64, REALS, INTEGERS, *[TABLE] * 5,
+    )  # fmt: skip
+    yield descent.begin_beside, (addresses, on_grid, bounds, float64, REALS, INTEGERS, TABLE, TABLE)
+    quantities = scaling.Quantities(
+        **{
+            name: np.zeros((1, 2) if name == "tied" else 1, kind)
+            for name, kind in zip(scaling.Quantities._fields, QUANTITIES, strict=True)
+        }
+    )
+    yield scaling.fill_scaling_factors, (
+        typeof(quantities), int64, int64, *grid, MASK, *[REALS] * 3, INDEX_TABLE, INTEGERS, INTEGERS, INTEGERS, MASKS,
+        boolean, REALS, TABLE, REALS,
+    )  # fmt: skip
+    yield point.measured_gradient, (int64, REALS, REALS, float64, *grid, MASK, REALS, REALS)
+    yield linear_system.factor_at, (
+        int64, int64, *[REALS] * 4, *grid, INTEGERS, *[REALS] * 3, *factors, REALS, boolean,
+    )  # fmt: skip
+    yield linear_system.fill_entry_factors, (REALS, REALS, INTEGERS, INTEGERS, MASK, REALS, INTEGERS, TABLE)
+    yield linear_system.solve_at, (int64, int64, INTEGERS, REALS, *factors, REALS)
+    yield linear_system.multiply_entries, (REALS, INTEGERS, INTEGERS, int64, INTEGERS, REALS, REALS, boolean)
+    yield linear_system.call_hessians, (int64, REALS, *grid, INTEGERS, REALS)
+    yield point.fill_momenta, (int64, REALS, *grid, INTEGERS, int64, CUBE, CUBE)
+    yield solve.correction, (REALS, REALS, MASK, REALS, REALS)
+    if problem.variable_bounds is not None:
+        yield iterates.finite_bounds, (REALS, REALS)
+        yield box.first_beyond, (*[int64] * 4, *[REALS] * 4, float64)
+        yield cascade.clip, (
+            addresses, on_grid, bounds, types.UniTuple(float64, 5), REALS, REALS, TABLE, REALS, REALS,
+        )  # fmt: skip
+    if problem.data is not None:
+        along = (
+            int64, INTEGERS, REALS, INTEGERS, INTEGERS, REALS, INTEGERS, INTEGERS, INTEGERS, INTEGERS, INTEGERS,
+        )  # fmt: skip
+        yield changes.change_along, (TABLE, CUBE, TABLE, *along, TABLE, REALS)
+        yield changes.momenta_along, (REALS, TABLE, REALS, *along, INTEGERS, CUBE)
+        yield changes.add_steps, (TABLE, TABLE, REALS, REALS, MASK, TABLE, TABLE)
+        yield changes.solve_all, (int64, int64, INTEGERS, TABLE, *factors, TABLE)
+        yield changes.largest_residual, (REALS, MASK, TABLE)
+        yield changes.multiply, (TABLE, REALS)
+
+
+QUANTITIES = (
+    int, bool, int, bool, float, bool, bool, float, float, bool, bool, int, int, int, int, int, float, int, int,
+)  # fmt: skip
+"""Types of the entries of `Quantities`."""
+
+
+def step_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+    """Yield the functions that make steps of a motion, and the types that all problems call them with."""
+    from codegen.runtime import arithmetic
+    from codegen.runtime.stepping import steps
+
+    scheme = typeof(steps.Scheme(*[0] * len(steps.Scheme._fields)))
+    if problem.all_steps is None:
+        yield steps.follow, (
+            scheme, REALS, REALS, int64, float64, REALS, float64, int64, int64, TABLE, TABLE,
+        )  # fmt: skip
+    yield steps.largest_residual, (
+        scheme, REALS, TABLE, TABLE, int64, int64, float64, REALS, float64, int64, int64,
+    )  # fmt: skip
+    yield steps.energies, (int64, TABLE, REALS, REALS, REALS)
+    yield arithmetic.factor_matrix, (TABLE, INTEGERS)
+    yield arithmetic.solve_factored, (TABLE, INTEGERS, REALS)
+
+
+def particle_functions(problem: Any) -> Iterator[tuple[Any, Signature]]:
+    """Yield the functions that move particles, or connect them, and the types that all problems call them with."""
+    from codegen.runtime import arithmetic
+    from codegen.runtime.particles import motion, shooting, steps, tracers
+
+    pairs, shape = typeof(steps.Pairs(*[0] * len(steps.Pairs._fields))), types.UniTuple(int64, 3)
+    own = (TABLE, REALS)  # parameters of each particle, and of all
+    if problem.metadata.task == Task.SIMULATE:
+        yield motion.follow_particles, (pairs, CUBE, int64, float64, *own, int64, TABLE, TABLE)
+        yield motion.largest_difference, (pairs, TABLE, TABLE, int64, float64, *own, shape)
+        yield motion.energies_of, (pairs, TABLE, *own, shape, REALS)
+        return
+    linear = (pairs, CUBE, FOURFOLD, int64, float64, *own, TABLE)
+    yield shooting.broyden_steps, (pairs, float64, *own, TABLE, REALS, TABLE, float64, FOURFOLD, FOURFOLD)
+    yield steps.follow, (pairs, float64, *own, FOURFOLD, FOURFOLD, float64)
+    yield steps.defects, (pairs, float64, *own, FOURFOLD, FOURFOLD, FOURFOLD)
+    yield steps.cost_and_energies, (pairs, float64, *own, FOURFOLD, FOURFOLD, REALS, REALS)
+    yield steps.discrete_cost, (pairs, float64, *own, FOURFOLD, REALS)
+    yield shooting.tangents, linear
+    yield steps.advance_directions, (*linear, TABLE)
+    yield shooting.extend_basis, (int64, TABLE, TABLE, TABLE, REALS)
+    yield steps.fill_curvature, (int64, FOURFOLD, *own, CUBE)
+    yield arithmetic.cholesky, (TABLE,)
+    yield arithmetic.solve_cholesky, (TABLE, TABLE)
+    yield arithmetic.max_norm, (REALS,)
+    if problem.tracer_gradient is not None:
+        known = typeof(tracers.Tracers(*[0] * len(tracers.Tracers._fields)))
+        yield tracers.carry_points, (
+            known, TABLE, float64, float64, float64, FOURFOLD, *own, TABLE, CUBE,
+        )  # fmt: skip
+
+
+def small_case(module: Any, steps: int = 2) -> Any:
+    """Return a case of thirteen particles near the origin with a small displacement, for compilation."""
+    dimension = module.metadata.coordinates
+    angles = np.linspace(0.0, 2.0 * np.pi, 13, endpoint=False)
+    start = np.stack([0.1 * np.cos((axis + 1) * angles + axis) for axis in range(len(dimension))], axis=1)
+    start[:, 0] += 0.01 * np.arange(13)
+    return module.make_case(start, start + 0.001, steps)
+
+
+def control_small(module: Any) -> None:
+    """Make one iteration on a few intervals."""
+    module.solve(few_steps(module, 2), max_iterations=1)
+
+
+def simulate_small(module: Any) -> None:
+    """Make two steps."""
+    module.solve(2)
+
+
+def connect_small(module: Any) -> None:
+    """Connect a few particles."""
+    module.solve_case(small_case(module))
+
+
+def control_touched(module: Any, steps: int) -> None:
+    """Call the functions of optimisers at the first guess."""
+    program = module.nlp(steps)
+    for evaluate in (program.cost, program.gradient, program.constraints, program.jacobian, program.hessian):
+        evaluate(program.x0)
+
+
+def simulate_touched(module: Any, _steps: int) -> None:
+    """Make one step."""
+    module.solve(steps=1)
+
+
+def connect_touched(_module: Any, _steps: int) -> None:
+    """Do nothing: the first call of a driver reads the machine code of particles, in a run that is not timed."""
 
 
 def compile_all(module: Any) -> None:
-    """Compile all that a solution calls, or read it where it has been compiled, and solve a small problem."""
+    """Compile or read all functions that a solution calls, and solve a small problem."""
     with np.errstate(all="ignore"), packed_operations():
         for part in parts_of(module):
             part.make()
@@ -41,20 +283,20 @@ def compile_all(module: Any) -> None:
 
 
 def main(share: str) -> int:
-    """Get numba ready, wait for the path of a module, compile a share of its parts; return the exit status.
+    """Load numba, wait for the path of a module, compile a share of its parts; return the exit status.
 
-    The share is "both" of a process that becomes two, or as "0/2" for the first of two.
+    The share is "both" for a process that forks, and for example "0/2" for the first of two.
     """
-    gc.disable()  # what compilation leaves behind is little, and looking for it takes time
+    gc.disable()  # compilation leaves little garbage, and the search for it takes time
     is_compiling = not config.DISABLE_JIT  # type: ignore[attr-defined]
     if is_compiling:
         warm_up()
     path = os.fsdecode(sys.stdin.buffer.read())
     if not (path and is_compiling):
         return 0
-    with redirect_stderr(io.StringIO()) as said:  # of damaged machine code
+    with redirect_stderr(io.StringIO()) as messages:  # about damaged machine code
         module = load(Path(path))
-    os.write(sys.stdout.fileno(), said.getvalue().encode())
+    os.write(sys.stdout.fileno(), messages.getvalue().encode())
     parts = [part for part in parts_of(module) if part.serves == "problem" or not part.is_kept]
     link_runtime()
     if share == "both":
@@ -65,7 +307,7 @@ def main(share: str) -> int:
 
 
 def warm_up() -> None:
-    """Compile a little of what loops and kernels consist of: the first compilation takes long, whatever it compiles."""
+    """Compile a loop and a kernel: the first compilation is slow whatever it compiles."""
     import codegen.runtime.search.solution  # noqa: F401  what modules import
 
     assert cfunc(float64(types.CPointer(float64), int64))(_loop).address
@@ -75,7 +317,7 @@ _PLACES = np.array([0, 1])
 
 
 def _loop(values: Any, count: Any) -> Any:
-    """Go through intervals as loops of modules do."""
+    """Iterate over intervals as the loops of modules do."""
     array, part, total = carray(values, (count,)), np.zeros(2), 0.0
     for k in range(count):
         part[:] = 0.0
@@ -88,7 +330,7 @@ def _loop(values: Any, count: Any) -> Any:
 
 @njit(error_model="numpy")
 def _kernel(values: Any, t: Any, part: Any) -> Any:
-    """Fill an array as kernels of modules do."""
+    """Fill an array as the kernels of modules do."""
     x = 0.5 * values[0] ** 2 + math.sin(t) / values[1]
     part[0] = 2 * x / math.sqrt(t) - x**3
     return -x
@@ -102,7 +344,7 @@ def _add(part: Any, first: Any, size: Any, array: Any) -> None:
 
 
 def link_runtime() -> None:
-    """Have inner functions of the runtime become parts of their callers, in this process from now on."""
+    """Link inner functions of the runtime into their callers in this process."""
     from codegen.runtime.linking import compile_for_any_value, link_inner_functions
 
     runtime = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("codegen.runtime.")]
@@ -113,7 +355,7 @@ def link_runtime() -> None:
 
 
 def compile_in_two(parts: list[Part]) -> int:
-    """Compile parts in this process and in a copy of it, each taking the next one that is left; the exit status."""
+    """Compile parts in this process and a fork of it, each taking the next free part; return the exit status."""
     left, numbers = os.pipe()
     os.write(numbers, bytes(range(len(parts))))
     os.close(numbers)
@@ -133,7 +375,7 @@ def compile_in_two(parts: list[Part]) -> int:
 
 
 def compile_parts(parts: Iterable[Part], count: int) -> None:
-    """Compile parts, and tell the process that waits of each."""
+    """Compile parts, and report each one to the waiting process."""
     os.write(sys.stdout.fileno(), f"{COUNT}{count}\n".encode())
     with np.errstate(all="ignore"), packed_operations():
         for part in parts:
@@ -143,21 +385,51 @@ def compile_parts(parts: Iterable[Part], count: int) -> None:
 
 
 def protect(part: Part) -> None:
-    """Add checksums to the machine code of the folders that a part may have added to."""
+    """Add checksums to the machine code in the folders to which a part may have added."""
     folders = [] if part.serves == "problem" else [code_folder(part.function.__code__.co_filename)]
     for folder in {*folders, *(runtime_folders() if part.serves == "runtime" else [])}:
         add_checksums(folder)
 
 
 def failed(error: Exception) -> int:
-    """Tell the process that waits, in one line, by which error this one fails; return the exit status."""
+    """Report an error to the waiting process in one line; return the exit status."""
     os.write(sys.stdout.fileno(), f"{' '.join(f'{type(error).__name__}: {error}'.split())[:300]}\n".encode())
     return 1
+
+
+class CodeSeconds(Listener):  # type: ignore[misc, unused-ignore]  # numba is annotated in parts
+    """The time in which one thread holds numba's compiler, which compiles and reads functions."""
+
+    def __init__(self) -> None:
+        self.seconds, self._thread, self._depth, self._begin = 0.0, threading.get_ident(), 0, 0.0
+
+    def on_start(self, event: Event) -> None:
+        """Start the clock, unless one function is compiled for another one."""
+        if threading.get_ident() != self._thread:
+            return
+        if self._depth == 0:
+            self._begin = time.perf_counter()
+        self._depth += 1
+
+    def on_end(self, event: Event) -> None:
+        """Add the time of the outermost function."""
+        if threading.get_ident() != self._thread:
+            return
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._begin
+
+
+@contextmanager
+def seconds_of_machine_code() -> Iterator[CodeSeconds]:
+    """Measure the time in which numba compiles and reads functions in this thread, inside the block."""
+    with install_listener("numba:compiler_lock", CodeSeconds()) as listener:
+        yield listener
 
 
 if __name__ == "__main__":
     try:
         status = main(sys.argv[1])
-    except Exception as error:  # the process that waits says what has become of it
+    except Exception as error:  # reported to the waiting process
         status = failed(error)
-    os._exit(status)  # at once: to take everything down that numba and LLVM have built takes half a second
+    os._exit(status)  # at once: the teardown of numba and LLVM takes half a second

@@ -1,6 +1,7 @@
-"""Processes that compile: started before a module is derived, they get numba ready while it is.
+"""Processes that compile machine code, and the compilation of modules that lack it.
 
-This file imports neither numpy nor numba, so that they start at once.
+The processes start before a module is derived, and load numba during the derivation. This file imports neither numpy
+nor numba, so that the processes start at once.
 """
 
 from __future__ import annotations
@@ -9,11 +10,18 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from codegen.errors import one_line
+
+if TYPE_CHECKING:
+    from codegen.errors import FileError
+    from codegen.solving.loading import GeneratedModule
 
 CAN_FORK = hasattr(os, "fork")
 START = """
@@ -23,19 +31,20 @@ if folder not in sys.path:
     sys.path.insert(0, folder)
 runpy.run_module("codegen.solving.machine_code.compilation", run_name="__main__", alter_sys=True)
 """
-"""The program of a process: it takes this very package, and not one that lies in the current folder."""
+"""The program of a process. It imports this package, not a package of the same name in the current folder."""
 NOTE = "codegen: note: "
-"""How a line begins that is no error."""
-COUNT, DONE = "codegen: parts: ", "codegen: part done"
-"""The start of the line with the number of parts, and the line for each compiled part."""
+"""Prefix of a line that is no error."""
+COMPILING, ONCE = "Compiling", "Compiling the solver, once on this machine"
+_LOCKS: dict[Path, threading.Lock] = {}
+"""A thread that needs the same module waits for the first one, and then has its machine code."""
 
 
 class Compilers:
-    """Processes that get numba ready, and compile a module when they have its path."""
+    """Processes that load numba, and compile a module as soon as they have its path."""
 
     def __init__(self) -> None:
-        self.failure = ""  # type and message of the error by which a process failed
-        self.notes: list[str] = []  # what processes had to say beside
+        self.failure = ""  # type and message of the error of a process
+        self.notes: list[str] = []  # notes of processes
         self.processes: list[subprocess.Popen[bytes]] = []
 
     def start(self) -> None:
@@ -55,15 +64,17 @@ class Compilers:
         ]
 
     def compile(self, path: Path, tell: Callable[[int, int], None] = lambda done, count: None) -> bool:
-        """Compile all that solutions of a module call; return True if it is on the disk now.
+        """Compile all functions that solutions of a module call; return True on success.
 
-        `tell` is called with how many parts are done, and how many there are. If a process has failed, `failure` tells
-        by which error.
+        `tell` is called with the numbers of finished parts and of all parts. If a process fails, its error is in
+        `failure`.
         """
+        from codegen.solving.machine_code.compilation import COUNT, DONE
+
         self.start()
         for process in self.processes:
             assert process.stdin is not None
-            with suppress(BrokenPipeError):  # its exit status will tell
+            with suppress(BrokenPipeError):  # reported by its exit status
                 process.stdin.write(os.fsencode(path.absolute()))
                 process.stdin.close()
         errors, done, count = [], 0, 0
@@ -85,15 +96,15 @@ class Compilers:
         return not any(statuses)
 
     @property
-    def said(self) -> list[str]:
-        """Lines for whoever waits: notes, and by which error machine code could not be made ahead, if it could not."""
+    def notices(self) -> list[str]:
+        """Lines for the user: notes, and the error of a failed compilation."""
         if not self.failure:
             return self.notes
         reason = f"machine code could not be made ahead ({one_line(self.failure)}); a first solve has made it"
         return [*self.notes, f"codegen: {reason}"]
 
     def end(self) -> None:
-        """End the processes, and those that they have become, if they have not ended by themselves."""
+        """End the processes and their forks, if they are still running."""
         for process in self.processes:
             if process.poll() is None and CAN_FORK:
                 with suppress(ProcessLookupError):
@@ -109,7 +120,7 @@ class Compilers:
 
 @contextmanager
 def compilers() -> Iterator[Compilers]:
-    """Provide processes that can be started, and make sure that they end with the block."""
+    """Provide processes that can be started, and end them with the block."""
     processes = Compilers()
     try:
         yield processes
@@ -118,7 +129,59 @@ def compilers() -> Iterator[Compilers]:
 
 
 def shares() -> tuple[str, ...]:
-    """Return the shares of the processes that are to be started."""
+    """Return the shares of the processes to start."""
     if (os.cpu_count() or 1) == 1:
         return ("0/1",)
     return ("both",) if CAN_FORK else ("0/2", "1/2")
+
+
+def require(
+    path: Path,
+    module: GeneratedModule,
+    is_new: bool,
+    working: Callable[[str], AbstractContextManager[Any]],
+    processes: Compilers | None = None,
+) -> tuple[float, list[str]]:
+    """Compile a module that lacks machine code; return the seconds, and lines for the user.
+
+    `processes` may have been started before. `working` displays progress.
+    """
+    from codegen.solving.machine_code.compilation import parts_of
+
+    with _LOCKS.setdefault(path.resolve(), threading.Lock()):
+        missing = [part for part in parts_of(module) if not part.is_kept]
+        if not missing and not (is_new and parts_of(module)):
+            return 0.0, []
+        begin = time.perf_counter()
+        text = ONCE if any(part.serves == "runtime" for part in missing) else COMPILING
+        with nullcontext(processes) if processes else compilers() as started, working(text) as line:
+
+            def tell(done: int, count: int) -> None:
+                if hasattr(line, "update"):
+                    line.update(f"{text}: {done} of {count} parts ...")
+
+            prepare(path, started, tell)
+        return time.perf_counter() - begin, started.notices
+
+
+def prepare(path: Path, processes: Compilers, tell: Callable[[int, int], None] = lambda done, count: None) -> None:
+    """Compile all functions that a solution of a module calls, in this process if the others fail."""
+    if processes.compile(path, tell):
+        return
+    from codegen.solving.loading import load  # importing numpy at the top would delay the start of the processes
+    from codegen.solving.machine_code.compilation import compile_all
+
+    module = load(path)
+    try:
+        compile_all(module)
+    except OSError as error:
+        raise unwritable_cache_error(module, error) from error
+
+
+def unwritable_cache_error(module: GeneratedModule, error: OSError) -> FileError:
+    """Return the error for machine code that cannot be written, with the folder and the remedy."""
+    from codegen.files import refused
+    from codegen.runtime.kept_code import code_folder
+
+    folder = error.filename or code_folder(getattr(module, "__file__", "")) or "the folder of machine code"
+    return refused(error, folder, "make room there, or let NUMBA_CACHE_DIR name a folder that may be written to")

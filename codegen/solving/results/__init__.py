@@ -1,1 +1,1 @@
-"""What solving returns: results with residuals evaluated anew, as objects, tables, JSON and archives."""
+"""Results of solves, with residuals that are evaluated outside the driver: objects, tables, JSON and archives."""

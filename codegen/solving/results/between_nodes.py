@@ -1,21 +1,20 @@
-"""What the motion of a solution does inside intervals: path conditions on states alone, sampled between nodes.
+"""The motion of a solution inside intervals: violated path conditions, poles, and stages beyond bounds.
 
-The discrete equations hold such conditions at nodes, and where the scheme evaluates. On too coarse a grid a motion may
-pass through a thin obstacle all the same, or jump from one branch of an equality to another. The solution is carried to
-a grid on which every interval is cut in `PARTS`, then to one that has the peaks between these samples. The conditions
-are read there off the gradient of the Lagrangian, by the module's own compiled code: at a new node they are what stands
-beside their multipliers.
+Path conditions on states alone hold at nodes, and where the scheme evaluates. On a coarse grid a motion may still pass
+through a thin obstacle, or jump from one branch of an equality to another. The solution is transferred to a grid on
+which every interval is divided into `PARTS`, then to a grid with the peaks between these samples. The conditions are
+components of the gradient of the Lagrangian at the indices of their multipliers. Compiled code of the module evaluates
+the gradient.
 
-Poles of the equations of motion that a solution leaps over between two nodes.
+Poles of the equations of motion lie between two nodes, for example of a thrust over a mass that passes through zero.
+The discrete equations hold on both sides of a pole, but no motion crosses it. The solution is a straight line between
+nodes. The right-hand sides along this line are components of the gradient of the Lagrangian on a finer grid. The grid
+is refined repeatedly around their largest change. Near a pole the change grows without limit; for a smooth right-hand
+side, however steep, it converges to zero.
 
-A thrust over a mass that falls through zero, say: the discrete equations hold, since they are evaluated on either side,
-and no motion goes on beyond the pole. Where the solution is a straight line between nodes, what the equations give for
-its states is read off the gradient of the Lagrangian on a finer grid, and looked at ever more closely around its
-largest change. Near a pole that grows without end; a smooth right-hand side, however steep, comes to rest.
-
-Stages of explicit schemes beyond the bounds of states, where the dynamics were evaluated all the same. A stage of an
-explicit scheme follows from the node before it less accurately than the step does, so that no bound is imposed on it.
-Kinetics that change their sign beyond a bound lead to a motion that does not exist.
+Stages of explicit schemes may lie beyond the bounds of states, although the dynamics were evaluated there. Such a stage
+follows from the node before it less accurately than the step does, so that no bound is imposed on it. Kinetics that
+change their sign beyond a bound lead to a motion that does not exist.
 """
 
 from __future__ import annotations
@@ -29,32 +28,70 @@ from numpy.typing import NDArray
 
 from codegen.runtime.record import Kind, Meaning, Place, phrase
 from codegen.runtime.search.termination import sizes_of_terms
-from codegen.solving.interfaces import ControlModule, Grid, Matrix, Vector, time_grid
+from codegen.solving.loading import ControlModule, Grid, Matrix, Vector, time_grid
+
+PARTS = 8
+"""Number of parts of an interval."""
+GROSS = 0.05
+"""Violation relative to the terms of a condition above which a solution has a note."""
+NEGLIGIBLE = 1e-7
+"""Violation relative to the largest terms of the condition along the motion below which it is ignored."""
+INCREMENT = 1e-6
+"""Relative increment of the finite differences that measure the terms of a condition."""
+LEVELS = 8
+"""Number of refinements around a suspected pole; each one reduces the distance to three eighths."""
+BESIDE = 1.5
+"""Width to either side of the largest change, in parts; values at nodes are unknown next to the ends."""
+CONSPICUOUS = 5.0
+"""Largest change between parts of an interval, relative to the usual change, that suggests a pole."""
+WITHOUT_END = 1e3
+"""The same after all refinements: about 2.7^LEVELS at a simple pole, less than one for a smooth right-hand side."""
+GROWTH = 16.0
+"""Growth of the change in the last refinements: some hundred at a pole, one at a jump."""
+SHORTEST, ROOM, LEAST_FRACTION = 1e-5, 2e-10, 1e-8
+"""Shortest part of an interval, and of the duration; shortest interval that can be divided, as a fraction."""
+NEGLIGIBLE_POLE, ROUNDING = 1e-6, 1e-9
+"""Negligible change, relative to the largest value on all intervals, and to the largest terms of equations."""
+STAGES_NEGLIGIBLE = 1e-6
+"""Distance of a stage from a bound, relative to the largest value of the state, that is ignored."""
 
 
-def cut(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
-    """The grid on which every interval is cut in the parts (intervals, parts) of it."""
+# Transfer to finer grids
+
+
+def _divided(module: Any, coarse: Grid, cuts: Matrix) -> Grid:
+    """Return the grid on which every interval is divided into the fractions `cuts` (intervals, parts)."""
     phases = module.metadata.phases
     parts = (np.diff(coarse.nodes)[:, None] * cuts).reshape(phases, -1)
     parts /= parts.sum(axis=1, keepdims=True)
     return time_grid(module, parts.shape[1], parts if phases > 1 else parts[0])
 
 
-def carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int, straight: bool = False) -> Vector:
-    """The unknowns on the finer grid: states interpolated, what intervals have as it is, no slacks nor multipliers.
+def _transferred(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int, straight: bool = False) -> Vector:
+    """Return the unknowns on the finer grid: states interpolated, intervals repeated, slacks and multipliers zero.
 
-    States are straight lines between the nodes of a scheme of order two, or where that is asked for, and monotone
-    cubics for higher orders.
+    States are linear between the nodes of a scheme of order two, or if `straight`, and otherwise monotone cubics.
     """
     result = np.zeros(fine.is_multiplier.size)
     nodes, intervals = module.views(coarse, unknowns)
     new_nodes, new_intervals = module.views(fine, result)
-    order = module.metadata.order
-    phases, old, new = module.metadata.phases, coarse.nodes / coarse.steps, fine.nodes / fine.steps
+    straight = straight or module.metadata.order == 2
+    phases = module.metadata.phases
     for phase in range(phases):
         count = intervals.shape[1] // phases
-        here, there = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
-        new_nodes[:, there] = _interpolated(old[here], nodes[:, here], new[there], straight or order == 2)
+        old, new = (slice(phase * n + min(phase, 1), (phase + 1) * n + 1) for n in (count, parts * count))
+        t, at, values = (coarse.nodes / coarse.steps)[old], (fine.nodes / fine.steps)[new], nodes[:, old]
+        if straight or t.size <= 2:
+            left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(0, t.size - 2))
+            right = np.minimum(left + 1, t.size - 1)
+            width = np.where(right > left, t[right] - t[left], 1.0)
+            share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
+            new_nodes[:, new] = (1.0 - share) * values[:, left] + share * values[:, right]
+        else:
+            from scipy.interpolate import PchipInterpolator  # which takes long to import
+
+            with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
+                new_nodes[:, new] = PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1]))
     new_intervals[:] = np.repeat(intervals, parts, axis=1)
     new_intervals[:, :, module.problem.structure.slacks - nodes.shape[2]] = 0.0
     root = module.problem.structure.root
@@ -63,38 +100,31 @@ def carried(module: Any, coarse: Grid, fine: Grid, unknowns: Vector, parts: int,
     return result
 
 
-def _interpolated(t: Vector, values: Matrix, at: Vector, straight: bool) -> Matrix:
-    if not straight and t.size > 2:
-        from scipy.interpolate import PchipInterpolator  # which takes long to import
-
-        with np.errstate(over="ignore"):  # reciprocals of slopes that are next to zero
-            return np.asarray(PchipInterpolator(t, values, axis=1)(np.clip(at, t[0], t[-1])), dtype=float)
-    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(0, t.size - 2))
-    right = np.minimum(left + 1, t.size - 1)
-    width = np.where(right > left, t[right] - t[left], 1.0)
-    share = np.clip((at - t[left]) / width, 0.0, 1.0)[None, :, None]
-    return np.asarray((1.0 - share) * values[:, left] + share * values[:, right])
+def _of_body(body: int | None) -> str:
+    return "" if body is None else f" of body {body}"
 
 
-PARTS = 8
-"""In how many parts an interval is cut."""
-GROSS = 0.05
-"""Violations above it, in parts of the terms of a condition, are worth a note."""
-NEGLIGIBLE = 1e-7
-"""A violation that is less, in parts of the condition's largest terms along the motion, is none."""
-INCREMENT = 1e-6
-"""Relative increments by which sizes of terms are measured."""
+# Path conditions
 
 
 @dataclass(frozen=True)
 class Excursion:
-    """How far a condition is violated inside an interval: its name, by how much, and when that is worst.
+    """The worst violation of a condition inside an interval.
 
-    `relative` is the violation d in parts of d + sum |x_i dg/dx_i|, between 0 and 1: next to a limit the distance to
-    where the condition holds in parts of the states x, and 1 in the middle of an obstacle, where the gradient vanishes.
-    `condition` is the module's name of it, with its segment where a delay cut the motion; `time` is that of the whole
-    motion, in the problem's units. Of several bodies `body` is the number of the one that is worst.
-    `segment` is 0 where no delay cut the motion.
+    Attributes
+    ----------
+    condition : str
+        Name in the module, with the segment of a problem with delays.
+    violation, relative : float
+        Violation d, and d relative to d + sum |x_i dg/dx_i|, between 0 and 1. Next to a limit `relative` is the
+        distance to the feasible set relative to the states x. In the middle of an obstacle, where the gradient
+        vanishes, it is 1.
+    time : float
+        Time of the whole motion.
+    body : int or None
+        Number of the body, if there are several.
+    segment : int
+        0 without delays.
     """
 
     condition: str
@@ -106,22 +136,21 @@ class Excursion:
 
     @property
     def is_gross(self) -> bool:
-        """Whether a finer grid is called for."""
+        """True if the violation requires a finer grid."""
         return self.relative > GROSS
 
     @property
     def note(self) -> str:
-        """What is to be said of it, and what helps."""
-        of_body = "" if self.body is None else f" of body {self.body}"
+        """The message for the author, with the remedy."""
         condition = self.condition.removesuffix(f" in segment {self.segment}")
         return (
-            f"between nodes the motion{of_body} violates {condition} by {self.figures}: the grid is too coarse "
-            "for it, and what was found may be no motion at all; take more --steps, or --doublings"
+            f"between nodes the motion{_of_body(self.body)} violates {condition} by {self.figures}: the grid is too "
+            "coarse for it, and what was found may be no motion at all; take more --steps, or --doublings"
         )
 
     @property
     def figures(self) -> str:
-        """By how much it is violated, and when."""
+        """Amount and time of the violation."""
         percent = 100.0 * self.relative
         share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
         return f"{self.violation:.2g} at t = {self.time:.4g}, {share} % of the size of its terms"
@@ -129,7 +158,7 @@ class Excursion:
 
 @dataclass(frozen=True)
 class _Row:
-    """A condition in the gradient: the index of its multiplier in a node or in an interval, and of states in a node."""
+    """A condition in the gradient: the index of its multiplier in a node or an interval, and of states in a node."""
 
     name: str
     index: int
@@ -140,11 +169,10 @@ class _Row:
 
 
 def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Excursion]:
-    """The worst violation between nodes of every path condition on states alone, and of every holonomic constraint.
+    """Return the worst violation between nodes of every path condition on states and of every holonomic constraint.
 
-    States are straight lines between the nodes of a scheme of order two, and monotone cubics for higher orders; the
-    grid has `steps` equal intervals in every phase, or those of `fractions`. The first interval behind a switch is left
-    out, since a state may jump there. Empty where nothing is violated.
+    The grid has `steps` intervals in every phase, equal ones or those of `fractions`. The first interval after a switch
+    is omitted, because a state may jump there. Satisfied conditions are not in the list.
     """
     rows = list(_rows(module))
     if not rows:
@@ -152,66 +180,95 @@ def excursions(module: ControlModule, unknowns: Vector, steps: int, fractions: V
     coarse = time_grid(module, steps, fractions)
     intervals = module.metadata.phases * steps
     evenly = _Sampled(module, coarse, unknowns, np.full((intervals, PARTS), 1.0 / PARTS))
-    found = list[Excursion]()
+    worst = list[Excursion]()
     for row in rows:
-        worst = [_worst(evenly, row, steps)]
+        candidates = [_worst(evenly, row, steps)]
         shares = _peaks(row, evenly.values(row))
         if shares is not None:
-            worst.append(_worst(_Sampled(module, coarse, unknowns, np.stack([shares, 1.0 - shares], 1)), row, steps))
-        found += sorted((one for one in worst if one is not None), key=lambda one: one.relative)[-1:]
-    return found
+            at_peaks = _Sampled(module, coarse, unknowns, np.stack([shares, 1.0 - shares], 1))
+            candidates.append(_worst(at_peaks, row, steps))
+        worst += sorted((one for one in candidates if one is not None), key=lambda one: one.relative)[-1:]
+    return worst
 
 
 def sampled_conditions(module: ControlModule) -> tuple[str, ...]:
-    """The names of the conditions that `excursions` looks at, each once."""
+    """Return the names of the conditions that `excursions` evaluates."""
     return tuple(dict.fromkeys(row.name for row in _rows(module)))
 
 
 def _rows(module: Any) -> Iterator[_Row]:
-    """The conditions of a module in which nothing but states of one node, times and parameters occur."""
+    """Yield the conditions of a module that depend only on states of one node, time and parameters."""
     metadata, structure = module.metadata, module.problem.structure
-    first = structure.node
-    partners = _partners(structure)
-    stride = structure.stride
+    first, stride = structure.node, structure.stride
+    # The Hessian of the Lagrangian couples an index of an interval, with both its nodes, with its partners.
+    partners: dict[int, set[int]] = {}
+    for i, j in zip(structure.rows.tolist(), structure.columns.tolist(), strict=True):
+        partners.setdefault(i, set()).add(j)
+        partners.setdefault(j, set()).add(i)
     every = tuple(range(metadata.phases))
     for i, name in enumerate(metadata.node):
         meaning = metadata.meanings.get(name)
-        beside = partners.get(i, set()) - {i}
-        own = {j for j in beside if j < first}
-        if meaning and structure.is_multiplier[i] and own and not any(first <= j < stride + first for j in beside):
-            yield _Row(_condition(meaning), i, True, tuple(sorted(own)), every, meaning.segment)
+        coupled = partners.get(i, set()) - {i}
+        same_node = {j for j in coupled if j < first}
+        if not (meaning and structure.is_multiplier[i] and same_node):
+            continue
+        if not any(first <= j < stride + first for j in coupled):
+            condition = meaning.of if meaning.kind == Kind.CONSTRAINT else phrase(meaning, role=False)
+            yield _Row(condition, i, True, tuple(sorted(same_node)), every, meaning.segment)
     for slack, multiplier in zip(structure.slacks, structure.slack_multipliers, strict=True):
-        beside = partners.get(int(multiplier), set()) - {int(slack), int(multiplier)}
-        if any(j < stride for j in beside):
-            continue  # of the left node, or the interval
-        states = tuple(sorted(j - stride for j in beside if j < stride + first))
-        found: dict[Meaning, list[int]] = {}
+        coupled = partners.get(int(multiplier), set()) - {int(slack), int(multiplier)}
+        if any(j < stride for j in coupled):
+            continue  # depends on the left node, or on the interval
+        states = tuple(sorted(j - stride for j in coupled if j < stride + first))
+        phases: dict[Meaning, list[int]] = {}
         for phase, meanings in enumerate(metadata.slack_meanings):
             meaning = meanings.get(metadata.interval[slack - first])
             if meaning and meaning.kind.place == Place.INTERVAL and meaning.at == 1:
-                found.setdefault(meaning, []).append(phase)
-        for meaning, where in found.items():
+                phases.setdefault(meaning, []).append(phase)
+        for meaning, where in phases.items():
             yield _Row(meaning.subject, int(multiplier), False, states, tuple(where), meaning.segment)
 
 
-def _condition(meaning: Meaning) -> str:
-    """The condition of a multiplier: a constraint as its author wrote it."""
-    return meaning.of if meaning.kind == Kind.CONSTRAINT else phrase(meaning, role=False)
+class _Sampled:
+    """Values of conditions, and the size of their terms, on intervals that are divided into fractions `cuts`."""
 
+    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
+        self.module, self.grid = module, _divided(module, coarse, cuts)
+        self.intervals, self.parts = cuts.shape
+        self._unknowns = _transferred(module, coarse, self.grid, unknowns, self.parts)
+        self._gradient = module.evaluate(self.grid, self._unknowns).gradient
+        self._perturbed: dict[int, Vector] = {}
+        self.times = np.asarray(module.unpack(self.grid, self._unknowns)[0])
 
-def _partners(structure: Any) -> dict[int, set[int]]:
-    """For every index of an interval with both its nodes those with which the Hessian of the Lagrangian couples it."""
-    found: dict[int, set[int]] = {}
-    for i, j in zip(structure.rows.tolist(), structure.columns.tolist(), strict=True):
-        found.setdefault(i, set()).add(j)
-        found.setdefault(j, set()).add(i)
-    return found
+    def values(self, row: _Row, gradient: Vector | None = None) -> Matrix:
+        """Return the values (bodies, intervals, parts + 1), from the left node of an interval to its right node."""
+        nodes, intervals = self.module.views(self.grid, self._gradient if gradient is None else gradient)
+        if row.equality:
+            at_nodes = nodes[:, :, row.index]
+        else:  # values at the right nodes of intervals; the first node has none
+            at_right = intervals[:, :, row.index - nodes.shape[2]]
+            at_nodes = np.concatenate([np.full((at_right.shape[0], 1), -np.inf), at_right], axis=1)
+        index = self.parts * np.arange(self.intervals)[:, None] + np.arange(self.parts + 1)
+        return np.asarray(at_nodes[:, index])
+
+    def terms(self, row: _Row) -> Matrix:
+        """Return the sum of |x_i dg/dx_i| over all states, in the shape of `values`."""
+        values = self.values(row)
+        total = np.zeros_like(values)
+        for state in row.states:
+            if state not in self._perturbed:
+                perturbed = self._unknowns.copy()
+                self.module.views(self.grid, perturbed)[0][:, :, state] *= 1.0 + INCREMENT
+                self._perturbed[state] = self.module.evaluate(self.grid, perturbed).gradient
+            total += np.abs(self.values(row, self._perturbed[state]) - values) / INCREMENT
+        return total
 
 
 def _peaks(row: _Row, values: Matrix) -> Vector | None:
-    """Where in every interval, in parts of it, a parabola through three samples is worst; None where none is violated.
+    """Return the peak of the violation in every interval, as a fraction, from parabolas through three samples.
 
-    What is thinner than the distance of samples lies between two of them, and shows in how values bend around it.
+    An obstacle that is thinner than the distance of samples lies between two of them, and bends the values around it.
+    Return None if no peak violates the condition.
     """
     left, middle, right = values[..., :-2], values[..., 1:-1], values[..., 2:]
     with np.errstate(all="ignore"):
@@ -230,93 +287,34 @@ def _peaks(row: _Row, values: Matrix) -> Vector | None:
     return np.where(height[body, every, triple] > 0.0, np.clip(shares, 1e-6, 1.0 - 1e-6), 0.5)
 
 
-class _Sampled:
-    """Values of conditions where every interval is cut in some parts of it (intervals, parts), and sizes of terms."""
-
-    def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
-        self.module, self.grid = module, cut(module, coarse, cuts)
-        self.intervals, self.parts = cuts.shape
-        self._unknowns = carried(module, coarse, self.grid, unknowns, self.parts)
-        self._gradient = self._gradient_at(self._unknowns)
-        self._moved: dict[int, Vector] = {}
-        self.times = np.asarray(module.unpack(self.grid, self._unknowns)[0])
-
-    def values(self, row: _Row, gradient: Vector | None = None) -> Matrix:
-        """The condition's values (bodies, intervals, parts + 1), from the left node of an interval to its right one."""
-        nodes, intervals = self.module.views(self.grid, self._gradient if gradient is None else gradient)
-        width = nodes.shape[2]
-        at_nodes = nodes[:, :, row.index] if row.equality else self._behind(intervals[:, :, row.index - width])
-        index = self.parts * np.arange(self.intervals)[:, None] + np.arange(self.parts + 1)
-        return np.asarray(at_nodes[:, index])
-
-    def sizes(self, row: _Row) -> Matrix:
-        """The sum of |x_i dg/dx_i| over all states, of the same shape."""
-        values = self.values(row)
-        total = np.zeros_like(values)
-        for state in row.states:
-            total += np.abs(self.values(row, self._beside(state)) - values) / INCREMENT
-        return total
-
-    @staticmethod
-    def _behind(at_right: Matrix) -> Matrix:
-        """Values at the right nodes of intervals as those at all nodes; the first node has none."""
-        return np.concatenate([np.full((at_right.shape[0], 1), -np.inf), at_right], axis=1)
-
-    def _beside(self, state: int) -> Vector:
-        """The gradient where one state of every node is a little larger."""
-        if state not in self._moved:
-            moved = self._unknowns.copy()
-            self.module.views(self.grid, moved)[0][:, :, state] *= 1.0 + INCREMENT
-            self._moved[state] = self._gradient_at(moved)
-        return self._moved[state]
-
-    def _gradient_at(self, unknowns: Vector) -> Vector:
-        gradient: Vector = self.module.evaluate(self.grid, unknowns).gradient
-        return gradient
-
-
 def _worst(sampled: _Sampled, row: _Row, steps: int) -> Excursion | None:
-    """Where a condition is worst inside intervals, beyond what it is at their nodes."""
+    """Return the worst violation of a condition inside intervals beyond its violation at their nodes."""
     values = sampled.values(row)
     violation = np.abs(values) if row.equality else np.maximum(values, 0.0)
     at_nodes = np.maximum(violation[:, :, :1], violation[:, :, -1:])
     beyond: NDArray[np.float64] = np.nan_to_num(violation - at_nodes, nan=0.0, posinf=0.0)[:, :, 1:-1]
-    # Which intervals belong to the phases of a condition, without the first behind a switch.
+    # Omit intervals of other phases, and the first interval after a switch.
     phase, number = np.divmod(np.arange(beyond.shape[1]), steps)
     beyond[:, ~np.asarray(np.isin(phase, row.phases) & ((phase == 0) | (number > 0)))] = 0.0
     if beyond.max(initial=0.0) <= 0.0:
         return None
     with np.errstate(invalid="ignore"):
-        sizes = np.nan_to_num(sampled.sizes(row), nan=0.0, posinf=0.0)
-    largest = max(sizes.max(), np.abs(values[np.isfinite(values)]).max(initial=0.0))
-    inside = sizes[:, :, 1:-1]
+        terms = np.nan_to_num(sampled.terms(row), nan=0.0, posinf=0.0)
+    largest = max(terms.max(), np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    inside = terms[:, :, 1:-1]
     relative = np.where(beyond > NEGLIGIBLE * largest, beyond / np.maximum(beyond + inside, 1e-300), 0.0)
     if relative.max() <= 0.0:
         return None
-    body, interval, part = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    metadata, time = sampled.module.metadata, sampled.times[sampled.parts * interval + part + 1]
+    worst = np.unravel_index(int(np.argmax(relative)), relative.shape)
+    body, interval, part = worst
+    time = sampled.times[sampled.parts * interval + part + 1]
     time += max(row.segment - 1, 0) * (sampled.times[-1] - sampled.times[0])
-    worst, own = (body, interval, part), int(body) if metadata.bodies > 1 else None
-    return Excursion(row.name, float(beyond[worst]), float(relative[worst]), float(time), own, row.segment)
+    number_of_body = int(body) if sampled.module.metadata.bodies > 1 else None
+    figures = float(beyond[worst]), float(relative[worst]), float(time)
+    return Excursion(row.name, *figures, number_of_body, row.segment)
 
 
-PARTS_OF_STEP = 8
-"""In how many parts an interval is cut, and then what surrounds the largest change."""
-LEVELS = 8
-"""How often one looks more closely, each time at three eighths of the distance."""
-BESIDE = 1.5
-"""Parts to either side of the largest change that are looked at: nodes tell nothing of what is next to an end."""
-CONSPICUOUS = 5.0
-"""Largest change from part to part on an interval, in units of what is usual there, that is worth a closer look."""
-WITHOUT_END = 1e3
-"""The same at the end: at a simple pole it is some 2.7^LEVELS, and less than one where a right-hand side is smooth."""
-GROWTH = 16.0
-"""How many times as large it has become on the last levels: at a pole some hundred, at a jump it stays the same."""
-SHORTEST, ROOM, LEAST_FRACTION = 1e-5, 2e-10, 1e-8
-"""Part of an interval, and of the duration, that is left where nothing has to be looked at, since grids have no
-intervals without a length; and the shortest interval that can be cut so."""
-NEGLIGIBLE_POLE, ROUNDING = 1e-6, 1e-9
-"""Parts of the largest value on all intervals, and of the largest terms of equations, below which a change is none."""
+# Poles
 
 
 @dataclass(frozen=True)
@@ -330,10 +328,10 @@ class Pole:
     @property
     def note(self) -> str:
         """The message for the author, with the remedy."""
-        of_body = "" if self.body is None else f" of body {self.body}"
         return (
-            f"between nodes, at t = {self.time:.4g}, the equation of {self.state}{of_body} grows without end: what was "
-            "found leaps over a pole, and may be no motion beyond it; keep what is divided by away from zero by bounds"
+            f"between nodes, at t = {self.time:.4g}, the equation of {self.state}{_of_body(self.body)} grows without "
+            "end: what was found leaps over a pole, and may be no motion beyond it; keep what is divided by away from "
+            "zero by bounds"
         )
 
 
@@ -342,43 +340,17 @@ class _Equation:
     """The equation of a state, and its index among the unknowns of a node, or else of an interval."""
 
     state: str
-    place: int
+    index: int
     at_nodes: bool
-
-
-def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Pole]:
-    """The poles that a solution leaps over, one at most of each equation of motion, and in each interval.
-
-    `unknowns` (n,) are those of `steps` intervals in each phase, equal ones or those of `fractions`. The first interval
-    behind a switch is left out, since a state may jump there, and so are grids with intervals below `LEAST_FRACTION`.
-    """
-    coarse = time_grid(module, steps, fractions)
-    lengths = np.diff(coarse.nodes) / steps
-    if lengths.min() < LEAST_FRACTION:
-        return []
-    evenly = np.full((len(lengths), PARTS_OF_STEP), 1.0 / PARTS_OF_STEP)
-    first = _Looked(module, coarse, unknowns, evenly)
-    suspects = list(_suspects(first, sizes_of_terms(coarse, unknowns)[0], steps))
-    if not suspects:
-        return []
-    evenly = np.full((len(lengths), PARTS_OF_STEP + 2), 1.0 / (PARTS_OF_STEP + 2))
-    for level in range(LEVELS):
-        width = (BESIDE / PARTS_OF_STEP) * (2.0 * BESIDE / PARTS_OF_STEP) ** level
-        cuts = evenly.copy()
-        for suspect in suspects:
-            cuts[suspect.interval] = _around(suspect.middle, width, ROOM / lengths[suspect.interval])
-        closer = _Looked(module, coarse, unknowns, cuts)
-        suspects = [suspect.closer(closer) for suspect in suspects]
-    return [
-        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata.bodies > 1 else None)
-        for s in suspects
-        if s.grows_without_end
-    ]
 
 
 @dataclass(frozen=True)
 class _Suspect:
-    """An equation that changes much inside an interval: where, in parts of it, what is usual, and changes so far."""
+    """An equation with a large change inside an interval.
+
+    `middle` is the place of the change as a fraction of the interval, `usual` the usual change, and `largest` the
+    largest changes in the refinements so far.
+    """
 
     equation: _Equation
     body: int
@@ -387,115 +359,122 @@ class _Suspect:
     usual: float
     largest: tuple[float, ...] = ()
 
-    def closer(self, looked: _Looked) -> _Suspect:
-        """The same after a closer look."""
-        here = looked.changes(self.equation)[self.body, self.interval]
-        part = int(np.argmax(here))
-        middle = looked.middle(self.equation, self.interval, part)
-        return replace(self, middle=middle, largest=(*self.largest, float(here[part])))
 
-    @property
-    def grows_without_end(self) -> bool:
-        """Whether the changes say that there is a pole."""
-        return self.largest[-1] > max(WITHOUT_END * self.usual, GROWTH * min(self.largest[: LEVELS // 2]))
+def poles(module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None) -> list[Pole]:
+    """Return the poles that a solution crosses: at most one of each equation of motion, and in each interval.
 
-
-def _suspects(first: _Looked, terms: float, steps: int) -> Iterator[_Suspect]:
-    """Of every equation the interval in which it changes most, if that is worth a closer look; each interval once."""
-    lengths, taken = np.diff(first.grid.nodes).reshape(first.cuts.shape).mean(axis=1), set[int]()
-    for equation in _equations(first.module):
+    `unknowns` (n,) belong to `steps` intervals in each phase, equal ones or those of `fractions`. The first interval
+    after a switch is omitted, because a state may jump there. Grids with intervals below `LEAST_FRACTION` are omitted.
+    """
+    coarse = time_grid(module, steps, fractions)
+    lengths = np.diff(coarse.nodes) / steps
+    if lengths.min() < LEAST_FRACTION:
+        return []
+    first = _Refined(module, coarse, unknowns, np.full((len(lengths), PARTS), 1.0 / PARTS))
+    rounding = ROUNDING * sizes_of_terms(coarse, unknowns)[0]
+    mean_lengths = np.diff(first.grid.nodes).reshape(first.cuts.shape).mean(axis=1)
+    suspects, intervals = list[_Suspect](), set[int]()
+    for equation in first.equations():
         changes = first.changes(equation)
         changes[:, np.flatnonzero(np.arange(len(lengths)) % steps == 0)[1:]] = 0.0
-        usual = np.maximum(first.usual(equation), ROUNDING * terms / lengths)
+        usual = np.maximum(first.usual(equation), rounding / mean_lengths)
         body, interval, part = map(int, np.unravel_index(int(np.argmax(changes / usual[..., None])), changes.shape))
         ordinary = float(usual[body, interval])
-        if interval not in taken and changes[body, interval, part] >= CONSPICUOUS * ordinary:
-            taken.add(interval)
-            yield _Suspect(equation, body, interval, first.middle(equation, interval, part), ordinary)
+        if interval not in intervals and changes[body, interval, part] >= CONSPICUOUS * ordinary:
+            intervals.add(interval)
+            suspects.append(_Suspect(equation, body, interval, first.middle(equation, interval, part), ordinary))
+    if not suspects:
+        return []
+    evenly = np.full((len(lengths), PARTS + 2), 1.0 / (PARTS + 2))
+    for level in range(LEVELS):
+        width = (BESIDE / PARTS) * (2.0 * BESIDE / PARTS) ** level
+        cuts = evenly.copy()
+        for suspect in suspects:  # parts around the middle, and one part before and one after them
+            begin, end = max(0.0, suspect.middle - width), min(1.0, suspect.middle + width)
+            parts = np.diff(np.concatenate([[0.0], np.linspace(begin, end, PARTS + 1), [1.0]]))
+            parts = np.maximum(parts, max(SHORTEST, ROOM / lengths[suspect.interval]))
+            cuts[suspect.interval] = parts / parts.sum()
+        finer = _Refined(module, coarse, unknowns, cuts)
+        for number, suspect in enumerate(suspects):
+            changes = finer.changes(suspect.equation)[suspect.body, suspect.interval]
+            part = int(np.argmax(changes))
+            middle = finer.middle(suspect.equation, suspect.interval, part)
+            suspects[number] = replace(suspect, middle=middle, largest=(*suspect.largest, float(changes[part])))
+    return [
+        Pole(s.equation.state, first.time(s.interval, s.middle), s.body if module.metadata.bodies > 1 else None)
+        for s in suspects
+        if s.largest[-1] > max(WITHOUT_END * s.usual, GROWTH * min(s.largest[: LEVELS // 2]))
+    ]
 
 
-def _equations(module: Any) -> Iterator[_Equation]:
-    """The equations of motion of a module's states, without those of stages."""
-    metadata = module.metadata
-    nodes = list(metadata.node)
-    for at_nodes, names in ((True, nodes), (False, metadata.interval)):
-        for place, name in enumerate(names):
-            meaning = metadata.meanings.get(name)
-            if meaning and meaning.kind in (Kind.STEP, Kind.MOTION) and meaning.of in nodes:
-                yield _Equation(meaning.of, place, at_nodes)
-
-
-def _around(middle: float, width: float, room: float) -> Vector:
-    """Parts of an interval: those before and behind what is looked at, `width` to either side of its middle, inside.
-
-    Each is `room` long at least.
-    """
-    begin, end = max(0.0, middle - width), min(1.0, middle + width)
-    parts = np.diff(np.concatenate([[0.0], np.linspace(begin, end, PARTS_OF_STEP + 1), [1.0]]))
-    parts = np.maximum(parts, max(SHORTEST, room))
-    return np.asarray(parts / parts.sum())
-
-
-class _Looked:
-    """The equations of motion on a finer grid, on which a solution is straight inside every interval."""
+class _Refined:
+    """The equations of motion on a finer grid, on which a solution is linear inside every interval."""
 
     def __init__(self, module: Any, coarse: Grid, unknowns: Vector, cuts: Matrix) -> None:
-        self.module, self.cuts, self.grid = module, cuts, cut(module, coarse, cuts)
-        self._unknowns = carried(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
-        # Have stages lie between the nodes of the finer grid.
+        self.module, self.cuts, self.grid = module, cuts, _divided(module, coarse, cuts)
+        self._unknowns = _transferred(module, coarse, self.grid, unknowns, cuts.shape[1], straight=True)
+        # Stages lie between the nodes of the finer grid.
         nodes, intervals = self.module.views(self.grid, self._unknowns)
         names = list(self.module.metadata.node)
-        for place, name in enumerate(self.module.metadata.interval):
+        for index, name in enumerate(self.module.metadata.interval):
             of = self.module.metadata.stages.get(name)
-            if of in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + place]:
+            if of in names and not self.module.problem.structure.is_multiplier[nodes.shape[2] + index]:
                 state = nodes[:, :, names.index(of)]
-                intervals[:, :, place] = 0.5 * (state[:, :-1] + state[:, 1:])
+                intervals[:, :, index] = 0.5 * (state[:, :-1] + state[:, 1:])
         self._gradient = module.evaluate(self.grid, self._unknowns).gradient
 
-    def changes(self, equation: _Equation) -> Matrix:
-        """How much what an equation gives changes from part to part of intervals: (bodies, intervals, parts - 1).
+    def equations(self) -> Iterator[_Equation]:
+        """Yield the equations of motion of states, without those of stages."""
+        metadata = self.module.metadata
+        for at_nodes, names in ((True, metadata.node), (False, metadata.interval)):
+            for index, name in enumerate(names):
+                meaning = metadata.meanings.get(name)
+                if meaning and meaning.kind in (Kind.STEP, Kind.MOTION) and meaning.of in metadata.node:
+                    yield _Equation(meaning.of, index, at_nodes)
 
-        At nodes those inside intervals count alone, of which there is one less. What is no number counts as zero.
+    def changes(self, equation: _Equation) -> Matrix:
+        """Return the changes of an equation between parts of intervals: (bodies, intervals, parts - 1).
+
+        At nodes only those inside intervals count, one less. Values that are not finite count as zero.
         """
         return np.abs(np.diff(self._values(equation), axis=2))
 
     def usual(self, equation: _Equation) -> Matrix:
-        """The median of these changes on each interval (bodies, intervals), or what is negligible, if that is more."""
+        """Return the median of the changes on each interval (bodies, intervals), or the negligible change."""
         largest = float(np.abs(self._values(equation)).max())
         usual: Matrix = np.median(self.changes(equation), axis=2)
         return np.maximum(usual, max(NEGLIGIBLE_POLE * largest, 1e-300))
 
     def middle(self, equation: _Equation, interval: int, part: int) -> float:
-        """Where a change is, in parts of an interval."""
+        """Return the place of a change as a fraction of an interval."""
         ends = np.concatenate([[0.0], np.cumsum(self.cuts[interval])])
-        looked = ends[1:-1] if equation.at_nodes else 0.5 * (ends[:-1] + ends[1:])
-        return float(0.5 * (looked[part] + looked[part + 1]))
+        places = ends[1:-1] if equation.at_nodes else 0.5 * (ends[:-1] + ends[1:])
+        return float(0.5 * (places[part] + places[part + 1]))
 
     def _values(self, equation: _Equation) -> Matrix:
-        """What an equation gives per length of an interval, in every part of it or at the nodes between the parts."""
+        """Return the values per length of an interval, in every part of it or at the nodes between the parts."""
         nodes, intervals = self.module.views(self.grid, self._gradient)
         lengths = np.diff(self.grid.nodes).reshape(self.cuts.shape)
         if equation.at_nodes:
-            rows = nodes[:, :-1, equation.place].reshape(-1, *self.cuts.shape)[:, :, 1:]
+            rows = nodes[:, :-1, equation.index].reshape(-1, *self.cuts.shape)[:, :, 1:]
             lengths = 0.5 * (lengths[:, :-1] + lengths[:, 1:])
         else:
-            rows = intervals[:, :, equation.place].reshape(-1, *self.cuts.shape)
+            rows = intervals[:, :, equation.index].reshape(-1, *self.cuts.shape)
         return np.asarray(np.nan_to_num(rows / lengths, nan=0.0, posinf=0.0, neginf=0.0))
 
     def time(self, interval: int, share: float) -> float:
-        """The time at a part of an interval."""
+        """Return the time at a fraction of an interval."""
         times = np.asarray(self.module.unpack(self.grid, self._unknowns)[0])
         begin, end = times[interval * self.cuts.shape[1]], times[(interval + 1) * self.cuts.shape[1]]
         return float(begin + share * (end - begin))
 
 
-STAGES_NEGLIGIBLE = 1e-6
-"""Part of a state's largest value by which a stage may be beyond a bound."""
+# Stages
 
 
 @dataclass(frozen=True)
 class StageBeyond:
-    """The stage of a state that is farthest beyond a bound: its value, the bound, and when its interval begins."""
+    """The stage of a state that is farthest beyond a bound: its value, the bound, and the start of its interval."""
 
     state: str
     value: float
@@ -506,20 +485,19 @@ class StageBeyond:
     @property
     def note(self) -> str:
         """The message for the author, with the remedy."""
-        of_body = "" if self.body is None else f" of body {self.body}"
         return (
-            f"{self.state}{of_body} is {self.value:.4g} at a stage of the interval from t = {self.time:.4g}, "
-            f"{abs(self.value - self.limit):.2g} beyond its bound, and the dynamics were evaluated there: the scheme "
-            "holds bounds at nodes alone; take gauss-4, or more --steps"
+            f"{self.state}{_of_body(self.body)} is {self.value:.4g} at a stage of the interval from t = "
+            f"{self.time:.4g}, {abs(self.value - self.limit):.2g} beyond its bound, and the dynamics were evaluated "
+            "there: the scheme holds bounds at nodes alone; take gauss-4, or more --steps"
         )
 
 
 def stages_beyond(
     module: ControlModule, unknowns: Vector, steps: int, fractions: Vector | None
 ) -> Iterator[StageBeyond]:
-    """The worst stage of every state whose stages have no bounds, though the state has, if any is beyond them.
+    """Yield the worst stage of every state with bounds whose stages have none, if a stage is beyond a bound.
 
-    `unknowns` (n,) are those of `steps` intervals in each phase, equal ones or those of `fractions`.
+    `unknowns` (n,) belong to `steps` intervals in each phase, equal ones or those of `fractions`.
     """
     generated: Any = module
     metadata = module.metadata
@@ -537,22 +515,21 @@ def stages_beyond(
     for state, columns in stages.items():
         if any(np.isfinite(inside[:, :, columns]).any() for _, inside in limits):
             continue
-        of_nodes = [at_nodes[:, :, names.index(state)] for at_nodes, _ in limits]
-        lower, upper = (_usual(bound, steps)[:, :, None] for bound in of_nodes)
+        index = names.index(state)
+        # For every interval the bound of most nodes of its phase; ends may have other bounds.
+        bounds = []
+        for at_nodes, _ in limits:
+            rows = (slice(phase * steps + min(phase, 1), (phase + 1) * steps + 1) for phase in range(metadata.phases))
+            sorted_rows = [np.sort(at_nodes[:, row, index], axis=1) for row in rows]
+            medians = np.stack([part[:, part.shape[1] // 2] for part in sorted_rows], axis=1)
+            bounds.append(np.repeat(medians, steps, axis=1)[:, :, None])
+        lower, upper = bounds
         values = intervals[:, :, columns]
         beyond = np.maximum(lower - values, values - upper)
         worst = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        if beyond[worst] <= STAGES_NEGLIGIBLE * max(1e-300, np.abs(nodes[:, :, names.index(state)]).max()):
+        if beyond[worst] <= STAGES_NEGLIGIBLE * max(1e-300, np.abs(nodes[:, :, index]).max()):
             continue
         body, interval, _ = map(int, worst)
         limit = (lower if values[worst] < lower[body, interval, 0] else upper)[body, interval, 0]
-        own = body if metadata.bodies > 1 else None
-        yield StageBeyond(state, float(values[worst]), float(limit), float(times[interval]), own)
-
-
-def _usual(bounds: np.ndarray, steps: int) -> np.ndarray:
-    """For every interval (bodies, intervals) the bound that most nodes of its phase have; ends may have others."""
-    phases = (bounds.shape[1] - 1) // steps
-    own = [bounds[:, phase * steps + min(phase, 1) : (phase + 1) * steps + 1] for phase in range(phases)]
-    middles = [np.sort(part, axis=1)[:, part.shape[1] // 2] for part in own]
-    return np.repeat(np.stack(middles, axis=1), steps, axis=1)
+        number_of_body = body if metadata.bodies > 1 else None
+        yield StageBeyond(state, float(values[worst]), float(limit), float(times[interval]), number_of_body)

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.runtime.record import ControlRecord
-from codegen.runtime.search import point as callbacks
+from codegen.runtime.search import point as derivatives
 from codegen.runtime.search.bounds import bounds_of, prescribed_beyond
 from codegen.runtime.search.grid import plain_grid
 from codegen.runtime.search.messages import tables_beyond, worst_row
 from codegen.runtime.search.scaling import scaled_grid
 from codegen.runtime.search.solve import STEEP, corrected_cost
-from codegen.solving.interfaces import ControlModule, Entries, Grid, Vector, time_grid
-from codegen.solving.results.estimates import AT_BOUND, Estimates, estimates_of
+from codegen.solving.loading import ControlModule, Entries, Grid, Vector, time_grid
+from codegen.solving.results.estimates import AT_BOUND, estimates_of
 from codegen.solving.results.result import (
     ControlAttempt,
     Outline,
@@ -33,16 +32,16 @@ from codegen.solving.results.result import (
 from codegen.solving.results.segments import put_together, segments_of
 
 LARGE_MULTIPLIERS = 100.0
-"""Mean multipliers above it make the optimality conditions' tolerance relative."""
+"""Mean modulus of the multipliers above which the tolerance of the optimality conditions is relative to it."""
 MANY_TERMS = 100
-"""From so many terms on the order of a sum counts among its roundings."""
+"""Number of terms from which on the accumulated rounding error of a sum counts."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is left of a driver's claim once every equation has been evaluated again outside it.
+    """Termination status, message and cost after the evaluation of all equations outside the driver.
 
-    `residual` and `stationarity` are max-norms; the cost of a solution is corrected by what residuals are worth.
+    `residual` and `stationarity` are max-norms. The cost of a solution is corrected for the residuals.
     """
 
     status: str
@@ -53,18 +52,25 @@ class Verdict:
 
 
 def control_verdict(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, grid: Grid) -> Verdict:
-    """Re-evaluate residual and stationarity of an attempt on a grid, and downgrade a false claim of success.
+    """Evaluate residual and stationarity of an attempt on a grid, and correct a false claim of success.
 
-    Of what a driver knows beside its unknowns only the sizes at the guess, and the bounds in parts of them, are used.
+    Besides the unknowns only the scaling factors at the guess, and the scaled bounds, are taken from the driver.
     """
-    metadata, unknowns = module.metadata, attempt.unknowns
-    scaled = _scaled_grid(module, grid, run) if attempt.scaled is None else attempt.scaled
+    metadata, unknowns, scaled = module.metadata, attempt.unknowns, attempt.scaled
+    if scaled is None and run.scaling == "none":
+        scaled = grid
+    elif scaled is None:
+        guess = module.initial_guess(grid) if run.guess is None else run.guess
+        scaled = scaled_grid(grid, module.with_pinned_values(grid, guess))
+    assert scaled is not None
     conditions = _Conditions(module, grid, scaled, unknowns)
     residual, stationarity = conditions.norms()
     status, message = attempt.status, attempt.message
     if status == "solved" and not _is_accurate(module, scaled, attempt, conditions, (residual, stationarity)):
-        found = f"the discrete equations have residual {residual:.1e} and the optimality conditions"
-        status, message = contradicted(driver, f"{found} {stationarity:.1e}", other_driver(attempt))
+        finding = (
+            f"the discrete equations have residual {residual:.1e} and the optimality conditions {stationarity:.1e}"
+        )
+        status, message = contradicted(driver, finding, other_driver(attempt))
     elif metadata.inequalities and (beyond := prescribed_beyond(scaled, unknowns)):
         status, message = "infeasible", f"infeasible: {beyond}; change the value or the bound"
     elif status == "solved" and (outside := ("" if grid.problem.inputs is None else tables_beyond(grid, unknowns))):
@@ -73,29 +79,48 @@ def control_verdict(module: ControlModule, driver: str, run: Run, attempt: Contr
             f"{status}: {outside}; keep it inside by bounds or the guess, or give the table outside='clamp' or 'extend'"
         )
     elif status != "solved" and not attempt.generated and not attempt.is_explained:
-        # Optimisers of others number the rows; the module has names for them.
+        # Other optimisers number the rows, for which the module has names.
         message += f"; {worst_row(grid, module.evaluate(grid, unknowns))}"
-    cost = _cost(module, scaled, conditions.point) if status == "solved" else float(callbacks.cost(grid, unknowns))
+    if status == "solved":
+        point = conditions.point
+        if scaled.sizes.size:
+            point = module.evaluate(scaled, point.unknowns / scaled.sizes)
+        cost = float(corrected_cost(scaled, point))
+    else:
+        cost = float(derivatives.cost(grid, unknowns))
     return Verdict(status, message, cost, residual, stationarity)
 
 
 def control_result(
     module: ControlModule, driver: str, run: Run, attempt: ControlAttempt, seconds: float = math.nan
 ) -> Result:
-    """The result of an attempt, by the verdict on what the driver claims."""
+    """Return the result of an attempt, with the status of `control_verdict`."""
     metadata, unknowns, grid = module.metadata, attempt.unknowns, time_grid(module, run.steps, run.grid)
     verdict = control_verdict(module, driver, run, attempt, grid)
     t, q, p, u, multipliers = module.unpack(grid, unknowns)
-    estimates = _estimates(module, grid, unknowns) if verdict.status == "solved" else None
-    named = {
-        **_free_parameters(module, unknowns),
-        **_integral_multipliers(module, unknowns),
-        **_inner_conditions(module, grid, unknowns),
-    }
+    estimates = None
+    if verdict.status == "solved" and metadata.observations is not None:
+        estimates = estimates_of(module, grid, unknowns, held_at_bounds(module, grid, unknowns))
+    bodies, node = metadata.bodies, len(metadata.node)
+    # Errors at the end: of prescribed values, and of the equations of the last nodes.
+    chain = grid.steps * (node + len(metadata.interval)) + node
+    indices = np.arange(unknowns.size)
+    at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
+    equations = derivatives.constraints(grid, unknowns)[at_end[module.multiplier_unknowns(grid)]]
+    # The multiplier of an integral condition is the rate at which the cost falls as the value of the integral grows.
+    root = unknowns.size - module.problem.structure.root
+    named = _free_parameters(module, unknowns)
+    named |= {f"multiplier of {name}": float(unknowns[root + index]) for name, index in metadata.integrals}
+    if metadata.inner_conditions:
+        nodes, _ = module.views(grid, unknowns)
+        for name, number, index in metadata.inner_conditions:
+            for body, values in enumerate(nodes):
+                of_body = f" of body {body}" if len(nodes) > 1 else ""
+                named[f"multiplier of {name}{of_body}"] = float(values[grid.inner[int(number)], int(index)])
     summary = {
         **({"maximum": -verdict.cost} if metadata.maximised else {}),
         "duration": float(t[-1] - t[0]),
-        "final_state_miss": _final_state_miss(module, grid, unknowns),
+        "final_state_miss": max(max_norm(_misses(module, grid, unknowns)), max_norm(equations)),
         "largest_control": max_norm(u),
         "stationarity": verdict.stationarity,
         **named,
@@ -111,7 +136,7 @@ def control_result(
 
 
 def control_outline(module: ControlModule, driver: str, run: Run, attempt: ControlAttempt) -> Outline:
-    """The verdict on an attempt, and its trajectories; those of segments put together."""
+    """Return the status of an attempt and its trajectories; those of segments are assembled."""
     if segments_of(module.metadata) is not None:
         outline = outline_of(put_together(control_result(module, driver, run, attempt), module.metadata))
         return replace(outline, free=_free_parameters(module, attempt.unknowns))
@@ -123,15 +148,14 @@ def control_outline(module: ControlModule, driver: str, run: Run, attempt: Contr
     return Outline(verdict.status, verdict.message, verdict.cost, verdict.residual, arrays, attempt.unknowns, free)
 
 
-def _estimates(module: ControlModule, grid: Grid, unknowns: Vector) -> Estimates | None:
-    """What measurements say of free parameters, where there are any."""
-    if module.metadata.observations is None:
-        return None
-    return estimates_of(module, grid, unknowns, held_at_bounds(module, grid, unknowns))
+def control_numbers(metadata: ControlRecord, run: Run) -> int:
+    """Return how many numbers the generated solver stores: 26 for every unknown, by measurement."""
+    intervals = run.steps * int(metadata.phases)
+    return 26 * (intervals + 1) * (len(metadata.node) + len(metadata.interval))
 
 
 def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArray[np.bool_]:
-    """Which unknowns are at a bound, (n,); the grid has no sizes."""
+    """Return the mask (n,) of unknowns at a bound, for a grid without scaling factors."""
     held = np.zeros(unknowns.size, dtype=bool)
     primal = module.primal_unknowns(grid)
     distance = np.minimum(*bound_distances(module, grid, unknowns))
@@ -139,68 +163,28 @@ def held_at_bounds(module: ControlModule, grid: Grid, unknowns: Vector) -> NDArr
     return held
 
 
-def stored_numbers(metadata: ControlRecord, run: Run) -> int:
-    """How many numbers the generated solver keeps: it was measured to need 26 for every unknown."""
-    intervals = run.steps * int(metadata.phases)
-    return 26 * (intervals + 1) * (len(metadata.node) + len(metadata.interval))
+def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
+    """Return the distances of the free primal unknowns from their lower and upper bounds; infinite without a bound."""
+    primal = module.primal_unknowns(grid)
+    if not module.metadata.inequalities:
+        none = np.full(primal.size, np.inf)
+        return none, none
+    lower, upper = bounds_of(grid)
+    scales = grid.sizes if grid.sizes.size else np.ones(unknowns.size)
+    return (unknowns - scales * lower)[primal], (scales * upper - unknowns)[primal]
 
 
-def _scaled_grid(module: ControlModule, grid: Grid, run: Run) -> Grid:
-    """The grid with the sizes in whose parts the generated solver works from the guess that was asked for."""
-    if run.scaling == "none":
-        return grid
-    guess = module.initial_guess(grid) if run.guess is None else run.guess
-    scaled: Grid = scaled_grid(grid, module.with_pinned_values(grid, guess))
-    return scaled
-
-
-def _cost(module: ControlModule, scaled: Grid, point: Any) -> float:
-    """The discrete cost of a solution, corrected by what residuals and distances to bounds are worth."""
-    own = module.evaluate(scaled, point.unknowns / scaled.sizes) if scaled.sizes.size else point
-    return float(corrected_cost(scaled, own))
-
-
-def _is_accurate(
-    module: ControlModule, scaled: Grid, attempt: ControlAttempt, conditions: _Conditions, norms: tuple[float, float]
-) -> bool:
-    """Whether residual and stationarity, in the solver's scales, are as small as the driver promised, or rounding."""
-    residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
-    if not math.isfinite(residual + stationarity):
-        return False
-    if max(residual, stationarity) <= 10.0 * attempt.tolerance:
-        return True  # whatever rounding and multipliers would forgive beside
-    unknowns, weight, grid = attempt.unknowns, scaled.weight, plain_grid(scaled)
-    sizes = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
-    rounding = _rounding_level(module, grid, unknowns, weight * sizes)
-    steepest = max_norm((weight * sizes)[module.primal_unknowns(grid)] * callbacks.cost_gradient(grid, unknowns))
-    scale = max(1.0, steepest, _mean_multiplier(module, scaled, unknowns, sizes, weight) / LARGE_MULTIPLIERS)
-    # Multipliers without limit would forgive any slope. Linear-quadratic problems, which know no sizes, have no limit.
-    if not grid.problem.structure.linear_quadratic and stationarity > STEEP * max(1.0, steepest):
-        return False
-    return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= 10.0 * max(
-        attempt.tolerance * scale, rounding
-    )
-
-
-def _mean_multiplier(module: ControlModule, scaled: Grid, unknowns: Vector, sizes: Vector, weight: float) -> float:
-    """The mean modulus of all multipliers and of the duals of bounds, the slopes that are held by them.
-
-    Where it is large, optimality conditions are sums of large terms, and the tolerance is relative to it, as it is for
-    the generated solver and IPOPT. Source: Waechter and Biegler (2006), equation (6).
-    """
-    grid = plain_grid(scaled)
-    primal, multipliers = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
-    below, above = bound_distances(module, scaled, unknowns)
-    slopes = weight * sizes[primal] * np.abs(callbacks.stationarity(grid, unknowns))
-    bounded = np.isfinite(below) | np.isfinite(above)
-    total = np.abs(unknowns[multipliers] / sizes[multipliers]).sum() + slopes[bounded].sum()
-    return float(total / max(1, multipliers.size + bounded.sum()))
+def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
+    """Return the values of free parameters, which are stored before the multipliers of couplings."""
+    names = module.metadata.free_parameters
+    last = unknowns.size - module.problem.structure.couplings
+    return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))
 
 
 class _Conditions:
-    """What is left of all conditions at some unknowns, evaluated once, in the problem's own units.
+    """The violations of all conditions at given unknowns, evaluated once, in the units of the problem.
 
-    Bounds are those of the grid `scaled`, in whose units slacks may yield; the other one has no sizes.
+    Bounds are those of the grid `scaled`, in whose units slacks may violate them; `grid` has no scaling factors.
     """
 
     def __init__(self, module: ControlModule, grid: Grid, scaled: Grid, unknowns: Vector) -> None:
@@ -209,52 +193,31 @@ class _Conditions:
         self._misses = _misses(module, grid, unknowns)
         self._distances = bound_distances(module, scaled, unknowns) if module.metadata.inequalities else None
 
-    def norms(self, sizes: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
-        """Max-norms of all equations and bounds, and of the stationarity, in parts of the unknowns' sizes, if given."""
-        if sizes is None and self._distances is None:  # the most frequent case, and one of many in a sweep
-            # What is pinned has no entry in the gradient, so that the norms of all of it are those of what is free.
+    def norms(self, scales: Vector | None = None, weight: float = 1.0) -> tuple[float, float]:
+        """Return the max-norms of all equations and bounds, and of the stationarity, in scaled units if given."""
+        if scales is None and self._distances is None:  # the most frequent case, for example in a sweep
+            # Pinned unknowns have no entry in the gradient: the norms are those of the free unknowns.
             return max(self.point.residual, max_norm(self._misses)), self.point.stationarity
         gradient = self.point.gradient
-        own = np.ones(gradient.size) if sizes is None else sizes
+        scales = np.ones(gradient.size) if scales is None else scales
         rows, columns = self._module.multiplier_unknowns(self._grid), self._module.primal_unknowns(self._grid)
-        primal, slopes = own[columns], gradient[columns]
-        wrong = [weight * own[rows] * gradient[rows]]
+        primal, slopes = scales[columns], gradient[columns]
+        violations = [weight * scales[rows] * gradient[rows]]
         if self._misses.size:
-            wrong.append(self._misses / own)
+            violations.append(self._misses / scales)
         if self._distances is not None:
-            wrong.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
-            slopes = _unbalanced(slopes, self._distances, primal)
-        return max(max_norm(values) for values in wrong), max_norm(weight * primal * slopes)
-
-
-def bound_distances(module: ControlModule, grid: Grid, unknowns: Vector) -> tuple[Vector, Vector]:
-    """Distances of the free primal unknowns from their lower and upper bounds, infinite where there are none."""
-    primal = module.primal_unknowns(grid)
-    if not module.metadata.inequalities:
-        none = np.full(primal.size, np.inf)
-        return none, none
-    lower, upper = bounds_of(grid)
-    units = grid.sizes if grid.sizes.size else np.ones(unknowns.size)
-    return (unknowns - units * lower)[primal], (units * upper - unknowns)[primal]
-
-
-def _unbalanced(slopes: Vector, distances: tuple[Vector, Vector], sizes: Vector) -> Vector:
-    """The gradient of the Lagrangian by free primal unknowns, as far as no bound holds against it.
-
-    A bound may hold against a slope that leads out of it, in proportion to its closeness: what remains is the slope
-    times the distance in parts of the unknown's size, as in complementarity.
-    """
-    below, above = (np.clip(distance / sizes, 0.0, 1.0) for distance in distances)
-    return np.asarray(np.where(slopes > 0.0, slopes * below, slopes * above), dtype=float)
+            violations.append(np.maximum(0.0, -np.minimum(*self._distances)) / primal)
+            # Complementarity: an active bound balances a slope that leads out of it. The remainder is the slope times
+            # the distance to the bound in scaled units.
+            below, above = (np.clip(distance / primal, 0.0, 1.0) for distance in self._distances)
+            slopes = np.where(slopes > 0.0, slopes * below, slopes * above)
+        return max(max_norm(values) for values in violations), max_norm(weight * primal * slopes)
 
 
 def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
-    """By how much the unknowns that a boundary condition fixes differ from their values, (n,); zero for others.
-
-    Empty where none does.
-    """
+    """Return the deviations (n,) of pinned unknowns from their boundary values; empty if all are zero."""
     pinned = module.with_pinned_values(grid, unknowns)
-    if (pinned == unknowns).all():  # as for the generated solver, which pins what is given
+    if (pinned == unknowns).all():  # as for the generated solver, which sets prescribed values
         return np.empty(0)
     misses = unknowns - pinned
     misses[module.primal_unknowns(grid)] = 0.0
@@ -262,12 +225,43 @@ def _misses(module: ControlModule, grid: Grid, unknowns: Vector) -> Vector:
     return misses
 
 
-def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
-    """Error of a weighted residual when every unknown is off by half a unit in the last place: eps max_i |K| |x|.
+def _is_accurate(
+    module: ControlModule, scaled: Grid, attempt: ControlAttempt, conditions: _Conditions, norms: tuple[float, float]
+) -> bool:
+    """Return True if residual and stationarity, scaled, are within the promised tolerance or the rounding errors.
 
-    What is summed over all intervals, such as an integral condition or the slope by a free duration, errs by the square
-    root of the number of its terms beside. Source: Higham (2002), Accuracy and stability of numerical algorithms,
-    sections 4.2 and 7.2.
+    If the mean modulus of the multipliers, including the duals of bounds, is large, optimality conditions are sums of
+    large terms, and their tolerance is relative to it. Source: Waechter and Biegler (2006), equation (6).
+    """
+    residual, stationarity = conditions.norms(scaled.sizes, scaled.weight) if scaled.sizes.size else norms
+    if not math.isfinite(residual + stationarity):
+        return False
+    if max(residual, stationarity) <= 10.0 * attempt.tolerance:
+        return True
+    unknowns, weight, grid = attempt.unknowns, scaled.weight, plain_grid(scaled)
+    scales = scaled.sizes if scaled.sizes.size else np.ones(unknowns.size)
+    rounding = _rounding_level(module, grid, unknowns, weight * scales)
+    primal, dual = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
+    steepest = max_norm((weight * scales)[primal] * derivatives.cost_gradient(grid, unknowns))
+    below, above = bound_distances(module, scaled, unknowns)
+    slopes = weight * scales[primal] * np.abs(derivatives.stationarity(grid, unknowns))
+    bounded = np.isfinite(below) | np.isfinite(above)
+    total = np.abs(unknowns[dual] / scales[dual]).sum() + slopes[bounded].sum()
+    mean_multiplier = float(total / max(1, dual.size + bounded.sum()))
+    scale = max(1.0, steepest, mean_multiplier / LARGE_MULTIPLIERS)
+    # Unlimited multipliers would permit any slope. Linear-quadratic problems have no scaling factors, and no limit.
+    if not grid.problem.structure.linear_quadratic and stationarity > STEEP * max(1.0, steepest):
+        return False
+    limit = 10.0 * max(attempt.tolerance * scale, rounding)
+    return residual <= 10.0 * max(attempt.tolerance, rounding) and stationarity <= limit
+
+
+def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights: Vector) -> float:
+    """Return the error of a weighted residual if every unknown has a relative error of eps: eps max_i |K| |x|.
+
+    Sums over all intervals, such as an integral condition or the derivative by a free duration, have an additional
+    factor, the square root of the number of terms. Source: Higham (2002), Accuracy and stability of numerical
+    algorithms, sections 4.2 and 7.2.
     """
     columns, rows = module.primal_unknowns(grid), module.multiplier_unknowns(grid)
     primal, dual = np.abs(unknowns[columns]), np.abs(unknowns[rows])
@@ -279,47 +273,9 @@ def _rounding_level(module: ControlModule, grid: Grid, unknowns: Vector, weights
         sums = np.bincount(rows, np.abs(values) * x[columns], minlength=size)
         return np.asarray(np.where(terms >= max(grid.steps, MANY_TERMS), np.sqrt(terms), 1.0) * sums, dtype=float)
 
-    jacobian, hessian = callbacks.jacobian(grid, unknowns), callbacks.hessian(grid, unknowns)
+    jacobian, hessian = derivatives.jacobian(grid, unknowns), derivatives.hessian(grid, unknowns)
     equations = row_sums(jacobian, primal, dual.size)
     optimality = row_sums(hessian, primal, primal.size) + row_sums(jacobian, dual, primal.size, transposed=True)
     return float(np.finfo(float).eps) * max(
         max_norm(weights[rows] * equations), max_norm(weights[columns] * optimality)
     )
-
-
-def _final_state_miss(module: ControlModule, grid: Grid, unknowns: Vector) -> float:
-    """Largest error of the conditions at the end: prescribed values, and equations of the last nodes."""
-    metadata = module.metadata
-    bodies, node = metadata.bodies, len(metadata.node)
-    chain = grid.steps * (node + len(metadata.interval)) + node
-    indices = np.arange(unknowns.size)
-    at_end = (indices >= bodies * chain) | (indices % chain >= chain - node)
-    equations = at_end[module.multiplier_unknowns(grid)]
-    return max(max_norm(_misses(module, grid, unknowns)), max_norm(callbacks.constraints(grid, unknowns)[equations]))
-
-
-def _integral_multipliers(module: ControlModule, unknowns: Vector) -> dict[str, float]:
-    """The multipliers of conditions on integrals: the rates at which the cost falls as their values grow."""
-    first = unknowns.size - module.problem.structure.root
-    integrals = module.metadata.integrals
-    return {f"multiplier of {name}": float(unknowns[first + index]) for name, index in integrals}
-
-
-def _inner_conditions(module: ControlModule, grid: Grid, unknowns: Vector) -> dict[str, float]:
-    """The multipliers of conditions at inner times, body by body."""
-    if not module.metadata.inner_conditions:
-        return {}
-    nodes, _ = module.views(grid, unknowns)
-    found = {}
-    for name, number, index in module.metadata.inner_conditions:
-        for body, of_nodes in enumerate(nodes):
-            of_body = f" of body {body}" if len(nodes) > 1 else ""
-            found[f"multiplier of {name}{of_body}"] = float(of_nodes[grid.inner[int(number)], int(index)])
-    return found
-
-
-def _free_parameters(module: ControlModule, unknowns: Vector) -> dict[str, float]:
-    """Values of the static parameters that were optimised; they stand before the multipliers of couplings."""
-    names = module.metadata.free_parameters
-    last = unknowns.size - module.problem.structure.couplings
-    return dict(zip(names, map(float, unknowns[last - len(names) : last]), strict=True))

@@ -1,11 +1,11 @@
-"""How exactly measurements determine free parameters: standard errors, correlations, confidence intervals.
+"""Accuracy of fitted parameters: standard errors, correlations, confidence intervals.
 
-The inverse of the reduced Hessian of the cost, a sum of squares over variances, is half the covariance of what was
-estimated. States, controls and multipliers are eliminated from the KKT matrix at the solution, so that a Hessian of the
-free parameters alone is left. Where standard deviations are not given, the one that all errors have in common is
-estimated from what is left of them. Of robust losses the covariance is that of M-estimators. Sources: Bard (1974),
-Nonlinear parameter estimation, chapter 7; Seber and Wild (1989), Nonlinear regression, sections 2.1 and 5.1; Huber
-(1967), The behavior of maximum likelihood estimates under nonstandard conditions.
+The cost is a sum of squares over variances. The inverse of its reduced Hessian is half the covariance of the estimates.
+States, controls and multipliers are eliminated from the KKT matrix at the solution, which leaves a Hessian of the free
+parameters. If no standard deviations are given, a common one is estimated from the residuals of the fit. For robust
+losses the covariance is that of M-estimators. Sources: Bard (1974), Nonlinear parameter estimation, chapter 7; Seber
+and Wild (1989), Nonlinear regression, sections 2.1 and 5.1; Huber (1967), The behavior of maximum likelihood estimates
+under nonstandard conditions.
 """
 
 from __future__ import annotations
@@ -16,21 +16,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.solving.interfaces import Grid, Matrix, Vector
+from codegen.solving.loading import Grid, Matrix, Vector
+
+CONFIDENCE = 0.95
+AT_BOUND = 1e-6
+"""Distance to an active bound relative to the unknown, or to one."""
+FLAT = 1e-11
+"""Curvature relative to the largest one below which a direction is undetermined: rounding of the KKT matrix."""
+WITHOUT_EFFECT = 1e-10
+"""Negligible change of the cost, relative to the largest one, as a parameter changes by its value."""
+NO_SIZE = 1e-9
+"""Parameter value relative to the largest parameter, or to one, below which the value defines no scale."""
+_PART = 1e-3
+"""Component of a flat direction above which a parameter is undetermined."""
 
 
 class Fit:
-    """Measurements beside the motion of a solution, one after the other for each body."""
+    """Measurements and the values of the motion at the same times, one after the other for each body."""
 
     def __init__(self, module: Any, grid: Grid, unknowns: Vector) -> None:
-        """Read where samples lie out of the parameters of a grid, and what the motion is there."""
+        """Read the samples from the parameters of a grid, and evaluate the motion at the samples."""
         self._module, self._unknowns = module, unknowns
-        nodes = grid.nodes * grid.h
         self._structure = s = module.problem.structure
         self._chain = grid.steps * s.stride + s.node
+        nodes = grid.nodes * grid.h
+        # The parameters of each body, with the linking variables of the solution.
+        rows = np.array(grid.parameters)
+        first = s.first_sample - s.tabled - s.shared
+        rows[:, first : first + s.shared] = unknowns[self._linking(unknowns.size)]
         self._samples = [
             (body, int(np.searchsorted(nodes, row[begin])) - 1, begin, row, nodes)
-            for body, row in enumerate(self._rows(grid))
+            for body, row in enumerate(rows)
             for begin in range(s.first_sample, row.size, s.sample)
             if np.isfinite(row[begin])
         ]
@@ -41,26 +57,16 @@ class Fit:
         self.times += numbers[:, 0] * np.array([nodes[k + 1] - nodes[k] for _, k, *_ in self._samples])
         self.weights = numbers[:, 1 + columns :]
         self.measured = np.where(self.weights > 0.0, numbers[:, 1 : 1 + columns], np.nan)
-        self.fitted = np.array([self._value(sample, columns) for sample in self._samples])
-
-    def _rows(self, grid: Grid) -> Matrix:
-        """The parameters of each body, with the shared unknowns of the solution."""
-        rows, s, shared = np.array(grid.parameters), self._structure, self._linking(self._unknowns.size)
-        first = s.first_sample - s.tabled - s.shared
-        rows[:, first : first + s.shared] = self._unknowns[shared]
-        return rows
+        self.fitted = np.empty((len(self._samples), columns))
+        for values, sample in zip(self.fitted, self._samples, strict=True):
+            plain(module.sample_values)(*self._arguments(sample), values)
 
     def _linking(self, size: int) -> Any:
-        """The indices (bodies, shared), among `size` unknowns, of those that no node owns."""
+        """Return the indices (bodies, shared) of the linking variables among `size` unknowns."""
         return size - self._structure.root + self._structure.root_indices()
 
-    def _value(self, sample: Any, columns: int) -> Vector:
-        _, values = self._given(sample), np.empty(columns)
-        plain(self._module.sample_values)(*self._given(sample), values)
-        return values
-
-    def _given(self, sample: Any) -> tuple[Any, ...]:
-        """What a kernel is called with for a sample."""
+    def _arguments(self, sample: Any) -> tuple[Any, ...]:
+        """Return the arguments of a kernel for a sample."""
         body, k, begin, row, nodes = sample
         first = body * self._chain + k * self._structure.stride
         local = self._unknowns[first : first + self._structure.element]
@@ -68,62 +74,65 @@ class Fit:
 
     @property
     def errors(self) -> Matrix:
-        """The motion less what was measured, in parts of standard deviations; NaN where nothing was."""
+        """Motion minus measurement in standard deviations; NaN for missing values."""
         return np.where(self.weights > 0.0, (self.fitted - self.measured) * self.weights, np.nan)
 
     @property
     def count(self) -> int:
-        """How many values were measured."""
+        """Number of measured values."""
         return int((self.weights > 0.0).sum())
 
     @property
     def squares(self) -> float:
-        """The sum of squares of all errors."""
+        """Sum of the squares of all errors."""
         return float(np.nansum(self.errors**2))
 
     def slopes(self, following: Matrix) -> Matrix:
-        """How the loss of each sample follows p quantities, a row (p,) for each sample.
+        """Return the derivatives (samples, p) of the loss of each sample by p quantities.
 
-        `following` (n, p) says how all unknowns follow them.
+        `following` (n, p) has the derivatives of all unknowns by these quantities.
         """
-        module, s, shared = self._module, self._structure, self._linking(len(following))
-        found = np.zeros((len(self._samples), following.shape[1]))
+        s, shared = self._structure, self._linking(len(following))
+        slopes = np.zeros((len(self._samples), following.shape[1]))
         for i, sample in enumerate(self._samples):
             local = np.zeros(s.element + s.shared)
-            plain(module.sample_gradient)(*self._given(sample), local)
+            plain(self._module.sample_gradient)(*self._arguments(sample), local)
             first = sample[0] * self._chain + sample[1] * s.stride
-            found[i] = local[: s.element] @ following[first : first + s.element]
-            found[i] += local[s.element :] @ following[shared[sample[0]]]
-        return found
+            slopes[i] = local[: s.element] @ following[first : first + s.element]
+            slopes[i] += local[s.element :] @ following[shared[sample[0]]]
+        return slopes
 
 
 def plain(function: Any) -> Any:
-    """A function of a module as Python runs it, so that nothing has to be compiled."""
+    """Return the Python function of a compiled function, whose call compiles nothing."""
     return getattr(function, "py_func", function)
-
-
-CONFIDENCE = 0.95
-AT_BOUND = 1e-6
-"""Parts of an unknown, or of one, by which it is away from a bound that holds it."""
-FLAT = 1e-11
-"""Parts of the largest curvature below which a direction counts as not determined: rounding of the KKT matrix."""
-WITHOUT_EFFECT = 1e-10
-"""Parts of the largest change of the cost, as parameters change by their values, that count as none."""
-NO_SIZE = 1e-9
-"""Parts of the largest parameter, or of one, below which the value of another one says nothing of its size."""
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Free parameters with what measurements say of them; arrays have an entry for each of the p `names`.
+    """Free parameters and their accuracy; arrays have an entry for each of the p `names`.
 
-    `intervals` are (p, 2), `correlations` (p, p). Parameters `at_bounds` are held there, and those that are
-    `undetermined` could be others without changing the cost: neither have standard errors, which are NaN. `deviation`
-    is the standard deviation of errors: one where their deviations are given, else estimated from `freedom`, the number
-    of values less that of estimated numbers. `reason` says why there are no standard errors at all.
-
-    `unknown_errors` (n,) are the standard errors of all unknowns as they follow the parameters, NaN where something
-    else is free too; intervals extend `quantile` standard errors to both sides.
+    Attributes
+    ----------
+    names : tuple of str
+    values, standard_errors : ndarray, shape (p,)
+        NaN for the error of a parameter in `at_bounds` or `undetermined`.
+    intervals : ndarray, shape (p, 2)
+        Confidence intervals, `quantile` standard errors to both sides.
+    correlations : ndarray, shape (p, p)
+    deviation : float
+        Standard deviation of errors: one if the deviations are given, else estimated with `freedom` degrees of freedom.
+    is_estimated : bool
+        True if `deviation` is estimated.
+    freedom : int
+        Number of measured values minus the number of estimated quantities.
+    quantile : float
+    unknown_errors : ndarray, shape (n,)
+        Standard errors of all unknowns, NaN if there are free quantities besides the parameters.
+    at_bounds, undetermined : tuple of str
+        Parameters at a bound; parameters that can change without a change of the cost.
+    reason : str
+        Why there are no standard errors; empty if there are.
     """
 
     names: tuple[str, ...]
@@ -142,36 +151,23 @@ class Estimates:
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know, a line each."""
-        found = [f"no standard errors: {self.reason}"] if self.reason else []
+        """Notes for the user, one line each."""
+        notes = [f"no standard errors: {self.reason}"] if self.reason else []
         if self.undetermined:
             verb = "is" if len(self.undetermined) == 1 else "are"
-            found.append(
+            notes.append(
                 f"{', '.join(self.undetermined)} {verb} not determined by the measurements: other values fit as well; "
                 "give it a value, or measure more"
             )
         if self.at_bounds:
-            found.append(f"{', '.join(self.at_bounds)}: held at a bound, without a standard error")
-        return found
-
-
-@dataclass(frozen=True)
-class _Reduced:
-    """The Hessian (p, p) of the cost by free parameters, and by how much all unknowns follow them, (n, p).
-
-    `terms` (p,) are the sums of the moduli of what the diagonal is made of; `freedom` is how many numbers are free.
-    """
-
-    hessian: NDArray[np.float64]
-    terms: Vector
-    following: NDArray[np.float64]
-    freedom: int
+            notes.append(f"{', '.join(self.at_bounds)}: held at a bound, without a standard error")
+        return notes
 
 
 def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_]) -> Estimates | None:
-    """What measurements say of free parameters at a solution `unknowns` (n,), where there are any of both.
+    """Return the accuracy of the free parameters at a solution; None without measurements or free parameters.
 
-    `held` (n,) are unknowns at their bounds.
+    `held` (n,) marks the `unknowns` (n,) at bounds.
     """
     observations, names = module.metadata.observations, tuple(module.metadata.free_parameters)
     if not observations or not names:
@@ -190,52 +186,50 @@ def estimates_of(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.boo
     if not reason and is_estimated and freedom <= 0:
         reason = f"{fit.count} values were measured, and {fit.count - freedom} numbers are free"
     deviation = np.sqrt(fit.squares / freedom) if is_estimated and freedom > 0 else np.nan if is_estimated else 1.0
-    covariance, motion = np.full((len(names), len(names)), np.nan), np.full(unknowns.size, np.nan)
+    covariance, unknown_errors = np.full((len(names), len(names)), np.nan), np.full(unknowns.size, np.nan)
     if reduced and inverse and not reason:
-        own = _covariance(reduced, inverse, fit, observations.loss, float(deviation))
-        motion = _of_all(reduced, own)
-        covariance[np.ix_(is_free, is_free)] = own
+        if observations.loss == "squares":
+            block = 2.0 * float(deviation) ** 2 * inverse.matrix
+        else:
+            slopes = fit.slopes(reduced.following)
+            block = inverse.matrix @ (slopes.T @ slopes) @ inverse.matrix
+        if reduced.freedom == len(block):  # only the parameters are free
+            variances = np.einsum("ni,ij,nj->n", reduced.following, block, reduced.following)
+            unknown_errors = np.asarray(np.sqrt(np.maximum(0.0, variances)))
+        covariance[np.ix_(is_free, is_free)] = block
         covariance[lost] = covariance[:, lost] = np.nan
-    errors, quantile = np.sqrt(np.diag(covariance)), _quantile(freedom if is_estimated else 0)
-    intervals = np.column_stack([values - quantile * errors, values + quantile * errors])
-
-    def named(which: NDArray[np.bool_]) -> tuple[str, ...]:
-        return tuple(name for name, is_one in zip(names, which, strict=True) if is_one)
-
-    with np.errstate(invalid="ignore"):  # where everything fits exactly
-        correlations = covariance / np.outer(errors, errors)
-    return Estimates(
-        names, values, errors, intervals, correlations, float(deviation), is_estimated, freedom, quantile, motion,
-        named(~is_free), named(lost), reason,
-    )  # fmt: skip
-
-
-def _covariance(reduced: _Reduced, inverse: _Inverse, fit: Fit, loss: str, deviation: float) -> NDArray[np.float64]:
-    """The covariance (p, p) of free parameters."""
-    if loss == "squares":
-        return 2.0 * deviation**2 * inverse.matrix
-    slopes = fit.slopes(reduced.following)
-    return inverse.matrix @ (slopes.T @ slopes) @ inverse.matrix
-
-
-def _of_all(reduced: _Reduced, covariance: NDArray[np.float64]) -> Vector:
-    """The standard errors of all unknowns, (n,), where nothing is free but the parameters; else NaN."""
-    if reduced.freedom != len(covariance):
-        return np.full(len(reduced.following), np.nan)
-    variances = np.einsum("ni,ij,nj->n", reduced.following, covariance, reduced.following)
-    return np.asarray(np.sqrt(np.maximum(0.0, variances)))
-
-
-def _quantile(freedom: int) -> float:
-    """How many standard errors a confidence interval extends: Student's, or the normal distribution's for none."""
     from scipy import stats
 
     tail = 0.5 + CONFIDENCE / 2.0
-    return float(stats.t.ppf(tail, freedom) if freedom > 0 else stats.norm.ppf(tail))
+    quantile = float(stats.t.ppf(tail, freedom) if is_estimated and freedom > 0 else stats.norm.ppf(tail))
+    errors = np.sqrt(np.diag(covariance))
+    intervals = np.column_stack([values - quantile * errors, values + quantile * errors])
+    with np.errstate(invalid="ignore"):  # the errors of an exact fit are zero
+        correlations = covariance / np.outer(errors, errors)
+    at_bounds, undetermined = (
+        tuple(name for name, is_one in zip(names, mask, strict=True) if is_one) for mask in (~is_free, lost)
+    )
+    return Estimates(
+        names, values, errors, intervals, correlations, float(deviation), is_estimated, freedom, quantile,
+        unknown_errors, at_bounds, undetermined, reason,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """The Hessian (p, p) of the cost by free parameters, and the derivatives (n, p) of all unknowns by them.
+
+    `terms` (p,) are the sums of the moduli of the terms on the diagonal; `freedom` is the number of free quantities.
+    """
+
+    hessian: NDArray[np.float64]
+    terms: Vector
+    following: NDArray[np.float64]
+    freedom: int
 
 
 def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_], free: Any) -> _Reduced | None:
-    """The Hessian of the cost by `free` unknowns when all others follow them; None where they do not."""
+    """Return the Hessian of the cost by the `free` unknowns if all others follow; None if the others are singular."""
     from scipy import sparse
     from scipy.sparse.linalg import splu
 
@@ -268,9 +262,9 @@ def _reduced(module: Any, grid: Grid, unknowns: Vector, held: NDArray[np.bool_],
 
 @dataclass(frozen=True)
 class _Inverse:
-    """The inverse of a Hessian on the directions in which it is curved.
+    """The inverse of a Hessian on the directions with curvature.
 
-    `flat` is the number of the others, `lost` (p,) says which parameters they are made of.
+    `flat` is the number of the other directions; `lost` (p,) marks the parameters that take part in them.
     """
 
     matrix: NDArray[np.float64]
@@ -279,16 +273,17 @@ class _Inverse:
 
 
 def _inverse(reduced: _Reduced, values: Vector) -> _Inverse:
-    """The inverse of a reduced Hessian by parameters of these `values` (p,).
+    """Return the inverse of a reduced Hessian by parameters with these `values` (p,).
 
-    Directions are compared in units in which every parameter has curvature one. One without an effect has none: what
-    is left of its curvature is rounding, or, beside those of others by their values, what the optimum is off by.
+    Directions are compared in units in which every parameter has curvature one. A parameter without effect on the cost
+    has curvature zero: its computed curvature is rounding, or an error of the optimum that is negligible relative to
+    other parameters, each multiplied by its value.
     """
     hessian, diagonal = reduced.hessian, np.abs(np.diag(reduced.hessian))
-    sizes = np.where(np.abs(values) > NO_SIZE * np.abs(values).max(initial=1.0), np.abs(values), 1.0)
-    effects = diagonal * sizes**2
-    idle = (diagonal <= FLAT * reduced.terms) | (effects <= WITHOUT_EFFECT * effects.max(initial=0.0))
-    units = np.where(idle, 0.0, 1.0 / np.sqrt(np.where(idle, 1.0, diagonal)))
+    scales = np.where(np.abs(values) > NO_SIZE * np.abs(values).max(initial=1.0), np.abs(values), 1.0)
+    effects = diagonal * scales**2
+    ineffective = (diagonal <= FLAT * reduced.terms) | (effects <= WITHOUT_EFFECT * effects.max(initial=0.0))
+    units = np.where(ineffective, 0.0, 1.0 / np.sqrt(np.where(ineffective, 1.0, diagonal)))
     curvatures, directions = np.linalg.eigh(hessian * np.outer(units, units))
     flat = curvatures <= FLAT * max(curvatures.max(initial=0.0), np.finfo(float).tiny)
     inverse = (directions[:, ~flat] / curvatures[~flat]) @ directions[:, ~flat].T * np.outer(units, units)
@@ -296,27 +291,28 @@ def _inverse(reduced: _Reduced, values: Vector) -> _Inverse:
     return _Inverse(inverse, part > _PART, int(flat.sum()))
 
 
-_PART = 1e-3
-"""Of a direction, from which on a parameter takes part in it."""
-
-
-def as_record(found: Estimates) -> dict[str, Any]:
-    """The part of the JSON object about estimates."""
-    rows = zip(found.names, found.values, found.standard_errors, found.intervals, strict=True)
+def as_record(estimates: Estimates) -> dict[str, Any]:
+    """Return the part of the JSON object for estimates."""
+    rows = zip(estimates.names, estimates.values, estimates.standard_errors, estimates.intervals, strict=True)
     return {
         "parameters": {
-            name: {"value": _finite(value), "standard_error": _finite(error), "interval": [*map(_finite, interval)]}
+            name: {
+                "value": as_finite(value),
+                "standard_error": as_finite(error),
+                "interval": [*map(as_finite, interval)],
+            }
             for name, value, error, interval in rows
         },
         "confidence": CONFIDENCE,
-        "correlations": [[_finite(entry) for entry in row] for row in found.correlations],
-        "deviation": _finite(found.deviation),
-        "deviation_is_estimated": found.is_estimated,
-        "degrees_of_freedom": found.freedom,
-        "at_bounds": list(found.at_bounds),
-        "undetermined": list(found.undetermined),
+        "correlations": [[as_finite(entry) for entry in row] for row in estimates.correlations],
+        "deviation": as_finite(estimates.deviation),
+        "deviation_is_estimated": estimates.is_estimated,
+        "degrees_of_freedom": estimates.freedom,
+        "at_bounds": list(estimates.at_bounds),
+        "undetermined": list(estimates.undetermined),
     }
 
 
-def _finite(number: Any) -> float | None:
-    return float(number) if np.isfinite(number) else None
+def as_finite(number: float | None) -> float | None:
+    """Return a finite number, None for NaN and infinity."""
+    return float(number) if number is not None and np.isfinite(number) else None

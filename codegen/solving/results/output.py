@@ -1,13 +1,9 @@
-"""What `codegen solve` leaves behind: one JSON object, a table, an archive of arrays.
-
-What a user should know of a module although it solves its problem: one line for each, from its metadata.
-"""
+"""Output of `codegen solve`: one JSON object, tables, an archive of arrays, and notes on a module from its metadata."""
 
 from __future__ import annotations
 
 import ast
 import json
-import math
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +14,7 @@ from codegen.files import replacing
 from codegen.runtime import record
 from codegen.runtime.record import ControlRecord, Record, Task
 from codegen.solving.results import estimates, sensitivities
+from codegen.solving.results.estimates import as_finite
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,7 +25,7 @@ ARCHIVES = (".npz",)
 
 
 def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
-    """Refuse, before anything is solved, a file that could not be written; ArgumentError names the option."""
+    """Raise ArgumentError, which names the option, for a file that cannot be written."""
     if path.suffix.lower() not in kinds:
         raise ArgumentError(f"{option} {path}: unknown kind of file", f"let it end in {' or '.join(kinds)}")
     if path.is_dir():
@@ -37,7 +34,7 @@ def require_writable(path: Path, kinds: tuple[str, ...], option: str) -> None:
 
 
 def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None:
-    """Refuse a folder that does not exist (unless it can be made), is none, or is not writable."""
+    """Raise ArgumentError for a folder that does not exist (unless it may be made), is a file, or is not writable."""
     while may_be_made and not folder.exists() and folder != folder.parent:
         folder = folder.absolute().parent
     if not folder.exists():
@@ -54,69 +51,62 @@ def require_folder(folder: Path, option: str, may_be_made: bool = False) -> None
 
 
 def as_record(result: Result, build: float, load: float) -> dict[str, Any]:
-    """The JSON object of `--json`: keys as documented, every number finite or null."""
+    """Return the JSON object of `--json`; every number is finite or null."""
     names = ("problem", "task", "method", "scheme", "driver", "steps", "status", "message")
-    return {
+    record: dict[str, Any] = {
         **{name: getattr(result, name) for name in names},
         **({"parameters": dict(result.parameters)} if result.parameters else {}),
-        "cost": _finite(result.cost),
-        "residual": _finite(result.residual),
+        "cost": as_finite(result.cost),
+        "residual": as_finite(result.residual),
         "iterations": result.iterations,
-        "seconds": {"build": _finite(build), "load": _finite(load), "solve": _finite(result.seconds_solve)},
-        "summary": {name: _finite(value) for name, value in result.summary.items()},
-        **({"notes": list(result.notes)} if result.notes else {}),
-        **({"levels": [_level(level) for level in result.levels]} if result.levels else {}),
-        **({"accuracy": _accuracy(result)} if result.accuracy else {}),
-        **({"estimates": estimates.as_record(result.estimates)} if result.estimates else {}),
-        **({"sensitivities": sensitivities.as_record(found, result)} if (found := result.sensitivity) else {}),
+        "seconds": {"build": as_finite(build), "load": as_finite(load), "solve": as_finite(result.seconds_solve)},
+        "summary": {name: as_finite(value) for name, value in result.summary.items()},
     }
-
-
-def _accuracy(result: Result) -> dict[str, Any]:
-    """What came of a request for accuracy, with the times of all nodes."""
-    found = result.accuracy
-    assert found is not None
-    levels = [
-        {"intervals": level.intervals, "status": level.status, "error": _finite(level.error),
-         "iterations": level.iterations, "seconds": _finite(level.seconds)}
-        for level in found.levels
-    ]  # fmt: skip
-    return {
-        "request": found.request, "reached": not found.reason, "estimate": _finite(found.estimate),
-        "largest": {"quantity": found.quantity, "t": _finite(found.time)}, "reason": found.reason, "history": levels,
-        "t": [_finite(time) for time in result.t],
-    }  # fmt: skip
-
-
-def _level(level: Result) -> dict[str, Any]:
-    """How the solution on one grid of a refinement ended."""
-    words = {name: getattr(level, name) for name in ("steps", "status", "message", "iterations")}
-    numbers = {"cost": level.cost, "residual": level.residual, "seconds": level.seconds_solve}
-    return words | {name: _finite(number) for name, number in numbers.items()}
+    if result.notes:
+        record["notes"] = list(result.notes)
+    if result.levels:
+        record["levels"] = [
+            {"steps": level.steps, "status": level.status, "message": level.message, "iterations": level.iterations,
+             "cost": as_finite(level.cost), "residual": as_finite(level.residual),
+             "seconds": as_finite(level.seconds_solve)}
+            for level in result.levels
+        ]  # fmt: skip
+    if accuracy := result.accuracy:
+        history = [
+            {"intervals": level.intervals, "status": level.status, "error": as_finite(level.error),
+             "iterations": level.iterations, "seconds": as_finite(level.seconds)}
+            for level in accuracy.levels
+        ]  # fmt: skip
+        record["accuracy"] = {
+            "request": accuracy.request, "reached": not accuracy.reason, "estimate": as_finite(accuracy.estimate),
+            "largest": {"quantity": accuracy.quantity, "t": as_finite(accuracy.time)}, "reason": accuracy.reason,
+            "history": history, "t": [as_finite(time) for time in result.t],
+        }  # fmt: skip
+    if result.estimates:
+        record["estimates"] = estimates.as_record(result.estimates)
+    if result.sensitivity:
+        record["sensitivities"] = sensitivities.as_record(result.sensitivity, result)
+    return record
 
 
 def as_json(record: Mapping[str, Any]) -> str:
-    """One line of strict JSON."""
+    """Return one line of strict JSON."""
     return json.dumps(record, allow_nan=False)
 
 
 def with_unit(number: str, unit: str) -> str:
-    """A number with the unit behind it that its author gave, if any."""
+    """Return a number with its declared unit, if any."""
     return f"{number} {unit}" if unit else number
 
 
 def given(result: Result) -> str:
-    """The parameters that a solve was given, for people."""
+    """Return the parameter overrides of a solve as text."""
     own = [(name, with_unit(_number(value), result.unit_of(name))) for name, value in result.parameters.items()]
     return ", ".join(f"{name} = {value}" for name, value in own)
 
 
-def _finite(number: float | None) -> float | None:
-    return float(number) if number is not None and math.isfinite(number) else None
-
-
 def as_table(record: Mapping[str, Any], result: Result) -> Table:
-    """The same record for people to read, with the number of steps and the summary in the words of the result."""
+    """Return the record as a table, with the number of steps and the summary in the words of the result."""
     from rich import box
     from rich.table import Table
 
@@ -153,7 +143,7 @@ def as_table(record: Mapping[str, Any], result: Result) -> Table:
 
 
 def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
-    """Free parameters with what measurements say of them, then, of several, how far they depend on each other."""
+    """Return the table of free parameters with their accuracy, and the table of correlations of several parameters."""
     from rich import box
     from rich.table import Table
 
@@ -183,7 +173,7 @@ def estimates_tables(record: Mapping[str, Any]) -> list[Table]:
 
 
 def sensitivities_table(record: Mapping[str, Any]) -> Table:
-    """Derivatives of the cost, of free numbers and of the state at the end, a row for each quantity."""
+    """Return the derivatives of the cost, of free numbers and of the state at the end, a row for each quantity."""
     from rich import box
     from rich.table import Table
 
@@ -201,13 +191,13 @@ def sensitivities_table(record: Mapping[str, Any]) -> Table:
 
 
 _SHOWN = 4
-"""States whose sensitivities at the end are shown; of more of them those in `--json`."""
+"""Number of states in the table of sensitivities; `--json` has all."""
 _CORRELATED = 10
-"""Parameters whose correlations are shown; of more of them those in `--json`."""
+"""Largest number of parameters with a table of correlations; `--json` has all."""
 
 
 def log_table(result: Result) -> Table:
-    """The iterates of the generated solver."""
+    """Return the iterates of the generated solver."""
     from rich import box
     from rich.table import Table
 
@@ -246,7 +236,7 @@ def _duration(seconds: float | None) -> str:
 
 
 def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
-    """Write all arrays to an .npz archive, with the record of the run as JSON text under `result`."""
+    """Write all arrays to an .npz archive, with the record of the run as JSON text in `result`."""
     import numpy as np
 
     names = ("t", "q", "p", "u", "multipliers", "energy", "log", "unknowns")
@@ -261,42 +251,42 @@ def save(result: Result, record: Mapping[str, Any], path: Path) -> None:
 
 
 NAME = 40
-"""Characters of a condition that people are shown; interior angles of a polygon fill six lines."""
+"""Number of characters to which a condition is shortened; interior angles of a polygon fill six lines."""
 
 
-def notes(of: Record) -> list[str]:
-    """Unused symbols, what was left out of a control problem, controls that its cost does not see; none as a rule."""
-    found = []
-    if unused := of.unused:
-        found.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
-    if of.task != Task.CONTROL:
-        return found
-    metadata = cast(ControlRecord, of)
+def notes(record: Record) -> list[str]:
+    """Return notes on the problem of a module, such as unused symbols, omitted conditions and kinks."""
+    lines = []
+    if unused := record.unused:
+        lines.append(f"{', '.join(unused)} {'is' if len(unused) == 1 else 'are'} declared but never used")
+    if record.task != Task.CONTROL:
+        return lines
+    metadata = cast(ControlRecord, record)
     if redundant := metadata.redundant_conditions:
         named = ", ".join(f"number {number} ({shortened(name)})" for number, name in redundant)
         verb = "follows from the others and was" if len(redundant) == 1 else "follow from the others and were"
         count = f"{len(redundant)} of {metadata.coupling_conditions}"
-        found.append(f"{count} conditions between bodies {verb} left out: {named}")
+        lines.append(f"{count} conditions between bodies {verb} left out: {named}")
     for quantity, where in metadata.dependent_values:
-        found.append(
+        lines.append(
             f"{shortened(quantity)} at the {where} follows from the path equalities with the other values at the ends, "
             "and was left out"
         )
     for condition, where in metadata.decided_conditions:
-        found.append(
+        lines.append(
             f"{shortened(condition)} holds with equality at the {where}, by what is prescribed there, and was left out"
         )
     for name, value, last in metadata.history_jumps:
-        found.append(f"{name} starts at {value}, where its history ends at {last}: its values of the past jump there")
+        lines.append(f"{name} starts at {value}, where its history ends at {last}: its values of the past jump there")
     if kinks := metadata.kinks:
         named = ", ".join(map(shortened, kinks))
-        found.append(
+        lines.append(
             f"the cost has a kink in {named}, at which Newton's method stalls: write a + b for Abs(u), with controls "
             "a, b >= 0 and a - b for u, or a control that is bounded by both sides of a Max"
         )
     if borders := metadata.discontinuities:
         named = ", ".join(map(shortened, borders))
-        found.append(
+        lines.append(
             f"something jumps where {named} changes, which derivatives do not see: make it smooth, as by "
             "(1 + tanh(s/width))/2, or give each side a phase of its own"
         )
@@ -304,20 +294,20 @@ def notes(of: Record) -> list[str]:
         inside, instead = function.removeprefix("sqrt(")[:-1], ""
         if function.startswith("sqrt(") and " + " in inside:
             instead = f"; for a length in the cost, a control c >= 0 in its place with path {inside} <= c**2"
-        found.append(
+        lines.append(
             f"{shortened(function)} has no finite {what} at the guess, {where}, where a search cannot begin: give "
             f"another guess, or bounds that keep away from there{instead}"
         )
     if unseen := metadata.unseen_controls:
-        found.append(
+        lines.append(
             f"the scheme averages nodal controls, and their alternation costs nothing ({', '.join(unseen)}): what is "
-            "found may be no optimum; codegen check explains, and --controls interval has no such mode"
+            "lines may be no optimum; codegen check explains, and --controls interval has no such mode"
         )
-    return found
+    return lines
 
 
 def notes_of_file(path: Path) -> list[str]:
-    """The same of a generated module that need not be imported."""
+    """Return the notes of a module in a file, without importing the module."""
     return notes(record_in(path.read_text(encoding="utf-8")))
 
 
@@ -329,5 +319,5 @@ def record_in(text: str) -> Record:
 
 
 def shortened(name: str, limit: int = NAME) -> str:
-    """The beginning of a long name."""
+    """Return the beginning of a long name."""
     return name if len(name) <= limit else name[:limit].rstrip() + " ..."

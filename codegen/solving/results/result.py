@@ -1,4 +1,4 @@
-"""What drivers are asked, what they claim, and the result that is returned to the user."""
+"""The request to a driver, the attempt of a driver, and the result that is returned to the user."""
 
 from __future__ import annotations
 
@@ -12,79 +12,24 @@ import numpy as np
 from codegen.errors import ArgumentError, NumericsError
 from codegen.problem.points import PointSet
 from codegen.runtime.record import Form, Record
-from codegen.solving.interfaces import Grid, Matrix, Vector
+from codegen.solving.loading import Grid, Matrix, Vector
 from codegen.solving.results.display import Background, Display
 from codegen.solving.results.estimates import Estimates
 
 INACCURATE = 1e-7
-"""Parts of their terms that linear equations may leave: beyond it derivatives are not what they should be."""
+"""Relative residual of the linear equations of sensitivities above which a note warns of inaccurate derivatives."""
 _NAMED = 3
-"""Places that are told of those where strict complementarity fails."""
+"""Number of unknowns that a note on strict complementarity names."""
+LARGE_ERROR = 0.01
+"""Relative discretisation error of states or cost above which a solution has a note.
 
-
-@dataclass(frozen=True)
-class Derivatives:
-    """Derivatives of a solution by one quantity, in the problem's units.
-
-    Of the cost, of `durations` (D,), one for each phase, of `free` parameters by name, and of arrays of the result, of
-    whose shapes they are: `t`, and at nodes that move with it `q` and `p`; `u`, `multipliers`, and `unknowns` (n,).
-    """
-
-    cost: float
-    durations: Vector
-    free: dict[str, float]
-    t: Vector = field(repr=False)
-    q: Matrix = field(repr=False)
-    p: Matrix = field(repr=False)
-    u: Matrix = field(repr=False)
-    multipliers: Matrix = field(repr=False)
-    unknowns: Vector = field(repr=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Sensitivities(Mapping[str, Derivatives]):
-    """Derivatives by all quantities: parameters by their names, boundary values such as `start.x`, and `duration`.
-
-    Boundary values, and a given duration, follow parameters by the problem's formulas, as in a sweep. Where bounds
-    hold, they are those with the same set of active bounds. `costs` (m,) are the derivatives of the cost, in the order
-    of the names. `reason` says why there are no derivatives; `doubtful` names where strict complementarity fails: there
-    bounds begin to hold or cease to, and derivatives are one-sided at best. `inaccuracy` is what is left of the linear
-    equations, in parts of their terms.
-    """
-
-    names: tuple[str, ...]
-    costs: Vector
-    reason: str
-    doubtful: tuple[str, ...]
-    inaccuracy: float
-    _by_name: Mapping[str, Derivatives] = field(repr=False)
-
-    def __getitem__(self, name: str) -> Derivatives:
-        """Derivatives by a quantity; NumericsError where there are none, KeyError for a name that is no quantity."""
-        if self.reason and name in self.names:
-            raise NumericsError(f"there are no derivatives by {name}: {self.reason}", "see its reason")
-        return self._by_name[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """The names of all quantities."""
-        return iter(self.names)
-
-    def __len__(self) -> int:
-        """How many quantities there are."""
-        return len(self.names)
-
-    @property
-    def notes(self) -> list[str]:
-        """What a user should know, a line each."""
-        found = [f"no sensitivities: {self.reason}"] if self.reason else []
-        if self.doubtful:
-            places, rest = ", ".join(self.doubtful[:_NAMED]), len(self.doubtful) - _NAMED
-            more = f" and {rest} more" if rest > 0 else ""
-            found.append(f"sensitivities may be one-sided: strict complementarity fails for {places}{more}")
-        if not self.reason and self.inaccuracy > INACCURATE:
-            found.append(f"sensitivities are inaccurate: {self.inaccuracy:.0e} of their linear equations is left")
-        return found
-
+A choice of this project: an error of one per cent is visible in a figure of the motion.
+"""
+UNKNOWN_ERROR = (
+    "the error of the discretisation could not be estimated: no optimum was found on half as many intervals; compare "
+    "with more --steps, or take --accuracy"
+)
+"""The note of a solution without an estimate."""
 
 STATUSES = {
     "solved": "the equations hold to the driver's tolerance, or to rounding",
@@ -103,23 +48,106 @@ STATUSES = {
     "accuracy not reached": "the equations hold, but no grid was found on which their solution is as accurate as asked",
     "inaccurate": "the driver claimed success, but the residuals evaluated afterwards are too large",
 }
-"""Every status word and its meaning; all but the first are failures."""
+"""Every termination status and its meaning; all except the first are failures."""
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of a solution with respect to one quantity, in the units of the problem.
+
+    Attributes
+    ----------
+    cost : float
+    durations : ndarray, shape (D,)
+        One for each phase.
+    free : dict of str to float
+        Derivatives of free parameters by name.
+    t, q, p, u, multipliers : ndarray
+        The shapes of the arrays of the result; `q` and `p` at nodes that move with `t`.
+    unknowns : ndarray, shape (n,)
+    """
+
+    cost: float
+    durations: Vector
+    free: dict[str, float]
+    t: Vector = field(repr=False)
+    q: Matrix = field(repr=False)
+    p: Matrix = field(repr=False)
+    u: Matrix = field(repr=False)
+    multipliers: Matrix = field(repr=False)
+    unknowns: Vector = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities(Mapping[str, Derivatives]):
+    """Derivatives with respect to parameters, boundary values such as `start.x`, and `duration`, by name.
+
+    Boundary values and the duration follow from parameters by the formulas of the problem, as in a sweep. The set of
+    active bounds is kept.
+
+    Attributes
+    ----------
+    names : tuple of str
+    costs : ndarray, shape (m,)
+        Derivatives of the cost in the order of `names`.
+    reason : str
+        Why there are no derivatives; empty if there are.
+    doubtful : tuple of str
+        Unknowns for which strict complementarity fails. There the active set changes, and derivatives are one-sided.
+    inaccuracy : float
+        Residual of the linear equations relative to the size of their terms.
+    """
+
+    names: tuple[str, ...]
+    costs: Vector
+    reason: str
+    doubtful: tuple[str, ...]
+    inaccuracy: float
+    _by_name: Mapping[str, Derivatives] = field(repr=False)
+
+    def __getitem__(self, name: str) -> Derivatives:
+        """Return the derivatives with respect to a quantity.
+
+        Raises NumericsError if the solution has no derivatives, and KeyError for an unknown name.
+        """
+        if self.reason and name in self.names:
+            raise NumericsError(f"there are no derivatives by {name}: {self.reason}", "see its reason")
+        return self._by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """Return the number of quantities."""
+        return len(self.names)
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes for the user, one line each."""
+        notes = [f"no sensitivities: {self.reason}"] if self.reason else []
+        if self.doubtful:
+            names, rest = ", ".join(self.doubtful[:_NAMED]), len(self.doubtful) - _NAMED
+            more = f" and {rest} more" if rest > 0 else ""
+            notes.append(f"sensitivities may be one-sided: strict complementarity fails for {names}{more}")
+        if not self.reason and self.inaccuracy > INACCURATE:
+            notes.append(f"sensitivities are inaccurate: {self.inaccuracy:.0e} of their linear equations is left")
+        return notes
 
 
 Watch: TypeAlias = Callable[[int, tuple[float, ...]], None]
-"""What is called with the number of an iterate and its row of the log."""
+"""A function that is called with the number of an iterate and its row of the log."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What is asked of a driver.
+    """The request to a driver.
 
-    The number of steps, for a simulation to store every how many-th of them, and for an optimisation a vector of
-    unknowns to start from, and whether that is `near` the solution; for a connect problem the points. None as a
-    tolerance, or as the most iterations of an optimiser, stands for the driver's own; `time_limit` is in seconds, and
-    `watch` is called with the number and the row of the log of every iterate.
-    With the `scaling` "none" an optimiser works in the problem's own units. Intervals are equal, or last the fractions
-    `grid` of the duration: (N,), or (phases, N) of the phases.
+    `every` is the stride of stored steps of a simulation. `guess` (n,) is the initial guess of an optimisation, and
+    `near` states that it is close to the solution. `points` belong to a connect problem. None as `tolerance` or
+    `max_iterations` means the default of the driver. `time_limit` is in seconds. `watch` is called at every iterate.
+    With the `scaling` "none" an optimiser works in the units of the problem. `grid` has the fractions of the duration
+    that intervals last, (N,), or (phases, N) for each phase; None means equal intervals.
     """
 
     steps: int
@@ -137,9 +165,9 @@ class Run:
 
 @dataclass(frozen=True)
 class ConnectAttempt:
-    """What a driver claims about a connect problem: states at the nodes, shape (N + 1, 2, n, d).
+    """The claim of a driver for a connect problem: states at the nodes, shape (N + 1, 2, n, d).
 
-    `generated` says, here and below, that the module's own solver claims it.
+    `generated` is True if the claim is that of the generated solver, also in the classes below.
     """
 
     status: str
@@ -154,11 +182,10 @@ class ConnectAttempt:
 
 @dataclass(frozen=True)
 class ControlAttempt:
-    """What a driver claims about an optimal-control problem; `tolerance` is the accuracy that it promises.
+    """The claim of a driver for an optimal-control problem; `tolerance` is the promised accuracy.
 
-    `trajectories` are what a module makes of the unknowns (`unpack`), and `scaled` is the grid with the sizes that it
-    finds at the guess (`scaled_grid`), where a driver has them anyway. Where `is_explained` the message names what was
-    wrong, and no equation that is off need be.
+    A driver may add `trajectories`, the unpacked unknowns, and `scaled`, the grid with the scaling factors at the
+    guess. `is_explained` is True if the message names the cause of a failure other than a violated equation.
     """
 
     status: str
@@ -175,7 +202,7 @@ class ControlAttempt:
 
 @dataclass(frozen=True)
 class SimulateAttempt:
-    """What a driver claims about a simulation, at the stored steps."""
+    """The claim of a driver for a simulation, at the stored steps."""
 
     status: str
     message: str
@@ -190,11 +217,14 @@ class SimulateAttempt:
     generated: bool = False
 
 
+Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
+
+
 @dataclass(frozen=True)
 class Outline:
-    """What many solves keep of each: the verdict and the arrays of a Result by their names, and where to start from.
+    """The part of a result that sweeps store: status, cost, arrays by name, and unknowns for a warm start.
 
-    A cost or a vector of unknowns is None where a task has none; `free` are values of free parameters by name.
+    `free` has the values of free parameters by name.
     """
 
     status: str
@@ -206,16 +236,9 @@ class Outline:
     free: Mapping[str, float] = field(default_factory=dict)
 
 
-def outline_of(result: Result) -> Outline:
-    """A result without what is told of it beside."""
-    named = {name: getattr(result, name) for name in ("t", "q", "p", "u", "multipliers", "energy")}
-    arrays = {name: array for name, array in named.items() if array is not None}
-    return Outline(result.status, result.message, result.cost, result.residual, arrays, result.unknowns)
-
-
 @dataclass(frozen=True)
 class GridLevel:
-    """How the solution on one grid ended: intervals of each phase, status, estimated error, iterations, seconds."""
+    """The solve on one grid: intervals of each phase, status, estimated error, iterations, seconds."""
 
     intervals: int
     status: str
@@ -226,9 +249,10 @@ class GridLevel:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What came of a request for accuracy: the estimated relative error, of which quantity it is largest, and when.
+    """The outcome of a request for accuracy.
 
-    `reason` says why the request was not met, and is empty where it was; `levels` are the grids in their order.
+    `estimate` is the estimated relative error; it is largest for `quantity` at `time`. `reason` is empty if the request
+    was met. `levels` are the grids in the order of their solution.
     """
 
     request: float
@@ -239,19 +263,12 @@ class Accuracy:
     levels: tuple[GridLevel, ...]
 
 
-LARGE_ERROR = 0.01
-"""Relative error of states or cost from which on a solution has a note.
-
-A choice of this project: an error of one per cent is visible in a figure of the motion.
-"""
-
-
 @dataclass(frozen=True)
 class DiscretisationError:
-    """The estimated distance of a solution from that of the continuous problem.
+    """The estimated distance of a solution from the solution of the continuous problem.
 
-    `states` is the largest error of any state or free parameter, relative to the largest value of the same quantity;
-    `quantity` and `time` tell where it is. `cost` is relative to the cost.
+    `states` is the largest error of a state or free parameter, relative to the largest value of the same quantity.
+    This error belongs to `quantity` at `time`. `cost` is relative to the cost.
     """
 
     states: float
@@ -268,39 +285,54 @@ class DiscretisationError:
     def note(self) -> str:
         """The message for the author, with the remedy."""
         return (
-            f"the estimated error of the discretisation is {_percent(self.states)} of {self.quantity} at t = "
-            f"{self.time:.4g}, and {_percent(self.cost)} of the cost: take more --steps, or --accuracy"
+            f"the estimated error of the discretisation is {100.0 * self.states:.2g} % of {self.quantity} at t = "
+            f"{self.time:.4g}, and {100.0 * self.cost:.2g} % of the cost: take more --steps, or --accuracy"
         )
 
 
-UNKNOWN_ERROR = (
-    "the error of the discretisation could not be estimated: no optimum was found on half as many intervals; compare "
-    "with more --steps, or take --accuracy"
-)
-"""The note of a solution without an estimate."""
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.2g} %"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Result(Display):
-    """A solution with its residuals; arrays run over the nodes, `u` over intervals, nodes or stages.
+    """A solution with its residuals.
 
-    `residual` is the max-norm of all discrete equations, `stationarity` that of the optimality conditions, both
-    evaluated outside the driver. `iterations` are those of the last run. `seconds_solve` is the time of the fastest
-    one; `seconds_code` is the time of machine code, which was compiled if `compiled`, else read from the disk.
-    `unknowns` is the vector from which a warm start can be made. `levels` tells how the grids of a refinement ended.
-    `grid` holds the fractions of the duration, or of every phase, that intervals last where they are not equal,
-    `accuracy` what came of a request for it, `error` the estimated error of the discretisation of an optimal-control
-    problem, and `estimates` what measurements say of free parameters; `sensitivity` is what `sensitivities()` gives.
-    `notes` are sentences on a solution whose equations hold, and whose motion violates conditions between its nodes.
-    `by_segments` is the result of a problem with delays as its module has it, with columns for every segment;
-    `background` is what pictures need. `labels` are entries of the summary as tables write them where an author's names
-    are in them, which `label` looks up. `units` are those of columns by name, of the time `t`, and of `cost` and
-    `energy`, as far as the author gave them. `parameters` are those that the solve was given in place of the problem's
-    own.
+    `result["theta"]` and `result.theta` are the column of `q`, `p` or `u` with this name.
+
+    Attributes
+    ----------
+    status, message : str
+        Termination status and its explanation; `solved` is True for the status "solved".
+    cost : float or None
+        Cost of an optimisation, None for a simulation.
+    residual, stationarity : float
+        Max-norm of all discrete equations, and of the optimality conditions. Both are evaluated outside the driver.
+    iterations : int
+        Iterations of the last run.
+    t, q, p : ndarray, shapes (M + 1,), (M + 1, coordinates)
+        Times, coordinates (or states) and momenta at the nodes.
+    u : ndarray or None
+        Controls; the rows belong to `control_times`.
+    multipliers, energy, log, unknowns : ndarray or None
+        Multipliers of the equations of motion; energy at the nodes; iterates; all unknowns (n,), for a warm start.
+    names, units : dict
+        Names of the columns of `q`, `p` and `u`; units of columns, `t`, `cost` and `energy` by name.
+    summary, labels : dict
+        Further numbers by name; names of entries in tables, see `label`.
+    parameters : dict
+        Parameter overrides of the solve.
+    seconds_solve, seconds_code : float
+        Time of the fastest run; time of machine code, which was compiled if `compiled`, else read from the disk.
+    attempts, notes : tuple of str
+        Initial guesses that were tried; warnings about a solution.
+    levels : tuple of Result
+        Results on the grids of a refinement.
+    grid : ndarray or None
+        Fractions of the duration, or of every phase, of unequal intervals.
+    accuracy, error, estimates, sensitivity
+        Outcome of a request for accuracy; estimated discretisation error; standard errors of free parameters;
+        derivatives, see `sensitivities`.
+    by_segments : Result or None
+        For a problem with delays the result with columns for each segment.
+    background : Background or None
+        Module and problem for figures.
     """
 
     problem: str
@@ -316,18 +348,18 @@ class Result(Display):
     residual: float
     stationarity: float | None = None
     iterations: int
-    t: Vector = field(repr=False)
-    q: Matrix = field(repr=False)
-    p: Matrix = field(repr=False)
-    u: Matrix | None = field(default=None, repr=False)
-    multipliers: Matrix | None = field(default=None, repr=False)
-    energy: Vector | None = field(default=None, repr=False)
-    log: Matrix | None = field(default=None, repr=False)
-    unknowns: Vector | None = field(default=None, repr=False)
+    t: Vector
+    q: Matrix
+    p: Matrix
+    u: Matrix | None = None
+    multipliers: Matrix | None = None
+    energy: Vector | None = None
+    log: Matrix | None = None
+    unknowns: Vector | None = None
     names: dict[str, tuple[str, ...]]
     summary: dict[str, float]
-    labels: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
-    units: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
+    labels: Mapping[str, str] = field(default_factory=dict, compare=False)
+    units: Mapping[str, str] = field(default_factory=dict, compare=False)
     parameters: Mapping[str, float] = field(default_factory=dict)
     seconds_solve: float = field(default=float("nan"), compare=False)
     seconds_code: float = field(default=float("nan"), compare=False)
@@ -336,42 +368,54 @@ class Result(Display):
     notes: tuple[str, ...] = ()
     levels: tuple[Result, ...] = ()
     stage_abscissae: tuple[float, ...] = ()
-    grid: Vector | None = field(default=None, repr=False)
+    grid: Vector | None = None
     accuracy: Accuracy | None = None
     error: DiscretisationError | None = None
     estimates: Estimates | None = None
-    by_segments: Result | None = field(default=None, repr=False)
-    sensitivity: Sensitivities | None = field(default=None, repr=False)
-    background: Background | None = field(default=None, repr=False, compare=False)
+    by_segments: Result | None = None
+    sensitivity: Sensitivities | None = None
+    background: Background | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        cost = "" if self.cost is None else f", cost={self.cost:.6g}"
+        return f"Result({self.problem!r}, {self.status!r}{cost}, steps={self.steps}, iterations={self.iterations})"
 
     def sensitivities(self) -> Sensitivities:
-        """Derivatives by parameters, boundary values and a given duration, of a solve that was asked for them.
+        """Return the derivatives with respect to parameters, boundary values and a given duration.
 
-        `result.sensitivities()["start.x"].cost` is the one of the cost by a boundary value, `.q` has the shape of `q`.
-        Raises ArgumentError where nobody asked.
+        Returns
+        -------
+        Sensitivities
+            `result.sensitivities()["start.x"].cost` is the derivative of the cost by a boundary value, `.q` has the
+            shape of `q`.
+
+        Raises
+        ------
+        ArgumentError
+            If the solve had no option `sensitivities=True`.
         """
         if self.sensitivity is None:
             raise ArgumentError("this result has no sensitivities", "solve with sensitivities=True")
         return self.sensitivity
 
     def unit_of(self, entry: str) -> str:
-        """The unit of an entry of the summary, or of a value such as `start.x`, as far as it is known; else nothing."""
+        """Return the unit of an entry of the summary or of a value such as `start.x`; empty if it is not known."""
         of_time = {"duration": "t", "energy_drift": "energy", "energy_change": "energy"}
         name = of_time.get(entry, entry.removeprefix("final_").removeprefix("start.").removeprefix("end."))
         return self.units.get(name, "")
 
     def label(self, entry: str) -> str:
-        """An entry of the summary for people to read: an author's names as written, blanks between other words."""
+        """Return the text for an entry of the summary: names of the author as written, other words with blanks."""
         return self.labels.get(entry, entry.replace("_", " "))
 
     @property
     def solved(self) -> bool:
-        """Whether the numerics succeeded."""
+        """True if the status is "solved"."""
         return self.status == "solved"
 
     @property
     def control_times(self) -> Vector:
-        """The times of the rows of `u`: nodes, stages of all intervals, or the middles of intervals."""
+        """Times of the rows of `u`: nodes, stages of all intervals, or midpoints of intervals."""
         assert self.u is not None, "a simulation has no controls"
         if not self.stage_abscissae and len(self.u) == self.t.size:
             return self.t
@@ -379,9 +423,18 @@ class Result(Display):
         return np.asarray((self.t[:-1, None] + np.diff(self.t)[:, None] * abscissae).ravel())
 
     def controls_at(self, times: Vector) -> Matrix:
-        """The controls at any times, a row for each: constant on intervals, linear between nodes, else polynomials.
+        """Return the controls at any times.
 
-        On every interval the polynomial goes through the values at its stages, their mean at one abscissa.
+        Parameters
+        ----------
+        times : array_like, shape (T,)
+            In the unit of `t`.
+
+        Returns
+        -------
+        ndarray, shape (T, controls)
+            Controls are constant on intervals, linear between nodes, or polynomials through the values at the stages
+            of an interval. At an abscissa with several stages the polynomial has the mean of their values.
         """
         assert self.u is not None, "a simulation has no controls"
         times = np.atleast_1d(np.asarray(times, dtype=float))
@@ -393,41 +446,45 @@ class Result(Display):
         same = stages == abscissae[:, None]
         values = (same / same.sum(axis=1)[:, None]) @ self.u.reshape(self.t.size - 1, stages.size, -1)
         fractions = (times - self.t[interval]) / np.diff(self.t)[interval]
-        shares = np.ones((times.size, abscissae.size))
-        for i, own in enumerate(abscissae):
-            for other in abscissae[abscissae != own]:
-                shares[:, i] *= (fractions - other) / (own - other)
-        return np.asarray(np.einsum("ti,tij->tj", shares, values[interval]))
+        weights = np.ones((times.size, abscissae.size))
+        for i, abscissa in enumerate(abscissae):
+            for other in abscissae[abscissae != abscissa]:
+                weights[:, i] *= (fractions - other) / (abscissa - other)
+        return np.asarray(np.einsum("ti,tij->tj", weights, values[interval]))
 
     @property
     def intervals(self) -> str:
-        """How many steps were made, for people: `20 steps`, or `2 x 20 steps` in two phases."""
-        phases = (self.t.size - 1) // self.steps  # a simulation may have stored fewer
+        """The number of steps in words: `20 steps`, or `2 x 20 steps` in two phases."""
+        phases = (self.t.size - 1) // self.steps  # zero if a simulation has stored fewer
         return f"{phases} x {self.steps} steps" if phases > 1 else f"{self.steps} steps"
 
 
-Attempt: TypeAlias = ConnectAttempt | ControlAttempt | SimulateAttempt
+def outline_of(result: Result) -> Outline:
+    """Return the outline of a result."""
+    named = {name: getattr(result, name) for name in ("t", "q", "p", "u", "multipliers", "energy")}
+    arrays = {name: array for name, array in named.items() if array is not None}
+    return Outline(result.status, result.message, result.cost, result.residual, arrays, result.unknowns)
 
 
 def origin(metadata: Record, driver: str, run: Run, attempt: Attempt, seconds: float) -> dict[str, Any]:
-    """What a result says of where it comes from, whatever the task."""
-    own = {name: str(getattr(metadata, name)) for name in ("problem", "title", "task", "method", "scheme")}
-    told = {"driver": driver, "steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
-    return {**own, **told, "units": component_units(metadata)}
+    """Return the arguments of a Result that do not depend on the task."""
+    texts = {name: str(getattr(metadata, name)) for name in ("problem", "title", "task", "method", "scheme")}
+    numbers = {"steps": run.steps, "iterations": attempt.iterations, "seconds_solve": seconds}
+    return {**texts, "driver": driver, **numbers, "units": component_units(metadata)}
 
 
 def contradicted(driver: str, finding: str, remedy: str) -> tuple[str, str]:
-    """Status and message where a driver claims what is not so."""
+    """Return status and message for a driver that reports success although equations are violated."""
     return "inaccurate", f"{driver} reported success, but {finding}; {remedy}"
 
 
 def other_driver(attempt: Attempt) -> str:
-    """What to try where a driver claims what is not so: another one, or other numbers."""
+    """Return the remedy for a false claim of success."""
     return "try more steps, or another guess" if attempt.generated else "try more steps, or driver newton"
 
 
 def max_norm(values: Vector) -> float:
-    """Max-norm; infinite when an entry is not finite."""
+    """Return the max-norm; infinite if an entry is not finite."""
     if values.size == 0:
         return 0.0
     norm = float(np.abs(values).max())
@@ -435,10 +492,11 @@ def max_norm(values: Vector) -> float:
 
 
 def component_names(metadata: Record) -> dict[str, tuple[str, ...]]:
-    """What the columns of q, p and u are called; those of several bodies carry the body's number."""
+    """Return the names of the columns of q, p and u; with several bodies names end in the number of the body."""
     coordinates = tuple(metadata.coordinates)
-    momenta = tuple(metadata.rates) if metadata.form == Form.HAMILTONIAN else None
-    if momenta is None:
+    if metadata.form == Form.HAMILTONIAN:
+        momenta = tuple(metadata.rates)
+    else:
         momenta = () if metadata.form == Form.FIRST_ORDER else tuple(f"p_{name}" for name in coordinates)
     names = {"q": coordinates, "p": momenta, "u": tuple(metadata.control_names)}
     bodies = metadata.bodies
@@ -448,10 +506,9 @@ def component_names(metadata: Record) -> dict[str, tuple[str, ...]]:
 
 
 def component_units(metadata: Record) -> dict[str, str]:
-    """The units of columns by their names, beside those of everything else that has one."""
+    """Return the units of columns and other quantities by name."""
     units: dict[str, str] = dict(metadata.units)
     if units and metadata.bodies > 1:
         for row in component_names(replace(metadata, bodies=1)).values():
-            each = {f"{name}_{body}": units[name] for name in row for body in range(metadata.bodies) if name in units}
-            units |= each
+            units |= {f"{name}_{body}": units[name] for name in row for body in range(metadata.bodies) if name in units}
     return units

@@ -1,7 +1,7 @@
-"""The motion of a problem with delays, put together from its segments.
+"""The motion of a problem with delays, assembled from its segments.
 
-A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.delays`). Its
-module has columns for the quantities of each segment. A user sees the author's quantities over the whole duration.
+A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.segments`). Its
+module has columns for the quantities of each segment. Users see the quantities of the problem over the whole duration.
 """
 
 from __future__ import annotations
@@ -14,59 +14,58 @@ from typing import cast
 import numpy as np
 
 from codegen.runtime.record import ControlRecord, Kind, Method, Record
-from codegen.solving.interfaces import Matrix, Vector
-from codegen.solving.results.result import Accuracy, Result
+from codegen.solving.loading import Matrix, Vector
+from codegen.solving.results.result import Result
 
 _STEM = r"(?:joined|pi|lambda|mu|nu|p|start|end)_"
-"""What names of multipliers, momenta and shared unknowns begin with, before that of the quantity."""
+"""Prefixes of the names of multipliers, momenta and linking variables."""
 
 
 @dataclass(frozen=True)
 class Segments:
-    """How many segments there are, and of each of their quantities its name in the author's problem and its segment."""
+    """The number of segments; for each of their quantities the name in the author's problem, and the segment."""
 
     number: int
     names: Mapping[str, tuple[str, int]]
 
     def steps(self, total: int) -> int:
-        """The intervals of each segment where there are `total` in all, or a few more, so that all have as many."""
+        """Return the intervals of each segment for `total` intervals, rounded up."""
         return -(-total // self.number)
 
     def columns(self, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names without segments, and the columns (segments, names) that belong to them."""
-        found: dict[str, list[int]] = {}
+        """Return the names without segments, and the indices (segments, names) of their columns."""
+        indices: dict[str, list[int]] = {}
         for index, name in enumerate(names):
-            found.setdefault(self.split(name)[0], []).append(index)
-        return tuple(found), np.array([*found.values()], dtype=int).reshape(-1, self.number).T
+            indices.setdefault(self.split(name)[0], []).append(index)
+        return tuple(indices), np.array([*indices.values()], dtype=int).reshape(-1, self.number).T
 
     def in_order(self, table: Matrix, columns: np.ndarray, at_nodes: bool) -> Matrix:
-        """The rows of all segments, one after the other; the node at which two meet is the end of the first."""
-        parts = [table[int(at_nodes and i > 0) :, own] for i, own in enumerate(columns)]
-        return np.concatenate(parts)
+        """Return the rows of all segments in order; where two segments meet, the node of the first one is kept."""
+        return np.concatenate([table[int(at_nodes and i > 0) :, row] for i, row in enumerate(columns)])
 
     def times(self, t: Vector) -> Vector:
-        """The times of the nodes of all segments."""
+        """Return the times of the nodes of all segments."""
         return np.concatenate([t + 0.0, *(t[1:] + i * (t[-1] - t[0]) for i in range(1, self.number))])
 
     def text(self, text: str, steps: int, duration: float) -> str:
-        """A message in the author's names, with the nodes, intervals and times of the whole motion."""
+        """Return a message with the author's names, and with nodes, intervals and times of the whole motion."""
         named = "|".join(sorted(map(re.escape, self.names), key=len, reverse=True))
         place = r"(?: (?:at node|on interval|of interval) \d+ \(t = [^)]*\))"
+
         # Where a segment ends, the next one begins.
-        met = rf"(the continuity of (?:the momentum of )?)({named})\b"
-        text = re.sub(met, lambda found: self._met(found, duration), text)
+        def at_switch(match: re.Match[str]) -> str:
+            name, segment = self.names[match[2]]
+            return f"{match[1]}{name} at t = {segment * duration:.3g}"
+
+        text = re.sub(rf"(the continuity of (?:the momentum of )?)({named})\b", at_switch, text)
         pattern = rf"(?:\b((?:{_STEM})*(?:{named})(?:_stage\d+)?)\b| in segment (\d+))([^,;]*?{place})?"
-        text = re.sub(pattern, lambda found: self._in_own_names(found, steps, duration), text)
+        text = re.sub(pattern, lambda match: self._in_own_names(match, steps, duration), text)
         active = r"(?<=bounds active on )[^;]+"
-        return re.sub(active, lambda found: ", ".join(dict.fromkeys(found[0].split(", "))), text)
+        return re.sub(active, lambda match: ", ".join(dict.fromkeys(match[0].split(", "))), text)
 
-    def _met(self, found: re.Match[str], duration: float) -> str:
-        own, segment = self.names[found[2]]
-        return f"{found[1]}{own} at t = {segment * duration:.3g}"
-
-    def _in_own_names(self, found: re.Match[str], steps: int, duration: float) -> str:
-        name, segment = self.split(found[1]) if found[1] else ("", int(found[2]))
-        name, rest = name.removeprefix("joined_"), found[3] or ""
+    def _in_own_names(self, match: re.Match[str], steps: int, duration: float) -> str:
+        name, segment = self.split(match[1]) if match[1] else ("", int(match[2]))
+        name, rest = name.removeprefix("joined_"), match[3] or ""
         rest = re.sub(r"( in segment \d+)", "", rest)
         rest = re.sub(rf"\b({'|'.join(map(re.escape, self.names))})\b", lambda other: self.names[other[1]][0], rest)
 
@@ -77,32 +76,32 @@ class Segments:
         return name + re.sub(r"((?:at node|on interval|of interval) )(\d+) \(t = ([^)]*)\)", shifted, rest)
 
     def split(self, name: str) -> tuple[str, int]:
-        """A name without its segment, and the segment; that of no quantity of a segment as it is, and the first."""
+        """Return a name without its segment, and the segment; other names are unchanged, with segment 1."""
         inner, stage = re.fullmatch(r"(.+?)((?:_stage\d+)?)", name).groups()  # type: ignore[union-attr]
         stem = ""
-        while inner not in self.names and (found := re.match(_STEM, inner)):
-            stem, inner = stem + found[0], inner[found.end() :]
-        own, segment = self.names.get(inner, (inner, 1))
-        return stem + own + stage, segment
+        while inner not in self.names and (prefix := re.match(_STEM, inner)):
+            stem, inner = stem + prefix[0], inner[prefix.end() :]
+        name, segment = self.names.get(inner, (inner, 1))
+        return stem + name + stage, segment
 
 
 def segments_of(metadata: Record) -> Segments | None:
-    """How a module's problem was cut, if it was."""
-    found = metadata.segments
-    return Segments(found.number, found.names) if found else None
+    """Return the segments of a module's problem, None without delays."""
+    record = metadata.segments
+    return Segments(record.number, record.names) if record else None
 
 
 def multiplier_names(metadata: ControlRecord, count: int) -> list[str]:
-    """What the `count` columns of multipliers are called."""
+    """Return the names of the `count` columns of multipliers."""
     if metadata.method == Method.VARIATIONAL:
         return [f"lambda_{name}" for name in metadata.coordinates]
-    own = metadata.interval
-    first = next(i for i, name in enumerate(own) if metadata.kind(name) == Kind.STEP)
-    return list(own[first : first + count])
+    names = metadata.interval
+    first = next(i for i, name in enumerate(names) if metadata.kind(name) == Kind.STEP)
+    return list(names[first : first + count])
 
 
 def put_together(result: Result, metadata: Record) -> Result:
-    """The result of a problem with delays as its author sees it; that of others as it is."""
+    """Return the result of a problem with delays in the author's quantities; other results are unchanged."""
     segments = segments_of(metadata)
     if segments is None:
         return result
@@ -113,6 +112,16 @@ def put_together(result: Result, metadata: Record) -> Result:
     for kind, table in (("q", result.q), ("p", result.p), ("u", result.u)):
         names[kind], columns = segments.columns(result.names[kind])
         tables[kind] = segments.in_order(table, columns, at_nodes=kind != "u")
+    accuracy = result.accuracy
+    if accuracy is not None:
+        quantity, segment = segments.split(accuracy.quantity)
+        accuracy = replace(
+            accuracy,
+            quantity=quantity,
+            time=accuracy.time + (segment - 1) * duration,
+            reason=segments.text(accuracy.reason, result.steps, duration),
+            levels=tuple(replace(level, intervals=number * level.intervals) for level in accuracy.levels),
+        )
     labels = multiplier_names(cast(ControlRecord, metadata), result.multipliers.shape[1])
     of_multipliers = segments.columns(labels)[1]
     return replace(
@@ -128,18 +137,6 @@ def put_together(result: Result, metadata: Record) -> Result:
         summary={**result.summary, "duration": number * result.summary["duration"]},
         levels=tuple(put_together(level, metadata) for level in result.levels),
         grid=None if result.grid is None else np.tile(result.grid / number, number),
-        accuracy=result.accuracy and _accuracy(result, result.accuracy, segments),
+        accuracy=accuracy,
         by_segments=result,
-    )
-
-
-def _accuracy(result: Result, accuracy: Accuracy, segments: Segments) -> Accuracy:
-    duration = float(result.t[-1] - result.t[0])
-    quantity, segment = segments.split(accuracy.quantity)
-    return replace(
-        accuracy,
-        quantity=quantity,
-        time=accuracy.time + (segment - 1) * duration,
-        reason=segments.text(accuracy.reason, result.steps, duration),
-        levels=tuple(replace(level, intervals=segments.number * level.intervals) for level in accuracy.levels),
     )

@@ -10,17 +10,18 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.runtime.record import Task, phrase
-from codegen.solving.interfaces import Grid, Vector, few_steps, time_grid
+from codegen.solving.loading import Grid, Vector, few_steps, time_grid
+from codegen.solving.results.estimates import as_finite
 from codegen.solving.results.result import Derivatives, Result, Sensitivities
 from codegen.solving.results.segments import put_together, segments_of
 
 SHARP = 1e-12
-"""The tolerance to which solutions are found again that have no sensitivities."""
+"""The tolerance for another solve if a solution has no sensitivities."""
 UNSOLVED = "the problem was not solved"
 
 
 def require_sensitive(module: Any) -> None:
-    """Refuse a module without what sensitivities need; ArgumentError says how it is made."""
+    """Raise ArgumentError for a module that was built without sensitivities."""
     task, problem = module.metadata.task, module.metadata.problem
     if task == Task.CONTROL and module.metadata.sensitivities is None:
         finding = f"the module of {problem} has no sensitivities"
@@ -29,7 +30,7 @@ def require_sensitive(module: Any) -> None:
 
 @dataclass(frozen=True)
 class Rates:
-    """What a module finds at the unknowns (n,) of a solution, on a grid; its `sensitivities` have no arrays yet."""
+    """The derivatives from a module at the unknowns (n,) of a solution; `sensitivities` has no arrays yet."""
 
     module: Any
     grid: Grid
@@ -46,80 +47,70 @@ class Rates:
         return dict(zip(names, columns, strict=True))
 
     def derivatives(self, result: Result) -> list[Derivatives]:
-        """Those of a result, not yet put together of segments, by each quantity."""
-        there = replace(result, unknowns=self.unknowns)
-        return [_derivatives(there, self, i) for i, _ in enumerate(self.sensitivities.names)]
+        """Return the derivatives of a result by each quantity; those of segments are assembled."""
+        module, found, segments = self.module, self.found, segments_of(self.module.metadata)
+        each = []
+        for i, _ in enumerate(self.sensitivities.names):
+            unpacked = module.unpacked_rates(self.grid, self.unknowns, found, i)
+            arrays = dict(zip(("t", "q", "p", "u", "multipliers"), unpacked))
+            durations = found.durations[i]
+            if segments:
+                bare = replace(result, **arrays, levels=(), accuracy=None, grid=None, message="")
+                whole = put_together(bare, module.metadata)
+                arrays = {name: getattr(whole, name) for name in arrays}
+                durations = segments.number * durations
+            free = {name: float(values[i]) for name, values in self.free.items()}
+            cost, unknowns = float(found.cost[i]), found.unknowns[i]
+            each.append(Derivatives(cost=cost, durations=durations, free=free, unknowns=unknowns, **arrays))
+        return each
 
 
 def rates_at(
     module: Any, steps: int, unknowns: Vector, given: Sequence[str] = (), fractions: Vector | None = None
 ) -> Rates:
-    """The sensitivities of a solution on so many intervals, which may last `fractions` of the duration.
+    """Return the derivatives of a solution on a grid of intervals, which may last `fractions` of the duration.
 
-    Quantities that are `given` by name follow no others.
+    The quantities `given` by name do not follow from others. If the derivatives do not exist, they are evaluated again
+    at a solution with the tolerance `SHARP`: where curvatures are small, errors of the multipliers may hide a minimum.
     """
     names, grid = tuple(module.metadata.sensitivities), time_grid(module, steps, fractions)
     found = module.sensitivities(grid, unknowns, given)
     if found.failure:
-        unknowns = _sharpened(module, steps, unknowns, fractions)
+        options = {} if fractions is None else {"grid": fractions}
+        sharp = module.solve(steps, guess=unknowns, warm=True, tolerance=SHARP, **options)
+        unknowns = np.asarray(sharp.unknowns if sharp.status == "solved" else unknowns)
         found = module.sensitivities(grid, unknowns, given)
-    doubtful = tuple(_place(module, grid, int(index)) for index in found.doubtful)
-    costs, left = (np.full(len(names), np.nan), np.nan) if found.failure else (found.cost, found.inaccuracy)
-    return Rates(module, grid, unknowns, found, Sensitivities(names, costs, found.failure, doubtful, left, {}))
+    doubtful = tuple(_unknown_name(module, grid, int(index)) for index in found.doubtful)
+    costs, residual = (np.full(len(names), np.nan), np.nan) if found.failure else (found.cost, found.inaccuracy)
+    return Rates(module, grid, unknowns, found, Sensitivities(names, costs, found.failure, doubtful, residual, {}))
 
 
 def with_sensitivities(result: Result, module: Any, given: tuple[str, ...] = ()) -> Result:
-    """The result of a module, not yet put together of segments, with its sensitivities.
+    """Return the result of a module, before the assembly of segments, with its sensitivities.
 
-    Quantities that are `given` by name follow no others.
+    The quantities `given` by name do not follow from others.
     """
     if not result.solved or result.unknowns is None:
         names = tuple(module.metadata.sensitivities)
         missing = Sensitivities(names, np.full(len(names), np.nan), UNSOLVED, (), np.nan, {})
         return replace(result, sensitivity=missing)
     rates = rates_at(module, result.steps, result.unknowns, given, result.grid)
-    found = rates.sensitivities
-    if found.reason:
-        return replace(result, sensitivity=found)
-    by_name = dict(zip(found.names, rates.derivatives(result), strict=True))
-    whole = Sensitivities(found.names, found.costs, "", found.doubtful, found.inaccuracy, by_name)
-    return replace(result, sensitivity=whole)
+    sensitivities = rates.sensitivities
+    if not sensitivities.reason:
+        by_name = dict(zip(sensitivities.names, rates.derivatives(result), strict=True))
+        sensitivities = replace(sensitivities, _by_name=by_name)
+    return replace(result, sensitivity=sensitivities)
 
 
 def quantity_values(module: Any, result: Result) -> dict[str, Vector]:
-    """The values (bodies,) of what there are derivatives by, in a solution with the module's own numbers."""
+    """Return the default values (bodies,) of the quantities of sensitivities, and the duration of a solution."""
     names, parameters = module.metadata.sensitivities, module.make_grid(few_steps(module, 4)).parameters
-    found = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
-    return found | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
+    values = dict(zip(names[: module.OWN_QUANTITIES], parameters.T))
+    return values | ({"duration": np.array([result.t[-1] - result.t[0]])} if "duration" in names else {})
 
 
-def _sharpened(module: Any, steps: int, unknowns: Vector, fractions: Vector | None) -> Vector:
-    """The unknowns of the solution to a lower tolerance, where that is reached.
-
-    Where curvatures are small, multipliers that are known to the tolerance may leave no minimum.
-    """
-    given = {} if fractions is None else {"grid": fractions}
-    found = module.solve(steps, guess=unknowns, warm=True, tolerance=SHARP, **given)
-    return np.asarray(found.unknowns if found.status == "solved" else unknowns)
-
-
-def _derivatives(result: Result, rates: Rates, i: int) -> Derivatives:
-    """Those by quantity i, put together where the problem was cut into segments."""
-    module, found = rates.module, rates.found
-    unpacked = module.unpacked_rates(rates.grid, result.unknowns, found, i)
-    arrays = dict(zip(("t", "q", "p", "u", "multipliers"), unpacked))
-    durations = found.durations[i]
-    if segments := segments_of(module.metadata):
-        bare = replace(result, **arrays, levels=(), accuracy=None, grid=None, message="")
-        whole = put_together(bare, module.metadata)
-        arrays = {name: getattr(whole, name) for name in arrays}
-        durations = segments.number * durations
-    free = {name: float(values[i]) for name, values in rates.free.items()}
-    return Derivatives(cost=float(found.cost[i]), durations=durations, free=free, unknowns=found.unknowns[i], **arrays)
-
-
-def _place(module: Any, grid: Grid, index: int) -> str:
-    """What an unknown is, and where."""
+def _unknown_name(module: Any, grid: Grid, index: int) -> str:
+    """Return the description of an unknown with its node or interval."""
     metadata = module.metadata
     node, bodies = len(metadata.node), metadata.bodies
     stride = node + len(metadata.interval)
@@ -129,39 +120,36 @@ def _place(module: Any, grid: Grid, index: int) -> str:
     body, local = divmod(index, chain)
     k, j = divmod(local, stride)
     name = metadata.node[j] if j < node else metadata.interval[j - node]
-    what = phrase(metadata.meanings[name], role=not metadata.is_slack(name)) if name in metadata.meanings else name
+    text = phrase(metadata.meanings[name], role=not metadata.is_slack(name)) if name in metadata.meanings else name
     of_body = f" of body {body}" if bodies > 1 else ""
-    return f"{what}{of_body} {'at node' if j < node else 'on interval'} {k}"
+    return f"{text}{of_body} {'at node' if j < node else 'on interval'} {k}"
 
 
-def as_record(found: Sensitivities, result: Result) -> dict[str, Any]:
-    """The part of the JSON object about sensitivities: those of numbers, and of the state at the end."""
+def as_record(sensitivities: Sensitivities, result: Result) -> dict[str, Any]:
+    """Return the part of the JSON object for sensitivities: derivatives of numbers, and of the state at the end."""
+    by: dict[str, Any] = dict.fromkeys(sensitivities)
+    if not sensitivities.reason:
+        for name, derivatives in sensitivities.items():
+            end = zip(result.names["q"], derivatives.q[-1], strict=True)
+            by[name] = {
+                "cost": as_finite(derivatives.cost),
+                "durations": [as_finite(value) for value in derivatives.durations],
+                "free_parameters": {name: as_finite(value) for name, value in derivatives.free.items()},
+                "end": {name: as_finite(value) for name, value in end},
+            }
     return {
-        "reason": found.reason,
-        "doubtful": list(found.doubtful),
-        "inaccuracy": _finite(found.inaccuracy),
-        "by": {name: None if found.reason else _numbers(found[name], result) for name in found},
+        "reason": sensitivities.reason,
+        "doubtful": list(sensitivities.doubtful),
+        "inaccuracy": as_finite(sensitivities.inaccuracy),
+        "by": by,
     }
 
 
-def _numbers(found: Derivatives, result: Result) -> dict[str, Any]:
-    return {
-        "cost": _finite(found.cost),
-        "durations": [_finite(value) for value in found.durations],
-        "free_parameters": {name: _finite(value) for name, value in found.free.items()},
-        "end": {name: _finite(value) for name, value in zip(result.names["q"], found.q[-1], strict=True)},
-    }
-
-
-def _finite(number: Any) -> float | None:
-    return float(number) if np.isfinite(number) else None
-
-
-def as_arrays(found: Sensitivities) -> dict[str, Any]:
-    """The arrays of an archive: `d_...` has a row for each of `d_names`."""
-    if found.reason:
+def as_arrays(sensitivities: Sensitivities) -> dict[str, Any]:
+    """Return the arrays of an archive: `d_...` has a row for each of `d_names`."""
+    if sensitivities.reason:
         return {}
-    arrays = {"d_names": np.array(found.names), "d_cost": found.costs}
+    arrays = {"d_names": np.array(sensitivities.names), "d_cost": sensitivities.costs}
     for name in ("durations", "t", "q", "p", "u", "multipliers", "unknowns"):
-        arrays[f"d_{name}"] = np.stack([getattr(found[quantity], name) for quantity in found])
+        arrays[f"d_{name}"] = np.stack([getattr(sensitivities[quantity], name) for quantity in sensitivities])
     return arrays

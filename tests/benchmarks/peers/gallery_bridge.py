@@ -8,8 +8,7 @@ import numpy as np
 
 from codegen.solving.compiler import build
 from codegen.solving.loading import load
-from codegen.solving.machine_code.ahead_of_time import prepare
-from codegen.solving.machine_code.processes import compilers
+from codegen.solving.machine_code.processes import compilers, prepare
 
 from .casadi_gallery import Array, PreparedGallery
 

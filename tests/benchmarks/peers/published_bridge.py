@@ -11,8 +11,7 @@ from codegen.solving.compiler import build
 from codegen.solving.drivers.ipopt import _Callbacks
 from codegen.solving.drivers.shared import quiet_single_thread
 from codegen.solving.loading import load
-from codegen.solving.machine_code.ahead_of_time import prepare
-from codegen.solving.machine_code.processes import compilers
+from codegen.solving.machine_code.processes import compilers, prepare
 
 from .casadi_gallery import Array
 from .gallery_bridge import PROBLEMS, perturbed

@@ -1,0 +1,195 @@
+"""The results of simulations and of connect problems, with residuals that are evaluated outside the driver."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import PointsError
+from codegen.runtime.record import Record
+from codegen.solving.loading import ConnectModule, Matrix, SimulateModule, Vector
+from codegen.solving.results.result import (
+    ConnectAttempt,
+    Outline,
+    Result,
+    Run,
+    SimulateAttempt,
+    component_names,
+    contradicted,
+    max_norm,
+    origin,
+    other_driver,
+    outline_of,
+)
+
+UNITS = 1e4
+"""Ratio of the perturbations by which the effect of rounding is measured to rounding errors."""
+TOLERANCE = 1e-12
+"""Default tolerance of the arrival of particles."""
+
+
+def simulate_result(
+    module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt, seconds: float = math.nan
+) -> Result:
+    """Return the result of an attempt; its residual is evaluated again if all states are stored.
+
+    Rounding errors bound the residual of ordinary equations; a variational step divides them by h.
+    """
+    step = attempt.t[-1] / max(attempt.steps, 1)
+    scale = max(1.0, max_norm(attempt.q), max_norm(attempt.p)) * max(1.0, 1.0 / step if step > 0.0 else 1.0)
+    residual, rounding = attempt.residual, (1e3 * float(np.finfo(float).eps) * scale)
+    if run.every == 1 and attempt.t.size > 1:
+        residual = module.path_residual(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
+        if residual > max(attempt.tolerance, rounding):
+            rounding = max(rounding, 10.0 * rounding_level(module, run.steps, attempt.q, attempt.p))
+    status, message = attempt.status, attempt.message
+    if status == "solved" and not residual <= max(attempt.tolerance, rounding):
+        finding = f"the scheme's equations have residual {residual:.1e}"
+        status, message = contradicted(driver, finding, "try more steps")
+    if status == "solved" and not attempt.generated and (first_outside := getattr(module, "first_outside", None)):
+        number, table = first_outside(module.make_grid(run.steps), np.hstack([attempt.q, attempt.p]))
+        if number and run.every == 1:
+            status, message = "outside a table", f"outside a table in step {number} of {run.steps}: {table}"
+    names = component_names(module.metadata)
+    drift, final_change = np.abs(attempt.energy - attempt.energy[0]), attempt.energy[-1] - attempt.energy[0]
+    final = dict(zip((*names["q"], *names["p"]), (*attempt.q[-1], *attempt.p[-1]), strict=True))
+    is_conserved = module.metadata.conservative
+    summary = {
+        "duration": float(attempt.t[-1]),
+        **{f"final_{name}": float(value) for name, value in final.items()},
+        # A driven or damped motion changes its energy, which then is no error of the scheme.
+        ("energy_drift" if is_conserved else "energy_change"): float(drift.max() if is_conserved else final_change),
+        "steps_per_second": attempt.steps / seconds if seconds > 0.0 else float("inf"),
+    }
+    return Result(
+        **origin(module.metadata, driver, run, attempt, seconds), status=status, message=message,
+        residual=float(residual), t=attempt.t, q=attempt.q, p=attempt.p, energy=attempt.energy, names=names,
+        summary=summary, labels={f"final_{name}": f"final {name}" for name in final},
+    )  # fmt: skip
+
+
+def simulate_outline(module: SimulateModule, driver: str, run: Run, attempt: SimulateAttempt) -> Outline:
+    """Return the outline of a result."""
+    return outline_of(simulate_result(module, driver, run, attempt))
+
+
+def simulate_numbers(metadata: Record, run: Run) -> int:
+    """Return how many numbers are stored: the path, its positions and momenta, times and energies."""
+    return (run.steps // run.every + 1) * (4 * len(metadata.coordinates) + 2)
+
+
+def rounding_level(module: SimulateModule, steps: int, q: Matrix, p: Matrix) -> float:
+    """Return the change of the residual of states (M, n) that have errors of two units in the last place.
+
+    Stiff forces amplify rounding errors. The perturbations are larger by UNITS. The residual without perturbations is
+    subtracted, so that a wrong state does not raise the level. The level is zero if it is not finite.
+    """
+    path, grid = np.hstack([q, p]), module.make_grid(steps)
+    signs = np.where(np.add.outer(np.arange(path.shape[0]), np.arange(path.shape[1])) % 2, 1.0, -1.0)
+    moved = path + 2.0 * UNITS * signs * np.spacing(np.abs(path).max(axis=0))
+    level = (float(module.path_residual(grid, moved)) - float(module.path_residual(grid, path))) / UNITS
+    return max(0.0, level) if np.isfinite(level) else 0.0
+
+
+def connect_result(
+    module: ConnectModule, driver: str, run: Run, attempt: ConnectAttempt, seconds: float = math.nan
+) -> Result:
+    """Return the result of an attempt, with all steps and the arrival evaluated again."""
+    metadata, case, path = module.metadata, case_of(module, run), attempt.path
+    energy = np.array([module.hamiltonian(np.ascontiguousarray(z), case.own, case.parameters) for z in path])
+    finite = bool(np.isfinite(path).all())
+    errors, end = module.path_errors(case, path) if finite else (np.full(1, np.nan), np.full(case.start.size, np.nan))
+    arrival: Vector = np.abs(end).reshape(case.start.shape)
+    if metadata.adaptive:  # the integrator chooses the steps; only the arrival is evaluated
+        residual, cost = max_norm(end), float(2.0 * case.duration * energy[:-1].mean())
+    else:
+        residual = max(max_norm(errors.ravel()), max_norm(end))
+        cost = float(module.path_cost(case, path)) if finite else math.nan
+    status, message = attempt.status, attempt.message
+    if status == "solved" and not residual <= 10.0 * attempt.tolerance:
+        status, message = contradicted(driver, f"the equations have residual {residual:.1e}", other_driver(attempt))
+    crossed = intersecting_paths(case.start, case.target)
+    if status != "solved" and crossed:
+        one, other = crossed[0]
+        message += f"; the straight ways of {len(crossed)} pairs of points cross, first those of {one} and {other}"
+    summary = {
+        "particles": float(case.start.shape[0]),
+        "largest_arrival_error": float(arrival.max()),
+        "mean_arrival_error": float(arrival.mean()),
+        "largest_miss": float(np.abs(path[-1, 0] - case.target).max()),
+        "condition_number": condition_number(module, case),
+        "crossing_pairs": float(len(crossed)),
+        "energy_drift": float(np.abs(energy - energy[0]).max()),
+        "domain_margin": min(float(module.domain_margin(np.ascontiguousarray(z))) for z in path),
+        "attempts": float(max(1, len(attempt.attempts))),
+        "tangents": float(attempt.tangents),
+    }
+    return Result(
+        **origin(metadata, driver, run, attempt, seconds), status=status, message=message, cost=cost, residual=residual,
+        t=case.duration / case.steps * np.arange(case.steps + 1), q=path[:, 0].reshape(case.steps + 1, -1),
+        p=path[:, 1].reshape(case.steps + 1, -1), energy=energy, names=particle_names(metadata, case.start.shape[0]),
+        summary=summary, attempts=attempt.attempts,
+    )  # fmt: skip
+
+
+def connect_outline(module: ConnectModule, driver: str, run: Run, attempt: ConnectAttempt) -> Outline:
+    """Return the outline of a result."""
+    return outline_of(connect_result(module, driver, run, attempt))
+
+
+def connect_numbers(metadata: Record, run: Run) -> int:
+    """Return how many numbers are stored: states at all nodes with the data of Newton's method, and two matrices."""
+    count = 0 if run.points is None else len(run.points.start)
+    return 40 * (run.steps + 1) * count * len(metadata.coordinates) + 2 * count**2
+
+
+def particle_names(metadata: Record, count: int) -> dict[str, tuple[str, ...]]:
+    """Return the names of the columns of q and p: the coordinates of one particle after the other."""
+    groups = {"q": metadata.coordinates, "p": metadata.rates, "u": ()}
+    return {key: tuple(f"{name}_{i + 1}" for i in range(count) for name in group) for key, group in groups.items()}
+
+
+def case_of(module: ConnectModule, run: Run) -> Any:
+    """Return the case for the points of a run; raise PointsError for points that the module refuses."""
+    points = run.points
+    if points is None:
+        raise PointsError("there are no points to connect", "give a file of points")
+    tolerance = TOLERANCE if run.tolerance is None or module.metadata.adaptive else run.tolerance
+    try:
+        return module.make_case(
+            points.start, points.target, run.steps, sigma=points.sigma, tolerance=min(tolerance, 1e-6)
+        )
+    except ValueError as error:
+        raise PointsError(str(error), "correct the points, or the arguments") from error
+
+
+def intersecting_paths(start: Vector, target: Vector) -> list[tuple[int, int]]:
+    """Return the pairs of points, numbered from 1, whose segments from start to target, arrays (n, d), cross.
+
+    Segments that only touch or overlap are not counted. The list is empty unless d = 2.
+    """
+    pairs = list[tuple[int, int]]()
+    if start.shape[1] != 2:
+        return pairs
+
+    def side(a: Vector, b: Vector, c: Vector) -> Vector:
+        product: Vector = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1])
+        return product - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
+
+    for i in range(len(start) - 1):
+        p, q, r, s = start[i], target[i], start[i + 1 :], target[i + 1 :]
+        crossed = (side(p, q, r) * side(p, q, s) < 0.0) & (side(r, s, p) * side(r, s, q) < 0.0)
+        pairs += [(i + 1, i + 2 + int(j)) for j in np.flatnonzero(crossed)]
+    return pairs
+
+
+def condition_number(module: ConnectModule, case: Any, most: int = 1500) -> float:
+    """Return the condition number of H_pp at the start in the 2-norm; NaN for more than `most` rows."""
+    size = case.start.shape[0] * int(module.BLOCKS)
+    if size > most:
+        return math.nan
+    matrix = np.empty((size, size))
+    module.momentum_matrix(np.stack([case.start, np.zeros_like(case.start)]), case.own, case.parameters, matrix)
+    return float(np.linalg.cond(matrix)) if np.isfinite(matrix).all() else math.nan
