@@ -19,20 +19,15 @@ from codegen.emit.deadline import CHECK, Overdue, interrupted_after
 from codegen.emit.naming import Choices
 from codegen.evidence.checks import (
     assembly,
-    consistency,
     derivatives,
     discrete_equations,
     layout,
-    motion,
     null_spaces,
     one_step,
-    optimum,
     particles,
-    phases,
-    tables,
+    solution,
 )
-from codegen.evidence.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
-from codegen.evidence.checks.evaluation import NoPointError
+from codegen.evidence.checks.base import Check, Context, Finding, Findings, NoPointError, does_not_apply, not_measured
 from codegen.problem.points import recorded_files
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.solving import compiler
@@ -62,26 +57,26 @@ _ROWS = (
     Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
     _of_problems("given values", assembly.check_given_values, "gives no values but those of its start"),
     _of_problems("assembly", assembly.check_assembly, "solves step after step"),
-    Check("tables", tables.check_tables),
-    _of_problems("measurements", tables.check_measurements, "fits nothing"),
+    Check("tables", derivatives.check_tables),
+    _of_problems("measurements", derivatives.check_measurements, "fits nothing"),
     _of_equations("discrete equations", discrete_equations.check_discrete_equations),
     _of_equations("integrals", discrete_equations.check_integrals),
     Check("momentum matching", discrete_equations.check_momentum_matching),
     _of_equations("discrete Noether", one_step.check_noether, without="momenta"),
-    Check("consistency", consistency.check_consistency, runs_the_module=False),
+    Check("consistency", one_step.check_consistency, runs_the_module=False),
     _of_equations("symplecticity", one_step.check_symplecticity, without="symplectic form"),
     _of_equations("area preservation", one_step.check_area_preservation, without="phase plane of q and p"),
-    _of_equations("midpoint equivalence", consistency.check_midpoint_equivalence, without="discrete Lagrangian"),
+    _of_equations("midpoint equivalence", one_step.check_midpoint_equivalence, without="discrete Lagrangian"),
     _of_problems("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
     _of_problems("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
     _of_problems("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
-    Check("holonomic drift", motion.check_holonomic_drift),
-    _of_problems("inner times", motion.check_inner_times, "has no conditions on the way"),
-    Check("switches", phases.check_switches),
-    _of_problems("delays", motion.check_delays, "has no values of the past"),
-    _of_problems("second-order condition", optimum.check_second_order, "minimises nothing"),
-    _of_problems("optimum", optimum.check_optimum, "minimises nothing"),
-    _of_problems("sensitivities", optimum.check_sensitivities, "minimises nothing"),
+    Check("holonomic drift", solution.check_holonomic_drift),
+    _of_problems("inner times", solution.check_inner_times, "has no conditions on the way"),
+    Check("switches", discrete_equations.check_switches),
+    _of_problems("delays", solution.check_delays, "has no values of the past"),
+    _of_problems("second-order condition", solution.check_second_order, "minimises nothing"),
+    _of_problems("optimum", solution.check_optimum, "minimises nothing"),
+    _of_problems("sensitivities", solution.check_sensitivities, "minimises nothing"),
 )
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
@@ -158,7 +153,7 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
         if kind in check.without:
             yield does_not_apply(name, check.without[kind])
             return
-    parts = phases.phase_contexts(context) if check.of_each_phase else []
+    parts = discrete_equations.phase_contexts(context) if check.of_each_phase else []
     if len(parts) < 2:
         yield from _evidence(check, context)
         return

@@ -26,9 +26,18 @@ from codegen.discretise.forms import in_velocities
 from codegen.discretise.model.definitions import Model, prescribed
 from codegen.discretise.program import ControlProgram, Unknown
 from codegen.emit.verify.shares import shared_symbols
-from codegen.evidence.checks.base import Context, Finding, not_measured
-from codegen.evidence.checks.evaluation import DIGITS, Agreement, Function, directional, function_of, gradient
-from codegen.evidence.checks.flat_vector import FlatVector, few_steps, other_symbols
+from codegen.evidence.checks.base import (
+    DIGITS,
+    Agreement,
+    Context,
+    Finding,
+    Function,
+    directional,
+    function_of,
+    gradient,
+    not_measured,
+)
+from codegen.evidence.checks.layout import FlatVector, few_steps, other_symbols
 from codegen.runtime.record import Kind, Role
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.linear_system import allocate_system, factor_kkt, is_factored, solve_kkt

@@ -39,10 +39,9 @@ from codegen.discretise.model.definitions import Condition, Model
 from codegen.discretise.program import ControlProgram, EndElement
 from codegen.discretise.redundant_couplings import independent_couplings
 from codegen.discretise.schemes.base import Scheme
-from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
-from codegen.evidence.checks.evaluation import vanishing
-from codegen.evidence.checks.flat_vector import FlatVector, few_steps
-from codegen.evidence.checks.motion import free_values, integral_of_cost
+from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured, vanishing
+from codegen.evidence.checks.layout import FlatVector, few_steps
+from codegen.evidence.checks.solution import free_values, integral_of_cost
 from codegen.runtime.record import phrase
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.callbacks import submatrix
