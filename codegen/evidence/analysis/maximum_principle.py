@@ -27,6 +27,7 @@ from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.legendre import new_symbols, solve_blocks
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError, NumericsError
+from codegen.evidence.analysis.modified_equations import vector_field
 from codegen.symbolic import checks as expressions
 
 
@@ -104,11 +105,10 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
 
 def _dynamics(model: Model) -> tuple[sympy.Expr, ...]:
     """Return (v, v') of the forced Euler-Lagrange equations, or (q', p') of Hamilton's equations."""
+    if model.form == "hamiltonian":
+        return vector_field(model)
     function, q, rates = model.function, model.coordinates, model.rates
     gradient = [function.diff(symbol) for symbol in q]
-    if model.form == "hamiltonian":
-        forced = [f - slope for f, slope in zip(model.force, gradient, strict=True)]
-        return (*(function.diff(p) for p in rates), *forced)
     momenta = [function.diff(v) for v in rates]
     right = [
         slope + f - p.diff(model.time) - sum(p.diff(x) * v for x, v in zip(q, rates, strict=True))
@@ -470,10 +470,10 @@ def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: boo
 
 def _checked_guess(system: _BoundaryValueProblem, t: Array, x: Array, psi: Array) -> tuple[Array, Array]:
     t, x, psi = (np.asarray(part, dtype=float) for part in (t, x, psi))
-    wanted = (t.size, system.count)
-    if t.ndim != 1 or t.size < 2 or x.shape != wanted or psi.shape != wanted or not np.all(np.diff(t) > 0.0):
+    expected = (t.size, system.count)
+    if t.ndim != 1 or t.size < 2 or x.shape != expected or psi.shape != expected or not np.all(np.diff(t) > 0.0):
         raise NumericsError(
-            f"the guess has shapes {t.shape}, {x.shape}, {psi.shape}", f"give increasing t (M,), x and psi {wanted}"
+            f"the guess has shapes {t.shape}, {x.shape}, {psi.shape}", f"give increasing t (M,), x and psi {expected}"
         )
     return (t - t[0]) / (t[-1] - t[0]), np.vstack([x.T, psi.T, np.zeros((1, t.size))])
 

@@ -242,9 +242,9 @@ def _number(value: Expr, program: ControlProgram, body: int, more: Mapping[Symbo
 def _compared(subject: str, names: Sequence[str], pairs: Sequence[tuple[float, float]], right: str) -> Finding:
     """Compare values with the values that the author wrote. Names include the verb."""
     wrong = [
-        f"{name} {value:.12g}, expected {wanted:.12g}"
-        for name, (value, wanted) in zip(names, pairs, strict=True)
-        if not (value == wanted or abs(value - wanted) <= _EQUAL * max(1.0, abs(wanted)))
+        f"{name} {value:.12g}, expected {expected:.12g}"
+        for name, (value, expected) in zip(names, pairs, strict=True)
+        if not (value == expected or abs(value - expected) <= _EQUAL * max(1.0, abs(expected)))
     ]
     more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
     return Finding("given values", subject, not wrong, f"{wrong[0]}{more}" if wrong else right)
@@ -271,9 +271,9 @@ def _boundary_values(context: Context, program: ControlProgram) -> Finding:
     names, pairs = list[str](), list[tuple[float, float]]()
     for body in range(program.bodies):
         values = [written[v.where, v.quantity] for v in program.boundary_values]
-        wanted = [*model.defaults, *(_number(value, program, body) for value in values)]
+        expected = [*model.defaults, *(_number(value, program, body) for value in values)]
         names += [f"{name} of body {body} is" for name in quantities]
-        pairs += zip(grid.parameters[body][: len(wanted)], wanted, strict=True)
+        pairs += zip(grid.parameters[body][: len(expected)], expected, strict=True)
     return _compared("boundary values", names, pairs, f"{', '.join(ends) or 'none'}: as written")
 
 
@@ -281,22 +281,22 @@ def _pinned_values(module: Any, program: ControlProgram, flat: FlatVector) -> Fi
     """Compare the entries that `with_pinned_values` overwrites in an arbitrary vector, and their values."""
     grid = module.make_grid(flat.phase_steps)
     before = np.random.default_rng(5).uniform(1.0, 2.0, flat.size)
-    wanted, free = before.copy(), flat.free()
+    expected, free = before.copy(), flat.free()
     for body in range(program.bodies):
         values = {v.symbol: _number(v.value, program, body) for v in program.boundary_values}
         for k, end in ((0, program.start), (flat.steps, program.end)):
             node, shared = flat.node(body, k), flat.shared(body)
             for index, value in end.pins:
-                wanted[node[index]] = _number(value, program, body, values)
+                expected[node[index]] = _number(value, program, body, values)
             for index, j, offset in end.shared:
-                wanted[node[index]] = before[shared[j]] + _number(offset, program, body, values)
+                expected[node[index]] = before[shared[j]] + _number(offset, program, body, values)
         for k in range(1, flat.steps):
             indices = flat.node(body, k)[list(program.inner.unknowns)]
-            wanted[indices] = np.where(free[indices], before[indices], 0.0)
-    pinned, fixed = module.with_pinned_values(grid, before), np.count_nonzero(wanted != before)
+            expected[indices] = np.where(free[indices], before[indices], 0.0)
+    pinned, fixed = module.with_pinned_values(grid, before), np.count_nonzero(expected != before)
     detail = f"{fixed} unknowns at the ends have their values, all others are left alone"
     names = [f"{name} is given" for name in flat.names()]
-    return _compared("pinned unknowns", names, list(zip(pinned, wanted, strict=True)), detail)
+    return _compared("pinned unknowns", names, list(zip(pinned, expected, strict=True)), detail)
 
 
 def _bounds(context: Context, program: ControlProgram, flat: FlatVector) -> Finding:

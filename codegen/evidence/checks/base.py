@@ -403,9 +403,9 @@ class Agreement:
         assert len(names) == len(emitted) == len(exact)
         largest = max((abs(value) for value in exact), default=0)
         self.entries += len(names)
-        for name, value, wanted in zip(names, emitted, exact, strict=True):
-            excess = abs(mpmath.mpf(float(value)) - wanted) - _ROUNDING * largest
-            size = abs(wanted) if abs(wanted) > NOTHING * largest else largest
+        for name, value, expected in zip(names, emitted, exact, strict=True):
+            excess = abs(mpmath.mpf(float(value)) - expected) - _ROUNDING * largest
+            size = abs(expected) if abs(expected) > NOTHING * largest else largest
             error = float(excess / size) if size else 0.0 if excess <= 0 else float("inf")
             if not error <= self.error:
                 self.error, self.name = error if error == error else float("inf"), name

@@ -1,23 +1,24 @@
 """The derived discrete equations against the continuous problem: nodes, steps, integrals, momenta and switches.
 
 Divided by h, the discrete equations must tend to the forced equations of motion as h -> 0. This fixes the signs of
-forces and potentials. The discrete side is the source of the module. The continuous side is derived independently:
-d/dt dL/dv - dL/dq = f + G^T y with constraint forces y along the normals of holonomic constraints, Hamilton's
-equations, or x' = f. Along a smooth motion both sides differ by O(h). In the same way the share of an interval in an
-integral condition, divided by h, must tend to the author's integrand.
+forces and potentials. The discrete side is the source of the module. The continuous side is derived independently: the
+Euler-Lagrange equations d/dt dL/dv - dL/dq = f + G^T y, Hamilton's equations, or x' = f. The constraint forces y act
+along the normals of holonomic constraints. Along a smooth motion both sides differ by O(h). In the same way the share
+of an interval in an integral condition, divided by h, must tend to the author's integrand.
 
-Momentum matching: the discrete Euler-Lagrange equation is p_k^+ = p_k^-, with p_k^- = -D1 Ld(q_k, q_k1) - f- and
-p_k^+ = D2 Ld(q_k-1, q_k) + f+ (Marsden and West 2001, section 1.5). The ends match prescribed momenta.
+Momentum matching: the discrete Euler-Lagrange equation is p_k^+ = p_k^- (Marsden and West 2001, section 1.5). The
+momenta are p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+. The ends match prescribed momenta.
 
 Switches: the solution must satisfy the end conditions of the earlier phase before a switch. The author's jump then
-gives the values after the switch. With these values the first interval of the later phase must satisfy the equations of
-a step, or the discrete Legendre transform -D1 Ld - f- = p of the momentum after the jump.
+gives the values after the switch. The first interval of the later phase must satisfy the equations of a step with these
+values. For a discrete Lagrangian these are the Legendre transforms -D1 Ld - f- = p of the momentum after the jump.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import mpmath
@@ -41,7 +42,7 @@ from codegen.evidence.checks.base import (
     random_points,
 )
 from codegen.evidence.checks.layout import FlatVector, other_symbols
-from codegen.evidence.checks.solution import free_values
+from codegen.evidence.checks.solution import data_at_solution
 from codegen.runtime.record import Kind
 from codegen.symbolic import checks as expressions
 from codegen.symbolic.special_functions import NUMPY
@@ -101,9 +102,9 @@ def check_discrete_equations(context: Context) -> Iterator[Finding]:
         with mpmath.workdps(DIGITS):
             for point in points:
                 numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                wanted = exact(*numbers)[0]
-                differences.append(abs(share(*numbers, _STEP)[0] / _STEP - wanted))
-                sizes.append(abs(wanted))
+                expected = exact(*numbers)[0]
+                differences.append(abs(share(*numbers, _STEP)[0] / _STEP - expected))
+                sizes.append(abs(expected))
             gap = max(differences) / max(sizes)
         passed = gap < _VANISHED
         detail = f"divided by h it is the forced equation of motion, up to {float(gap):.1g} at h = 1e-22"
@@ -131,10 +132,7 @@ def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: Dis
         motion = _constant_controls(program)
         for suffix in ("_k", "_k1"):
             motion |= dict(zip(_constraint_multipliers(program, suffix), forces, strict=True))
-        motion |= dict(zip(at_nodes(q, "_k"), shifted(begin), strict=True))
-        motion |= dict(zip(at_nodes(q, "_k1"), shifted(begin + STEP), strict=True))
-        for i, c in enumerate(scheme.nodes[1:-1], start=1):
-            motion |= dict(zip(at_nodes(q, f"_stage{i}"), shifted(begin + c * STEP), strict=True))
+        motion |= _along(q, scheme.nodes, lambda c, begin=begin: shifted(begin + c * STEP))
         motion[model.time] = model.time + begin
         sides.append([equation.xreplace(motion) for equation in half])
 
@@ -180,6 +178,20 @@ def _constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) 
     return list(at_nodes([Symbol(unknown.name) for unknown in program.holonomic_multipliers], suffix))
 
 
+def _along(
+    symbols: Sequence[Symbol], abscissae: Sequence[Expr], at: Callable[[Expr], list[Expr]]
+) -> dict[Symbol, Expr]:
+    """Return the values of symbols at the left node, at stages and at the right node of an interval."""
+    suffixes = ("_k", *(f"_stage{i}" for i in range(1, len(abscissae) - 1)), "_k1")
+    pairs = zip(suffixes, abscissae, strict=True)
+    return {site: x for suffix, c in pairs for site, x in zip(at_nodes(symbols, suffix), at(c), strict=True)}
+
+
+def _straight(symbols: Sequence[Symbol], rates: Sequence[Symbol], c: Expr) -> list[Expr]:
+    """Return x + c h x' for each symbol."""
+    return [x + c * STEP * rate for x, rate in zip(symbols, rates, strict=True)]
+
+
 def _constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
     """Return constant controls at nodes, intervals or stages."""
     return {site: u for u in program.model.controls for site in program.controls_of(u)}
@@ -201,10 +213,7 @@ def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Sch
         equations = [program.in_time(equation) for name, equation in program.equations if name == "0"]
     size, step = len(states), scheme.step()
     motion: dict[Symbol, Expr] = _constant_controls(program)
-    suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(step.abscissae))), "_k1")
-    for suffix, c in zip(suffixes, (S.Zero, *step.abscissae), strict=True):
-        sites = zip(at_nodes(states, suffix), states, rates, strict=True)
-        motion |= {site: x + c * STEP * rate for site, x, rate in sites}
+    motion |= _along(states, (S.Zero, *step.abscissae), partial(_straight, states, rates))
     if scheme.is_chain:
         sums = [equations[i::size] for i in range(size)]
     else:
@@ -236,28 +245,18 @@ def check_integrals(context: Context) -> Iterator[Finding]:
     program = replace(context.control, model=model)
 
     # The unknowns of an interval on a motion with constant rates and controls.
-    motion = dict[Symbol, Expr]()
+    motion = _constant_controls(program)
     if program.method == "variational":
-        states, rates = model.coordinates, list(model.rates)
-        nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
-        accelerations = [Symbol(f"acceleration_{q}", real=True) for q in states]
-        for i, c in enumerate(nodes[1:-1], start=1):
-            s, sites = c * STEP, zip(at_nodes(states, f"_stage{i}"), states, rates, accelerations, strict=True)
-            motion |= {site: x + s * v + s**2 * a / 2 for site, x, v, a in sites}
+        rates, nodes = list(model.rates), repeated(context.scheme)[1].discrete_lagrangian().nodes
+        motion |= _along(model.coordinates, nodes, partial(_straight, model.coordinates, rates))
     else:
         states = (*model.coordinates, *model.rates)
-        rates = [Symbol(f"rate_{x}", real=True) for x in states]
-        by_name = {x.name: x for x in states}
+        rates, by_name = [Symbol(f"rate_{x}", real=True) for x in states], {x.name: x for x in states}
         inner = [s for s in program.interval_symbols if "_stage" in s.name]
         motion |= {s: by_name[s.name.rpartition("_stage")[0]] for s in inner}
-    motion |= dict(zip(at_nodes(states, "_k"), states, strict=True))
-    motion |= {site: x + STEP * v for site, x, v in zip(at_nodes(states, "_k1"), states, rates, strict=True)}
-    motion |= _constant_controls(program)
-
+        motion |= _along(states, (S.Zero, S.One), partial(_straight, states, rates))
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
-    symbols += [free.symbol for free in model.free_parameters]
-    symbols += sorted({s for value in motion.values() for s in value.free_symbols} - {*symbols, STEP}, key=str)
-    symbols = list(dict.fromkeys(symbols))
+    symbols = list(dict.fromkeys([*symbols, *(free.symbol for free in model.free_parameters)]))
     equations = dict(program.equations)
     for number, integral in enumerate(model.integrals, start=1):
         quadrature = program.in_time(equations[f"Gd_{number}"]).xreplace(motion)
@@ -266,8 +265,8 @@ def check_integrals(context: Context) -> Iterator[Finding]:
         with mpmath.workdps(DIGITS):
             for point in random_points([integral.expression], symbols, model):
                 numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                wanted = limit(*numbers)[0]
-                gap = max(gap, abs(share(*numbers, _STEP)[0] / _STEP - wanted) / max(1, abs(wanted)))
+                expected = limit(*numbers)[0]
+                gap = max(gap, abs(share(*numbers, _STEP)[0] / _STEP - expected) / max(1, abs(expected)))
         passed = gap < _VANISHED
         verb = "is" if passed else "differs from"
         detail = f"divided by h an interval's share {verb} the integrand, up to {float(gap):.1g} at h = 1e-22"
@@ -317,11 +316,8 @@ def _limits(context: Context, model: Model) -> Iterator[Finding]:
     """Check that both discrete momenta tend to dL/dv as h -> 0. A wrong sign is visible here."""
     after, before = _node_equations(context.program)
     q, v = model.coordinates, model.rates
-    motion: dict[Symbol, Expr] = dict(zip(at_nodes(q, "_k"), q, strict=True))
-    for i, c in enumerate(repeated(context.scheme)[1].discrete_lagrangian().nodes[1:-1], start=1):
-        motion |= {site: x + c * STEP * w for site, x, w in zip(at_nodes(q, f"_stage{i}"), q, v, strict=True)}
-    motion |= {site: x + STEP * w for site, x, w in zip(at_nodes(q, "_k1"), q, v, strict=True)}
-    motion |= _constant_controls(context.program)
+    nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
+    motion = _constant_controls(context.program) | _along(q, nodes, partial(_straight, q, v))
     free = [parameter.symbol for parameter in model.free_parameters]
     forces = [s for suffix in ("_k", "_k1") for s in _constraint_multipliers(context.program, suffix)]
     symbols = [*q, *v, *model.controls, *model.parameters, *free, *forces, model.time]
@@ -352,9 +348,7 @@ def _end_momenta(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("momentum matching", "momenta at the ends", solution.message)
         return
-    data: dict[Symbol, Any] = dict(model.default_values)
-    free = free_values(context.module, solution)
-    data |= dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
+    data = data_at_solution(context)
     for where, side, boundary, row in (("start", first, first.start, 0), ("end", last, last.end, -1)):
         instant, errors = 0.0 if where == "start" else float(solution.t[-1]), dict[str, float]()
         boundary_values = (*boundary.positions, *boundary.rates)
@@ -403,9 +397,7 @@ def _values_before(context: Context, number: int, node: int) -> Numbers:
     """Return parameters, and the author's coordinates and rates before a switch."""
     chain, solution = context.model, context.solution
     model = chain.phases[number - 1].with_free_ends
-    numbers: Numbers = dict(chain.default_values) | {chain.time: float(solution.t[node])}
-    symbols = (parameter.symbol for parameter in chain.free_parameters)
-    numbers |= dict(zip(symbols, map(float, free_values(context.module, solution)), strict=True))
+    numbers: Numbers = data_at_solution(context) | {chain.time: float(solution.t[node])}
     numbers |= dict(zip(model.coordinates, map(float, solution.q[node]), strict=True))
     momenta = list(map(float, solution.p[node][: len(model.rates)]))
     if model.form != "lagrangian":

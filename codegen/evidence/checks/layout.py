@@ -350,9 +350,9 @@ def _differing_values(module: Any, names: Mapping[str, tuple[str, ...]], constan
     """Yield recorded names and constants of the module that differ from the program."""
     recorded: Record = module.metadata
     for key, marked in names.items():
-        wanted = tuple(identifiers.plain(name) for name in marked)
-        if (emitted := tuple(getattr(recorded, key))) != wanted:
-            yield f"{key} is {emitted}, expected {wanted}"
+        expected = tuple(identifiers.plain(name) for name in marked)
+        if (emitted := tuple(getattr(recorded, key))) != expected:
+            yield f"{key} is {emitted}, expected {expected}"
     for name, value in constants.items():
         constant = _plain(getattr(module, name, None))
         if constant != value:
@@ -419,14 +419,14 @@ def _differing_grid(module: Any, program: ControlProgram, flat: FlatVector) -> I
         count += samples[1] * max(len(data.rows) for data in program.model.measurements)
     if grid.parameters.shape != (program.bodies, count):
         yield f"grid.parameters has shape {grid.parameters.shape}, expected {(program.bodies, count)}"
-    for name, mask, wanted in (
+    for name, mask, expected in (
         ("grid.is_multiplier", grid.is_multiplier, flat.multipliers()),
         ("free_unknowns", free_unknowns(grid), flat.free()),
     ):
-        if mask.shape != wanted.shape:
-            yield f"{name} has {mask.size} entries, expected {wanted.size}"
-        if not np.array_equal(mask, wanted):
-            yield f"{name} is wrong for {flat.names()[int(np.argmax(mask != wanted))]}"
+        if mask.shape != expected.shape:
+            yield f"{name} has {mask.size} entries, expected {expected.size}"
+        if not np.array_equal(mask, expected):
+            yield f"{name} is wrong for {flat.names()[int(np.argmax(mask != expected))]}"
 
 
 def _failing_kernels(module: Any, program: ControlProgram) -> Iterator[str]:

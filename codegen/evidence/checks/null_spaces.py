@@ -40,7 +40,7 @@ from codegen.discretise.redundant_couplings import independent_couplings
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
 from codegen.evidence.checks.layout import FlatVector, few_steps
-from codegen.evidence.checks.solution import free_values, integral_of_cost
+from codegen.evidence.checks.solution import data_at_solution, integral_of_cost
 from codegen.runtime.record import phrase
 from codegen.runtime.search import callbacks
 from codegen.runtime.search.callbacks import submatrix
@@ -169,9 +169,7 @@ def _couplings(context: Context) -> Iterator[Finding]:
     for index, others in result.dropped:
         sources = "; ".join(map(shortened, others))
         detail = f"redundant, and left out: it follows from {sources}" if others else "redundant: it says nothing"
-        free = free_values(context.module, solution)
-        values = model.default_values | dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
-        width = len(model.coordinates)
+        values, width = data_at_solution(context), len(model.coordinates)
         values |= {v.symbol: float(solution.q[-1, v.body * width + v.coordinate]) for v in model.end_values}
         residual = expressions.rounded_at(model.couplings[index].expression, values)
         violation = abs(residual) if residual is not None else float("inf")
@@ -284,8 +282,8 @@ def _worst_excursions(context: Context) -> dict[str, Excursion] | None:
     solution, phases = context.solution, context.module.metadata.phases
     if solution.status != "solved":
         return None
-    found = excursions(context.module, solution.unknowns, (solution.t.size - 1) // phases, None)
-    return {excursion.condition: excursion for excursion in found}
+    violations = excursions(context.module, solution.unknowns, (solution.t.size - 1) // phases, None)
+    return {excursion.condition: excursion for excursion in violations}
 
 
 def _with_excursion(finding: Finding, condition: str, worst: Mapping[str, Excursion] | None) -> Finding:

@@ -496,8 +496,8 @@ def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
 def residuals(model: Model) -> list[tuple[str, Expr]]:
     """Return residuals of the midpoint rule under the discrete Hamiltonian map, by coordinate and momentum.
 
-    The Hamiltonian of a large system is not written out. There the midpoint rule's v = dH/dp and p' = f - dH/dq at the
-    midpoint are p = dL/dv and p' = f + dL/dq at the velocity v = (q_k1 - q_k)/h.
+    The Hamiltonian of a large system is not written out. Its midpoint rule is v = dH/dp and p' = f - dH/dq at the
+    midpoint. Equivalent equations are p = dL/dv and p' = f + dL/dq at the velocity v = (q_k1 - q_k)/h.
     """
     model = model.with_free_ends
     scheme = schemes.METHODS["variational"]["midpoint"]

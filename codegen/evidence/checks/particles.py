@@ -244,9 +244,9 @@ def _kernel_findings(model: PairwiseModel, module: Any) -> Iterator[Finding]:
         worst = 0.0
         with mpmath.workdps(DIGITS):
             for pair in pairs:
-                wanted = exact(*(mpmath.mpf(float(x)) for x in pair.ravel()))
+                expected = exact(*(mpmath.mpf(float(x)) for x in pair.ravel()))
                 emitted = mpmath.mpf(float(matrix_at(pair)[0, 1]))
-                worst = max(worst, abs(float((emitted - wanted) / wanted)))
+                worst = max(worst, abs(float((emitted - expected) / expected)))
         yield _small_error("kernel", subject, worst, 1e-12)
 
     worst = 0.0  # the kernel of two points that meet is the kernel of a point with itself
@@ -309,11 +309,11 @@ def _exact_velocity(model: PairwiseModel, point: Array, state: Array, own: Array
     rest = dict.fromkeys(model.first.p, sympy.S.Zero)
     rest |= {p: sympy.Rational(v) for p, v in zip(model.parameters, model.defaults, strict=True)}
     rates = [sympy.diff(model.pair_term, p) for p in model.first.p]
-    wanted = [*rates, *(sympy.diff(rate, q) for rate in rates for q in model.first.q)]
+    expected = [*rates, *(sympy.diff(rate, q) for rate in rates for q in model.first.q)]
     arguments = [*model.first.q, *model.second.moving, *model.second.own]
-    function = sympy.lambdify(arguments, [e.subs(rest) for e in wanted], "mpmath")
+    function = sympy.lambdify(arguments, [e.subs(rest) for e in expected], "mpmath")
     with mpmath.workdps(DIGITS):
-        totals = [mpmath.mpf(0)] * len(wanted)
+        totals = [mpmath.mpf(0)] * len(expected)
         for j in range(state.shape[1]):
             values = [mpmath.mpf(float(v)) for v in (*point, *state[0, j], *state[1, j], *own[j])]
             totals = [total + value for total, value in zip(totals, function(*values), strict=True)]

@@ -40,7 +40,6 @@ from sympy import Expr, Symbol
 from codegen.batch.quantities import Quantity, given_to, quantities
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import InnerCondition, Model
-from codegen.discretise.program import ControlProgram
 from codegen.errors import CodegenError
 from codegen.evidence.analysis.maximum_principle import beyond_maximum_principle, exact_optimum, reference_optimum
 from codegen.evidence.analysis.modified_equations import vector_field
@@ -60,6 +59,13 @@ def free_values(module: Any, solution: Any) -> NDArray[np.float64]:
     count = len(module.metadata.free_parameters)
     end = solution.unknowns.size - module.problem.structure.couplings
     return np.asarray(solution.unknowns[end - count : end])
+
+
+def data_at_solution(context: Context) -> dict[Symbol, float]:
+    """Return parameters, and free parameters at the solution."""
+    model = context.model
+    free = map(float, free_values(context.module, context.solution))
+    return model.default_values | dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
 
 
 def integral_of_cost(model: Model, module: Any, solution: Any) -> float:
@@ -100,16 +106,15 @@ def check_holonomic_drift(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("holonomic drift", "all constraints", solution.message)
         return
-    numbers = [*model.defaults, *free_values(context.module, solution)]
-    symbols = [*model.coordinates, model.time, *model.parameters, *(p.symbol for p in model.free_parameters)]
-    width = len(model.coordinates)
+    data, width = data_at_solution(context), len(model.coordinates)
+    symbols = [*model.coordinates, model.time, *data]
     for constraint in model.holonomic:
         terms = sympy.Add.make_args(constraint)
         function = sympy.lambdify(symbols, [constraint, sum(map(sympy.Abs, terms), sympy.S.Zero)], cse=True)
         largest, size, node, body = 0.0, 1.0, 0, 0
         for b in range(model.bodies):
             q = solution.q[:, b * width : (b + 1) * width].T
-            values, sizes = (np.broadcast_to(v, solution.t.shape) for v in function(*q, solution.t, *numbers))
+            values, sizes = (np.broadcast_to(v, solution.t.shape) for v in function(*q, solution.t, *data.values()))
             if np.abs(values).max() >= largest:
                 node, body = int(np.argmax(np.abs(values))), b
                 largest, size = float(np.abs(values[node])), max(1.0, float(np.abs(sizes).max()))
@@ -131,9 +136,7 @@ def check_inner_times(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("inner times", "all conditions", solution.message)
         return
-    free = [p.symbol for p in model.free_parameters]
-    numbers = dict(zip(model.parameters, model.defaults, strict=True))
-    numbers |= dict(zip(free, free_values(context.module, solution), strict=True))
+    numbers = data_at_solution(context)
 
     def number(expression: Expr | None) -> float:
         return float(sympy.sympify(expression).subs(numbers))
@@ -352,7 +355,8 @@ def check_second_order(context: Context) -> Iterator[Finding]:
     if solution.status != "solved":
         yield not_measured("second-order condition", subject, solution.message)
         return
-    grid, unknowns = module.make_grid((solution.t.size - 1) // max(1, len(context.control.phases))), solution.unknowns
+    program, unknowns = context.control, solution.unknowns
+    grid = module.make_grid((solution.t.size - 1) // max(1, len(program.phases)))
     diagonal = _bound_curvature(module, grid, unknowns)
 
     # The size of the second derivatives of every unknown, or a typical size. Slacks follow from other unknowns.
@@ -361,7 +365,10 @@ def check_second_order(context: Context) -> Iterator[Finding]:
     np.maximum.at(sizes, primal[rows], np.abs(values))
     present = sizes[sizes > 0.0]
     sizes[primal[sizes[primal] == 0.0]] = np.median(present) if present.size else 1.0
-    sizes[_slacks(context.control, module, grid)] = 0.0
+    nodes, intervals = module.views(grid, sizes)
+    intervals[:, :, intervals.shape[2] - len(program.slacks) :] = 0.0
+    for end in (program.start, program.end):
+        nodes[:, :, [slack for slack, _ in end.slacks]] = 0.0
 
     equations, system = module.multiplier_unknowns(grid).size, allocate_system(grid)
     excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
@@ -422,16 +429,6 @@ def _bound_curvature(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> N
         pushes = np.isfinite(distance) & (z > 0.0)
         diagonal[pushes] += np.minimum(z[pushes] / np.maximum(distance[pushes], 1e-100), _FAST)
     return diagonal
-
-
-def _slacks(program: ControlProgram, module: Any, grid: Any) -> NDArray[np.bool_]:
-    """Return the mask of slacks of inequalities."""
-    marked = np.zeros(grid.is_multiplier.size)
-    nodes, intervals = module.views(grid, marked)
-    intervals[:, :, intervals.shape[2] - len(program.slacks) :] = 1.0
-    for end in (program.start, program.end):
-        nodes[:, :, [slack for slack, _ in end.slacks]] = 1.0
-    return marked > 0.0
 
 
 _LENGTHS = (1e-2, 1e-3, 1e-4)
