@@ -267,12 +267,12 @@ def _boundary_values(context: Context, program: ControlProgram) -> Finding:
     if {(v.where, v.quantity) for v in program.boundary_values} != written.keys():
         detail = f"values are given of {', '.join(ends)}, not of what was written"
         return Finding("given values", "boundary values", False, detail)
-    quantities = [*(f"parameter {p}" for p in model.parameters), *ends]
+    entries = [*(f"parameter {p}" for p in model.parameters), *ends]
     names, pairs = list[str](), list[tuple[float, float]]()
     for body in range(program.bodies):
         values = [written[v.where, v.quantity] for v in program.boundary_values]
         expected = [*model.defaults, *(_number(value, program, body) for value in values)]
-        names += [f"{name} of body {body} is" for name in quantities]
+        names += [f"{entry} of body {body} is" for entry in entries]
         pairs += zip(grid.parameters[body][: len(expected)], expected, strict=True)
     return _compared("boundary values", names, pairs, f"{', '.join(ends) or 'none'}: as written")
 

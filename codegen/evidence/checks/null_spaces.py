@@ -335,10 +335,12 @@ def _open_values(program: ControlProgram, scheme: Scheme, condition: Condition) 
         instant = in_time(model.time + right * STEP)
         imposed.add(condition.expression.xreplace(node).xreplace({model.time: instant}))
 
-    of_condition = replace(model, path=(condition,))
-    interval = variational_interval if scheme.variational else one_step_interval
-    values = [in_time(v.value) for v in interval(of_condition, scheme, program.controlled).path]
-    values = [value for value in values if value not in imposed]
+    alone = replace(model, path=(condition,))
+    if scheme.variational:
+        path = variational_interval(alone, scheme, program.controlled).path
+    else:
+        path = one_step_interval(alone, scheme, program.controlled).path
+    values = [value for point in path if (value := in_time(point.value)) not in imposed]
     convex = is_convex(model, condition) and (
         not condition.equality or is_convex(model, replace(condition, expression=-condition.expression))
     )
