@@ -19,7 +19,7 @@ def analyse(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX.")] = False,
 ) -> None:
     """Print the modified equations of a scheme, and the modified Hamiltonian if there is one."""
-    from codegen.evidence.analysis.display import analysis
+    from codegen.evidence.analysis.modified_equations import analysis
     from codegen.problem.sources import parse_arguments
 
     arguments = parse_arguments(set_, problem)

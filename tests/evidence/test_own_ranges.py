@@ -9,8 +9,8 @@ from sympy import exp, log
 import codegen
 from codegen import Control, control, states
 from codegen.discretise.model.from_problem import normalise
-from codegen.evidence.checks import evaluation
-from codegen.evidence.checks.evaluation import own_ranges, range_of
+from codegen.evidence.checks import base
+from codegen.evidence.checks.base import own_ranges, range_of
 
 r, v = states("r v")
 u = control("u")
@@ -42,7 +42,7 @@ def test_points_are_drawn_at_nodes_and_stages_where_the_quantity_is():
     ranges = own_ranges(model)
     symbols = [sympy.Symbol(f"r{where}", real=True) for where in ("", "_k", "_k1", "_stage2")]
     value = sum((exp(-(s - 6378145) / 7200) for s in symbols), sympy.S.Zero)
-    for point in evaluation.random_points([value], symbols, model):
+    for point in base.random_points([value], symbols, model):
         assert all(6.3e6 < point[s] < 6.6e6 for s in symbols)
     assert range_of(sympy.Symbol("u_k", real=True), ranges) is None
     assert range_of(sympy.Symbol("lambda_r_k", real=True), ranges) is None
@@ -55,7 +55,7 @@ def test_ordinary_sizes_are_drawn_about_one_as_ever():
 
 def test_expressions_without_values_anywhere_are_not_measured_and_not_failed(monkeypatch, uncompiled, interpreting):
     """A radius beyond what any of the ranges holds: no row is called wrong for want of a point."""
-    monkeypatch.setattr(evaluation, "_ATTEMPTS", 0)
+    monkeypatch.setattr(base, "_ATTEMPTS", 0)
     found = codegen.compile(probe(), name="probe").check()
     assert found.passed, found.failed
     reasons = [one for one in found if "no real value at random points" in one.detail]
@@ -64,5 +64,5 @@ def test_expressions_without_values_anywhere_are_not_measured_and_not_failed(mon
 
 
 def test_no_point_is_an_error_that_names_the_remedy():
-    with pytest.raises(evaluation.NoPointError, match="bounds or a guess"):
-        evaluation.random_points([log(-(r**2))], [r], normalise(probe()))
+    with pytest.raises(base.NoPointError, match="bounds or a guess"):
+        base.random_points([log(-(r**2))], [r], normalise(probe()))

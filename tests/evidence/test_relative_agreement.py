@@ -5,8 +5,8 @@ from __future__ import annotations
 import mpmath
 import pytest
 
+from codegen.evidence.checks.base import Agreement
 from codegen.evidence.checks.derivatives import check_couplings
-from codegen.evidence.checks.evaluation import Agreement
 
 
 def agreement(emitted, exact):

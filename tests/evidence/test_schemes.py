@@ -9,8 +9,7 @@ import sympy
 
 from codegen.discretise import schemes
 from codegen.evidence import checks
-from codegen.evidence.checks.consistency import first_difference, residuals
-from codegen.evidence.checks.one_step import area_factor, momentum_change
+from codegen.evidence.checks.one_step import area_factor, first_difference, momentum_change, residuals
 
 ALL = [pytest.param(s, id=f"{method}-{s.name}") for method, table in schemes.METHODS.items() for s in table.values()]
 

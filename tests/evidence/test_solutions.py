@@ -10,7 +10,7 @@ from conftest import PROBLEMS
 from failed_checks import failures
 
 from codegen.evidence import checks
-from codegen.evidence.checks.optimum import is_determined
+from codegen.evidence.checks.solution import is_determined
 
 
 def with_solution(context, **changes):

@@ -130,7 +130,7 @@ def test_findings_are_a_table_in_words():
         [Finding("one", "a<b", True, "fine"), Finding("two", "it", False, "no"), Finding("three", "x", True, "", False)]
     )
     tags = Tags(found._repr_html_())
-    assert "1 passed, 1 failed, 1 do not apply" in tags.texts
+    assert "1 check passed, 1 failed, 1 do not apply" in tags.texts
     assert {"passed", "FAILED", "does not apply", "a<b"} <= set(tags.texts)
     assert not found.passed
     assert [finding.check for finding in found.failed] == ["two"]

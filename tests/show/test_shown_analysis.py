@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from codegen.cli import main
 from codegen.errors import ArgumentError, SchemeError
-from codegen.evidence.analysis.display import analysis
+from codegen.evidence.analysis.modified_equations import analysis
 
 
 @pytest.mark.parametrize("order", [0, -1, 9])

@@ -14,7 +14,7 @@ from sympy import Max, Min, Piecewise, Rational, atan2, cos, exp, log, sin, sqrt
 from codegen.discretise import transcribe
 from codegen.discretise.model.from_problem import load_problem
 from codegen.emit.differentiation import control_derivatives
-from codegen.evidence.checks.evaluation import DIGITS, function_of, gradient, random_points, second_differences
+from codegen.evidence.checks.base import DIGITS, function_of, gradient, random_points, second_differences
 from codegen.symbolic.derivatives import second_derivatives
 from codegen.symbolic.graph import Graph, StraightLine
 from codegen.symbolic.zeros import vanishing

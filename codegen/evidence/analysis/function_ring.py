@@ -1,13 +1,10 @@
-"""Exact arithmetic with elementary functions: sparse polynomials in variables and in the functions that occur.
+"""Exact arithmetic with elementary functions: sparse polynomials in variables and functions, and power series of them.
 
-A generator is adjoined for each sine, root, reciprocal and so on, with its derivatives and with what it satisfies,
-such as sin^2 = 1 - cos^2 or w (2 - cos^2) = 1. Source: the structure theory of elementary functions as in Bronstein
-(2005), Symbolic integration I, chapter 3.
+A generator is adjoined for each sine, root, reciprocal and so on. It has derivatives and satisfies a rule such as
+sin^2 = 1 - cos^2 or w (2 - cos^2) = 1. Rewriting by these rules keeps polynomials in normal form. Source: the structure
+theory of elementary functions as in Bronstein (2005), Symbolic integration I, chapter 3.
 
-Sparse polynomials in variables and adjoined functions, kept in normal form by rewriting.
-
-Sums and products of such polynomials are much faster than those of sympy's expressions, and terms that cancel do so
-at once.
+Sums and products of such polynomials are much faster than those of sympy's expressions, and terms cancel at once.
 """
 
 from __future__ import annotations
@@ -23,6 +20,7 @@ from sympy import QQ, Dummy, Expr, Rational, Symbol
 from sympy.polys.orderings import lex
 from sympy.polys.rings import PolyRing
 
+from codegen.discretise.interval import STEP
 from codegen.errors import ExpressionError
 from codegen.symbolic import checks as expressions
 
@@ -34,24 +32,21 @@ _ROUNDING = mpmath.mpf("1e-40")
 
 @dataclass
 class Generator:
-    """A function that has been adjoined: how it is written, and its derivatives once they are known."""
+    """An adjoined function: its expression, and its derivatives, which are computed once."""
 
     expression: Expr
     derivatives: Callable[[], tuple[Element, ...]]
-    known: tuple[Element, ...] | None = None
+    computed: tuple[Element, ...] | None = None
 
 
 class NormalForms:
-    """Polynomials over the rationals in variables, constants and generators, which satisfy rules such as s^2 = 1 - c^2.
-
-    There is room for as many generators as there are `slots`.
-    """
+    """Polynomials over the rationals in variables, constants and at most `slots` generators, which satisfy rules."""
 
     def __init__(self, variables: Sequence[Symbol], constants: Sequence[Symbol], slots: int) -> None:
         self.variables = tuple(variables)
         self._symbols = (*variables, *constants)
         self._size = slots + len(self._symbols)
-        # What is adjoined later is greater, so that rewriting ends in functions that were there before.
+        # Later generators are greater, so that rewriting ends in earlier functions.
         self.ring = PolyRing([f"g{i}" for i in reversed(range(self._size))], QQ, lex)
         self._adjoined: list[Generator] = []
         self._elements: dict[tuple[Any, ...], Element] = {}
@@ -61,26 +56,26 @@ class NormalForms:
         self.zero, self.one = self.ring.zero, self.ring.one
 
     def symbol(self, symbol: Symbol) -> Element:
-        """The element that a variable or a constant is."""
+        """Return the element of a variable or a constant."""
         return self.ring.gens[self._index[symbol]]
 
     def number(self, value: Rational) -> Element:
-        """A rational number."""
+        """Return the element of a rational number."""
         return self.ring.ground_new(QQ(int(value.p), int(value.q)))
 
     def product(self, a: Element, b: Element) -> Element:
-        """The product in normal form."""
+        """Return the product in normal form."""
         return self.reduced(a * b)
 
     def power(self, base: Element, exponent: int) -> Element:
-        """A power with a natural exponent."""
+        """Return a power with a natural exponent."""
         result = self.one
         for _ in range(exponent):
             result = self.product(result, base)
         return result
 
     def reduced(self, element: Element) -> Element:
-        """Rewrite by the rules of the adjoined functions until none applies."""
+        """Apply the rules of the adjoined functions until none applies."""
         changed = True
         while changed:
             changed = False
@@ -95,7 +90,7 @@ class NormalForms:
         return element
 
     def gradient(self, element: Element) -> tuple[Element, ...]:
-        """Derivatives by all variables."""
+        """Return the derivatives by all variables."""
         total = [self.zero] * len(self.variables)
         for index in sorted({i for monomial in element for i, e in enumerate(monomial) if e}):
             outer = element.diff(self.ring.gens[index])
@@ -105,7 +100,7 @@ class NormalForms:
         return tuple(self.reduced(part) for part in total)
 
     def directions(self, field: Sequence[Element]) -> tuple[Element, ...]:
-        """The derivative of each generator along a vector field, which has one element for each variable."""
+        """Return the derivative of each generator along a vector field with one element for each variable."""
         along = [self.zero] * self._size
         for symbol, component in zip(self.variables, field, strict=True):
             along[self._index[symbol]] = component
@@ -115,14 +110,14 @@ class NormalForms:
         return tuple(along)
 
     def derivative(self, element: Element, directions: Sequence[Element]) -> Element:
-        """The derivative of an element when its generators change as `directions` says."""
+        """Return the derivative of an element; `directions` has the derivatives of all generators."""
         parts = (element.diff(x) * along for x, along in zip(self.ring.gens, directions, strict=True) if along)
         return self.reduced(sum(parts, self.zero))
 
     def vanishes(self, element: Element) -> bool:
-        """Whether an element is zero everywhere: in normal form over a common denominator, else at random points.
+        """Return True if an element is zero everywhere: in normal form over a common denominator, or at random points.
 
-        Numbers decide, with 60 digits, where functions depend on each other in a way that no rule knows.
+        Numbers with 60 digits decide if functions depend on each other in a way that no rule expresses.
         """
         element = self.reduced(element)
         if element == 0:
@@ -136,7 +131,7 @@ class NormalForms:
         return element == 0 or self._vanishes_at_points(element, 3)
 
     def equals(self, element: Element, expression: Expr) -> bool:
-        """Whether an element and an expression of sympy have the same value, to 40 digits, at three random points."""
+        """Return True if an element and an expression of sympy agree to 40 digits at three random points."""
         with mpmath.workdps(_DIGITS):
             for point, values in itertools.islice(self._points(), 3):
                 value = sympy.N(expression.xreplace(dict(point)), _DIGITS)
@@ -147,11 +142,11 @@ class NormalForms:
         return True
 
     def expression(self, element: Element) -> Expr:
-        """The element as an expression of sympy."""
-        written = {self._index[symbol]: symbol for symbol in self._symbols}
-        written |= {self._slot(i): generator.expression for i, generator in enumerate(self._adjoined)}
+        """Return the element as an expression of sympy."""
+        factors = {self._index[symbol]: symbol for symbol in self._symbols}
+        factors |= {self._slot(i): generator.expression for i, generator in enumerate(self._adjoined)}
         terms = (
-            sympy.Mul(sympy.Rational(str(c)), *(written[i] ** e for i, e in enumerate(m) if e))
+            sympy.Mul(sympy.Rational(str(c)), *(factors[i] ** e for i, e in enumerate(m) if e))
             for m, c in element.items()
         )
         return sympy.Add(*terms)
@@ -168,12 +163,12 @@ class NormalForms:
         return self._size - 1 - len(self._symbols) - number
 
     def _derivatives(self, generator: Generator) -> tuple[Element, ...]:
-        if generator.known is None:
-            generator.known = generator.derivatives()
-        return generator.known
+        if generator.computed is None:
+            generator.computed = generator.derivatives()
+        return generator.computed
 
     def _slopes(self, index: int) -> Sequence[Element]:
-        """Derivatives of the generator at an index."""
+        """Return the derivatives of the generator at an index."""
         number = self._size - 1 - index - len(self._symbols)
         if number >= 0:
             return self._derivatives(self._adjoined[number])
@@ -181,7 +176,7 @@ class NormalForms:
         return [self.one if symbol == variable else self.zero for variable in self.variables]
 
     def _cleared(self, element: Element, index: int, base: Element, degree: int) -> Element:
-        """The element times base^degree, where the generator at `index` is one over the base."""
+        """Return the element times base^degree; the generator at `index` is one over the base."""
         total = self.zero
         for power in range(degree + 1):
             part = {(*m[:index], 0, *m[index + 1 :]): c for m, c in element.items() if m[index] == power}
@@ -189,17 +184,17 @@ class NormalForms:
         return self.reduced(total)
 
     def _vanishes_at_points(self, element: Element, count: int) -> bool:
-        met = 0
+        points = 0
         with mpmath.workdps(_DIGITS):
             for _, values in itertools.islice(self._points(), count):
                 terms = [_term(m, c, values) for m, c in element.items()]
                 if abs(mpmath.fsum(terms)) > _ROUNDING * mpmath.fsum(map(abs, terms)):
                     return False
-                met += 1
-        return met == count
+                points += 1
+        return points == count
 
     def _points(self) -> Iterator[tuple[Mapping[Symbol, Rational], list[mpmath.mpf]]]:
-        """Points at which all generators have values, and these; to be read with _DIGITS digits."""
+        """Yield points at which all generators have values, and these values. Read them with _DIGITS digits."""
         for drawn in expressions.sample_points(self._symbols, {}, {}):
             point = {symbol: Rational(str(round(x, 6))) for symbol, x in drawn.items()}
             values = self._values_at(point)
@@ -207,7 +202,7 @@ class NormalForms:
                 yield point, values
 
     def _values_at(self, point: Mapping[Symbol, Rational]) -> list[mpmath.mpf] | None:
-        """The values of all generators, None where one of them is not a finite real number."""
+        """Return the values of all generators; None if one of them is not a finite real number."""
         values = [mpmath.mpf(0)] * self._size
         for symbol, value in point.items():
             values[self._index[symbol]] = mpmath.mpf(int(value.p)) / int(value.q)
@@ -220,7 +215,7 @@ class NormalForms:
 
 
 def _term(monomial: tuple[int, ...], coefficient: Any, values: Sequence[mpmath.mpf]) -> mpmath.mpf:
-    """The value of one term of a polynomial."""
+    """Return the value of one term of a polynomial."""
     powers = mpmath.fprod(values[i] ** e for i, e in enumerate(monomial) if e)
     return powers * int(coefficient.numerator) / int(coefficient.denominator)
 
@@ -237,13 +232,16 @@ def _divided(monomial: tuple[int, ...], lead: tuple[tuple[int, int], ...]) -> tu
 
 
 def sparse(monomial: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
-    """The indices and exponents that are not zero."""
+    """Return indices and exponents of a monomial that are not zero."""
     return tuple((i, e) for i, e in enumerate(monomial) if e)
 
 
 def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
-    """Some of the angles of which all are sums with integer coefficients, sums before single terms; or none."""
-    simple = {_without_factor(angle) for angle in angles}
+    """Return a basis of angles with integer coefficients, sums before single terms; empty if there is none."""
+    simple = set[Expr]()
+    for angle in angles:  # without its integer factor
+        numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
+        simple.add(sympy.expand(angle / sympy.igcd(0, *numerators)))
     longest = sorted(simple, key=lambda angle: (-len(angle.as_coefficients_dict()), sympy.count_ops(angle), str(angle)))
     terms = sorted({term for angle in simple for term in angle.as_coefficients_dict()}, key=str)
     rows = {angle: [angle.as_coefficients_dict()[term] for term in terms] for angle in longest}
@@ -259,19 +257,14 @@ def angles_that_span(angles: Sequence[Expr]) -> tuple[Expr, ...]:
     return tuple(chosen)
 
 
-def _without_factor(angle: Expr) -> Expr:
-    numerators = [coefficient.p for coefficient in angle.as_coefficients_dict().values()]
-    return sympy.expand(angle / sympy.igcd(0, *numerators))
-
-
 def weights(basis: sympy.Matrix, row: Sequence[Expr]) -> list[Expr]:
-    """The combination of the columns that makes up the row."""
+    """Return the coefficients of a row in the columns of a basis."""
     normal = basis.T * basis
     return list(normal.LUsolve(basis.T * sympy.Matrix(row)))
 
 
 _SLOTS = 60
-"""Generators that there is room for while the functions of a problem are collected."""
+"""The number of generators while the functions of a problem are collected."""
 _KINKED = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside)
 _X = Dummy("x", real=True)
 
@@ -279,8 +272,8 @@ _X = Dummy("x", real=True)
 class FunctionRing(NormalForms):
     """Polynomials over the rationals in variables, constants and adjoined functions of them.
 
-    `angles` are those by which all others are expressed; without them each term of an angle has its own sine and
-    cosine. Raises ExpressionError where a function has a kink or no derivative that is elementary.
+    `angles` are a basis of all angles. Without a basis each term of an angle has its own sine and cosine. Raises
+    ExpressionError if a function has a kink or no elementary derivative.
     """
 
     def __init__(
@@ -291,9 +284,9 @@ class FunctionRing(NormalForms):
         self._basis = [self.function(angle, _X, self.zero) for angle in angles]
 
     def compressed(self, evaluate_again: Callable[[FunctionRing], object]) -> FunctionRing:
-        """A ring without empty slots, in which what is evaluated again adjoins the same functions.
+        """Return a ring without empty slots, after the same evaluation adjoins the same functions.
 
-        Angles are expressed by some of them, so that sines and cosines of different angles are independent.
+        The ring has a basis of angles, so that sines and cosines of different angles are independent.
         """
         self.close()
         constants, angles = self._symbols[len(self.variables) :], angles_that_span(sorted(self._angles, key=str))
@@ -306,14 +299,12 @@ class FunctionRing(NormalForms):
         return smaller
 
     def close(self) -> None:
-        """Adjoin all derivatives, theirs, and so on."""
-        for generator in self._adjoined:  # grows while it is being read
+        """Adjoin all derivatives, the derivatives of the derivatives, and so on."""
+        for generator in self._adjoined:  # grows during the loop
             self._derivatives(generator)
 
-    # Functions
-
     def function(self, outer: Expr, x: Symbol, argument: Element) -> Element:
-        """The value of an expression in one symbol, at an element."""
+        """Return the value of an expression in one symbol at an element."""
         if outer == x:
             return argument
         if not outer.has(x):
@@ -359,7 +350,7 @@ class FunctionRing(NormalForms):
         return self._adjoin(key, self.expression(base) ** exponent, derivatives)
 
     def reciprocal(self, base: Element) -> Element:
-        """One over an element, as a product of the reciprocals of its factors."""
+        """Return one over an element, as a product of the reciprocals of its factors."""
         if base == 0:
             raise ExpressionError("a denominator of the step vanishes at h = 0", "choose another scheme or form")
         coefficient, factors = base.factor_list()
@@ -390,7 +381,7 @@ class FunctionRing(NormalForms):
         return self._elements[key]
 
     def _rewrite_product(self, reciprocal: Element, base: Element) -> None:
-        """The rule reciprocal * base = 1, for the leading term of the base."""
+        """Add the rule reciprocal * base = 1 for the leading term of the base."""
         lead = base.leading_term()
         rest = base - lead
         self._rules.append((sparse((reciprocal * lead).LM), (self.one - reciprocal * rest) * (1 / lead.LC)))
@@ -458,7 +449,7 @@ class FunctionRing(NormalForms):
         return self._adjoin(key, sympy.exp(self.expression(exponent)), derivatives)
 
     def _turned(self, angle: Element) -> tuple[Element, Element]:
-        """Sine and cosine of a sum, by the addition theorems from those of the basis, or else of its terms."""
+        """Return sine and cosine of a sum by the addition theorems, from the angles of the basis or from its terms."""
         if angle != 0:
             self._angles.add(self.expression(angle))
         sine, cosine = self.zero, self.one
@@ -470,7 +461,7 @@ class FunctionRing(NormalForms):
         return sine, cosine
 
     def _parts(self, angle: Element) -> list[tuple[Element, int]]:
-        """Angles with integer factors that add up to the given one."""
+        """Return angles with integer factors whose sum is this angle."""
         if self._basis:
             terms = sorted({m for part in (*self._basis, angle) for m in part})
             columns = [[sympy.Rational(str(part.get(m, 0))) for part in self._basis] for m in terms]
@@ -482,22 +473,92 @@ class FunctionRing(NormalForms):
         ]
 
     def _circle(self, angle: Element) -> tuple[Element, Element]:
-        """Sine and cosine of one term, adjoined together."""
+        """Return sine and cosine of one term, which are adjoined together."""
         keys = ("sin", angle), ("cos", angle)
         if keys[0] not in self._elements:
-            written = self.expression(angle)
+            expression = self.expression(angle)
 
             def scaled(key: tuple[Any, ...], sign: int) -> Callable[[], tuple[Element, ...]]:
                 return lambda: tuple(self.product(self._elements[key] * sign, d) for d in self.gradient(angle))
 
-            cosine = self._adjoin(keys[1], sympy.cos(written), scaled(keys[0], -1))
-            sine = self._adjoin(keys[0], sympy.sin(written), scaled(keys[1], 1))
+            cosine = self._adjoin(keys[1], sympy.cos(expression), scaled(keys[0], -1))
+            sine = self._adjoin(keys[0], sympy.sin(expression), scaled(keys[1], 1))
             self._rules.append((sparse((sine**2).LM), self.one - cosine**2))
         return self._elements[keys[0]], self._elements[keys[1]]
 
 
 def _only_argument(value: Expr) -> Expr:
-    """The argument of a function of one argument that has derivatives of all orders."""
+    """Return the argument of a smooth function of one argument."""
     if len(value.args) != 1 or isinstance(value, _KINKED):
         raise ExpressionError(f"{value.func.__name__} has no expansion in powers of h", "use smooth functions")
     return value.args[0]
+
+
+Series = list[Element]
+"""Coefficients of h^0, h^1, ..., up to an order."""
+
+
+def padded(values: Sequence[Element], ring: FunctionRing, order: int) -> Series:
+    """Return a series that ends at h^order, cut or filled with zeros."""
+    return [*values[: order + 1], *[ring.zero] * (order + 1 - len(values))]
+
+
+class Evaluation:
+    """Evaluates expressions at series by Taylor's formula for every function; common parts are evaluated once."""
+
+    def __init__(self, ring: FunctionRing, values: Mapping[Symbol, Series], order: int) -> None:
+        self._ring, self._order = ring, order
+        self._series: dict[Expr, Series] = {symbol: padded(v, ring, order) for symbol, v in values.items()}
+
+    def __call__(self, expression: Expr) -> Series:
+        """Return the series of an expression."""
+        if expression not in self._series:
+            self._series[expression] = self._evaluated(expression)
+        return self._series[expression]
+
+    def _evaluated(self, expression: Expr) -> Series:
+        ring = self._ring
+        if not expression.free_symbols & self._series.keys():
+            return padded([ring.function(expression, STEP, ring.zero)], ring, self._order)
+        if expression.is_Add:
+            return [sum(parts, ring.zero) for parts in zip(*map(self, expression.args), strict=True)]
+        if expression.is_Mul:
+            result = self(expression.args[0])
+            for factor in expression.args[1:]:
+                result = self._product(result, self(factor))
+            return result
+        x = sympy.Dummy("x", real=True)
+        if expression.is_Pow:
+            base, exponent = expression.as_base_exp()
+            if exponent.free_symbols & self._series.keys():
+                return self(sympy.exp(exponent * sympy.log(base)))
+            if exponent.is_Integer and exponent > 0:
+                result = self(base)
+                for _ in range(int(exponent) - 1):
+                    result = self._product(result, self(base))
+                return result
+            return self._composed(x**exponent, x, self(base))
+        if len(expression.args) != 1:
+            return padded([ring.function(expression, x, ring.zero)], ring, self._order)
+        return self._composed(expression.func(x), x, self(expression.args[0]))
+
+    def _product(self, a: Series, b: Series) -> Series:
+        ring = self._ring
+        products = (
+            sum((a[i] * b[n - i] for i in range(n + 1) if a[i] and b[n - i]), ring.zero) for n in range(self._order + 1)
+        )
+        return [ring.reduced(total) for total in products]
+
+    def _composed(self, outer: Expr, x: Symbol, inner: Series) -> Series:
+        """Apply Taylor's formula for an outer function around the first coefficient of the inner series."""
+        ring = self._ring
+        change = [ring.zero, *inner[1:]]
+        power = padded([ring.one], ring, self._order)
+        result = padded([ring.function(outer, x, inner[0])], ring, self._order)
+        if not any(change):
+            return result
+        for k in range(1, self._order + 1):
+            outer, power = sympy.diff(outer, x) / k, self._product(power, change)
+            factor = ring.function(outer, x, inner[0])
+            result = [ring.reduced(r + factor * c) for r, c in zip(result, power, strict=True)]
+        return result

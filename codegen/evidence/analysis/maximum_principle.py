@@ -27,6 +27,7 @@ from codegen.discretise.conditions import CONDITIONS
 from codegen.discretise.model.definitions import Boundary, Model
 from codegen.discretise.model.legendre import new_symbols, solve_blocks
 from codegen.errors import ArgumentError, BoundaryError, DegenerateError, NumericsError
+from codegen.evidence.analysis.modified_equations import vector_field
 from codegen.symbolic import checks as expressions
 
 
@@ -34,8 +35,8 @@ from codegen.symbolic import checks as expressions
 class NecessaryConditions:
     """The boundary value problem of an optimum; tuples are in the order of `states` = (coordinates, rates).
 
-    `dynamics` and `hamiltonian` hold the controls; `optimal_control`, `state_rates`, `costate_rates` and `cost_rate`
-    hold them no longer. `start` and `end` are equations, one a state, whose left sides are given and vanish.
+    `dynamics` and `hamiltonian` contain the controls; `optimal_control`, `state_rates`, `costate_rates` and `cost_rate`
+    do not. `start` and `end` are expressions that vanish, one for each state.
     """
 
     model: Model
@@ -52,7 +53,7 @@ class NecessaryConditions:
 
 
 def beyond_maximum_principle(model: Model) -> str:
-    """What a problem has that the necessary conditions below do not provide for, in words; nothing if they hold."""
+    """Return the features of a problem that the necessary conditions do not cover, in words; else an empty text."""
     features = {
         "several phases": bool(model.phases),
         "values of the past": bool(model.joined),
@@ -68,10 +69,10 @@ def beyond_maximum_principle(model: Model) -> str:
 
 
 def necessary_conditions(model: Model) -> NecessaryConditions:
-    """Derive the necessary conditions of a control problem in the form (Lagrangian or Hamiltonian) that it has.
+    """Derive the necessary conditions of a control problem in its own form (Lagrangian or Hamiltonian).
 
-    Raises ArgumentError when the problem has no cost, or something that these conditions do not provide for,
-    SymbolError when a name `psi_<state>` is taken, and DegenerateError when dH/du = 0 does not determine the controls.
+    Raises ArgumentError if the problem has no cost, or a feature that these conditions do not cover. Raises SymbolError
+    if a name `psi_<state>` is taken, and DegenerateError if dH/du = 0 does not determine the controls.
     """
     if model.cost is None or model.end is None:
         raise ArgumentError(f"{model.name} is no control problem", "return codegen.Control(...) from problem()")
@@ -103,12 +104,11 @@ def necessary_conditions(model: Model) -> NecessaryConditions:
 
 
 def _dynamics(model: Model) -> tuple[sympy.Expr, ...]:
-    """The right sides of the forced Euler-Lagrange equations, solved for (v, v'), or of Hamilton's for (q', p')."""
+    """Return (v, v') of the forced Euler-Lagrange equations, or (q', p') of Hamilton's equations."""
+    if model.form == "hamiltonian":
+        return vector_field(model)
     function, q, rates = model.function, model.coordinates, model.rates
     gradient = [function.diff(symbol) for symbol in q]
-    if model.form == "hamiltonian":
-        forced = [f - slope for f, slope in zip(model.force, gradient, strict=True)]
-        return (*(function.diff(p) for p in rates), *forced)
     momenta = [function.diff(v) for v in rates]
     right = [
         slope + f - p.diff(model.time) - sum(p.diff(x) * v for x, v in zip(q, rates, strict=True))
@@ -134,7 +134,7 @@ def _optimal_control(model: Model, hamiltonian: sympy.Expr) -> tuple[sympy.Expr,
         solutions = sympy.solve(stationarity, list(model.controls), dict=True)
     except NotImplementedError:
         solutions = []
-    complete = [found for found in solutions if set(found) == set(model.controls)]
+    complete = [solution for solution in solutions if set(solution) == set(model.controls)]
     if len(complete) != 1:
         raise DegenerateError(
             f"stationarity has {len(complete) or 'no'} closed solutions for {names}", "make the cost quadratic in it"
@@ -150,12 +150,12 @@ def _end_equations(
 
 
 def parameter_values(model: Model, values: Mapping[str, float] | None) -> dict[sympy.Symbol, float]:
-    """Values of all parameters: the defaults, overridden by name. Raises ArgumentError for an unknown name."""
-    known = {parameter.name: parameter for parameter in model.parameters}
+    """Return the values of all parameters: defaults and overrides. Raises ArgumentError for an unknown name."""
+    symbols = {parameter.name: parameter for parameter in model.parameters}
     for name in values or {}:
-        if name not in known:
-            raise ArgumentError(f"{model.name} has no parameter {name}", f"use one of {', '.join(known) or 'none'}")
-    return model.default_values | {known[name]: float(value) for name, value in (values or {}).items()}
+        if name not in symbols:
+            raise ArgumentError(f"{model.name} has no parameter {name}", f"use one of {', '.join(symbols) or 'none'}")
+    return model.default_values | {symbols[name]: float(value) for name, value in (values or {}).items()}
 
 
 _SIMPLIFY_LIMIT = 600
@@ -163,7 +163,7 @@ _SIMPLIFY_LIMIT = 600
 
 @dataclass(frozen=True)
 class ExactOptimum:
-    """The optimum in closed form: the cost in the parameters, states and controls also in the time."""
+    """The optimum in closed form: the cost as a function of parameters, states and controls also of the time."""
 
     model: Model
     cost: sympy.Expr
@@ -171,19 +171,19 @@ class ExactOptimum:
     controls: tuple[sympy.Expr, ...]
 
     def cost_at(self, values: Mapping[str, float] | None = None) -> float:
-        """The cost as a number; `values` override defaults by name. Raises ArgumentError for an unknown name."""
+        """Return the cost as a number; `values` override defaults by name. Raises ArgumentError for an unknown name."""
         numbers = parameter_values(self.model, values)
         function = sympy.lambdify(list(numbers), self.cost, modules="mpmath", cse=True)
         with mpmath.workdps(40):
-            # Complex conjugate eigenvalues may leave an imaginary part of rounding size behind.
+            # Complex conjugate eigenvalues may leave an imaginary part of the size of rounding.
             return float(mpmath.re(function(*map(mpmath.mpf, numbers.values()))))
 
 
 def exact_optimum(model: Model) -> ExactOptimum | None:
-    """Solve the necessary conditions in closed form when they are linear with constant coefficients, else None.
+    """Solve the necessary conditions in closed form if they are linear with constant coefficients; else return None.
 
-    None also when the eigenvalues are roots of a higher degree than radicals serve well. Raises as
-    `necessary_conditions` does, and BoundaryError when the boundary conditions do not determine the trajectory.
+    The result is also None if the eigenvalues have no practical formula by radicals. Raises the errors of
+    `necessary_conditions`, and BoundaryError if the boundary conditions do not determine the trajectory.
 
     With z = (x, psi) the eliminated Hamiltonian is quadratic, K = z.Sz/2 + g.z + c, and z' = J dK/dz. Integrating
     d(psi.x)/dt = psi.dK/dpsi - x.dK/dx and K = C + psi.x' gives the cost without quadrature:
@@ -228,7 +228,7 @@ def exact_optimum(model: Model) -> ExactOptimum | None:
 def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Model) -> bool:
     """Return True if third differences on some line, in 60 digits, show that a function of z is not quadratic.
 
-    To expand and cancel a long expression takes a minute, only to find the same.
+    The expansion of a long expression takes a minute and has the same result.
     """
     numbers = model.default_values | {model.time: 0.37}
     evaluate = sympy.lambdify([*z, *numbers], function, modules="mpmath", cse=True)
@@ -242,18 +242,18 @@ def _is_surely_curved(function: sympy.Expr, z: Sequence[sympy.Symbol], model: Mo
 
 
 def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sympy.Matrix | None:
-    """The column w(t) with w' = flow w that meets the end equations; None when exp(flow t) has no useful formula."""
+    """Return w(t) with w' = flow w that satisfies the end equations; None if exp(flow t) has no practical formula."""
     model, count = conditions.model, 2 * len(conditions.states)
     eigenvalue = sympy.Dummy("s")
     factors = sympy.factor_list(flow.charpoly().as_expr(eigenvalue), eigenvalue)[1]
     quartic = [(factor, count) for factor, count in factors if sympy.degree(factor, eigenvalue) > 2]
-    # One simple quartic without parameters is still practical; nested radicals beyond that stall sympy.
+    # One simple quartic without parameters is still practical; sympy stalls for more nested radicals.
     if len(quartic) > 1 or any(
         count > 1 or sympy.degree(factor, eigenvalue) > 4 or factor.free_symbols != {eigenvalue}
         for factor, count in quartic
     ):
         return None
-    # Signs help sympy to write real formulas; being analytic, these hold for the other signs as well.
+    # Signs help sympy to write real formulas. They are analytic, so that they hold for other signs as well.
     signed = {p: sympy.Dummy(p.name, positive=True) for p, v in model.default_values.items() if v > 0.0}
     plain = {dummy: p for p, dummy in signed.items()}
     exponential = matrix_exp(flow.xreplace(signed), model.time).xreplace(plain)
@@ -266,8 +266,8 @@ def _linear_solution(conditions: NecessaryConditions, flow: sympy.Matrix) -> sym
     matrix = sympy.Matrix(equations).jacobian(z)
     if expressions.null_direction([expressions.values_at(matrix, model.default_values)]) is not None:
         raise BoundaryError("the boundary conditions do not determine the optimum", "fix or free other end values")
-    found = solve_blocks(matrix, [-equation.xreplace(at_zero) for equation in equations])
-    return exponential * sympy.Matrix([*found, 1, 0][: flow.rows])
+    values = solve_blocks(matrix, [-equation.xreplace(at_zero) for equation in equations])
+    return exponential * sympy.Matrix([*values, 1, 0][: flow.rows])
 
 
 Array = NDArray[np.float64]
@@ -282,8 +282,8 @@ _SMALLEST_ADVANCE = 1e-3
 class Reference:
     """An optimum on the mesh `t` (M,): states and costates (M, 2n), controls (M, m), cost, and the residual.
 
-    The residual is the largest, over the mesh intervals, of the root mean square defect of the differential equations
-    in normalised time, each relative to 1 + |derivative| and in units of the largest value of its unknown.
+    The residual is the largest root mean square defect of the differential equations on any mesh interval. Time is
+    normalised. Each defect is relative to 1 + |derivative| and in units of the largest value of its unknown.
     """
 
     cost: float
@@ -303,12 +303,33 @@ def reference_optimum(
 ) -> Reference:
     """Solve the necessary conditions by adaptive collocation of order 4 with exact Jacobians (scipy's solve_bvp).
 
-    `values` override default parameters by name. `guess` is (t, x, psi) of shapes (M,), (M, 2n), (M, 2n); without it
-    coordinates are interpolated linearly between their end values (or follow the problem's own guess), velocities are
-    their slopes (where that fails: interpolated as well, as momenta are), and psi is zero. If need be, the end values
-    are then moved continuously from those of the uncontrolled motion. What is found is stationary; it may be one of
-    several local optima. Raises ArgumentError for an unknown parameter or an unusable tolerance, and NumericsError
-    when nothing converges, or not in that many `seconds` of processor time.
+    Parameters
+    ----------
+    model : Model
+        A control problem that the maximum principle covers.
+    values : Mapping[str, float], optional
+        Overrides of default parameters by name.
+    tolerance : float
+        Relative tolerance of the collocation, from 1e-12 to 1.
+    guess : tuple of arrays, optional
+        (t, x, psi) of shapes (M,), (M, 2n), (M, 2n). By default coordinates are interpolated linearly between their end
+        values, or follow the problem's own guess. Velocities are their slopes, or are interpolated like momenta if that
+        fails. psi is zero. If nothing converges, the end values move continuously from those of the uncontrolled
+        motion.
+    seconds : float
+        Limit of processor time.
+
+    Returns
+    -------
+    Reference
+        A stationary trajectory, which may be one of several local optima.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown parameter or an unusable tolerance.
+    NumericsError
+        If nothing converges within the time limit.
     """
     if not _LEAST_TOLERANCE <= tolerance < 1.0:
         raise ArgumentError(f"tolerance is {tolerance:g}", f"give one from {_LEAST_TOLERANCE:g} to 1")
@@ -373,7 +394,7 @@ class _BoundaryValueProblem:
         return self.duration * self._rates(s * self.duration, y)
 
     def solve(self, s: Array, y: Array, end_values: Array, tolerance: float) -> Any:
-        """Run solve_bvp from the mesh s and the values y, with each unknown measured by its largest value."""
+        """Run solve_bvp from the mesh s and the values y. The scale of each unknown is its largest value."""
         size = np.abs(y).max(axis=1)
         size[size == 0.0] = 1.0
         scale = size[:, None]
@@ -418,7 +439,7 @@ class _BoundaryValueProblem:
 def _vectorised(
     time: sympy.Symbol, z: Sequence[sympy.Symbol], numbers: Mapping[sympy.Symbol, float], outputs: Sequence[sympy.Expr]
 ) -> Callable[[Array, Array], Array]:
-    """A function of times (M,) and values (at least len(z), M) that returns the outputs as (len(outputs), M)."""
+    """Return a function of times (M,) and values (at least len(z), M) with the outputs as (len(outputs), M)."""
     names = list(numbers)
     function = sympy.lambdify([time, *z, *names], list(outputs), modules="numpy", cse=True)
     constants = [numbers[name] for name in names]
@@ -431,7 +452,7 @@ def _vectorised(
 
 
 def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: bool) -> Trajectory:
-    """The problem's guess, or straight lines between the end values; a free end takes the other end's value."""
+    """Return the problem's guess, or straight lines between the end values. A free end has the other end's value."""
     s = np.linspace(0.0, 1.0, 101)
     first = np.where(np.isnan(system.start_values), system.end_values, system.start_values)
     last = np.where(np.isnan(system.end_values), first, system.end_values)
@@ -442,23 +463,23 @@ def _interpolated_guess(model: Model, system: _BoundaryValueProblem, slopes: boo
             column = _vectorised(model.time, [], system.numbers, [expression])(t, x.T)
             x[:, model.coordinates.index(symbol)] = column[0]
     if slopes and model.form == "lagrangian":
-        # Velocities that belong to the path, rather than to the ends, lead to the optimum near the path.
+        # Velocities along the path, not interpolated end velocities, lead to the optimum near the path.
         x[:, half:] = np.gradient(x[:, :half], t, axis=0)
     return t, x, np.zeros_like(x)
 
 
 def _checked_guess(system: _BoundaryValueProblem, t: Array, x: Array, psi: Array) -> tuple[Array, Array]:
     t, x, psi = (np.asarray(part, dtype=float) for part in (t, x, psi))
-    wanted = (t.size, system.count)
-    if t.ndim != 1 or t.size < 2 or x.shape != wanted or psi.shape != wanted or not np.all(np.diff(t) > 0.0):
+    expected = (t.size, system.count)
+    if t.ndim != 1 or t.size < 2 or x.shape != expected or psi.shape != expected or not np.all(np.diff(t) > 0.0):
         raise NumericsError(
-            f"the guess has shapes {t.shape}, {x.shape}, {psi.shape}", f"give increasing t (M,), x and psi {wanted}"
+            f"the guess has shapes {t.shape}, {x.shape}, {psi.shape}", f"give increasing t (M,), x and psi {expected}"
         )
     return (t - t[0]) / (t[-1] - t[0]), np.vstack([x.T, psi.T, np.zeros((1, t.size))])
 
 
 def _continued(system: _BoundaryValueProblem) -> Any:
-    """Move the end values from those of the uncontrolled motion to the wanted ones, in steps that adapt."""
+    """Move the end values from those of the uncontrolled motion to the prescribed values, in adaptive steps."""
     count = system.count
     y0 = np.concatenate([np.nan_to_num(system.start_values), np.zeros(count + 1)])
     s = np.linspace(0.0, 1.0, 101)

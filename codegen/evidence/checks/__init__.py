@@ -1,4 +1,4 @@
-"""The registry of checks: evidence that the derivation and the generated code are right."""
+"""The registry of checks: evidence that the derivation and the generated code are correct."""
 
 from __future__ import annotations
 
@@ -19,20 +19,15 @@ from codegen.emit.deadline import CHECK, Overdue, interrupted_after
 from codegen.emit.naming import Choices
 from codegen.evidence.checks import (
     assembly,
-    consistency,
     derivatives,
     discrete_equations,
     layout,
-    motion,
     null_spaces,
     one_step,
-    optimum,
     particles,
-    phases,
-    tables,
+    solution,
 )
-from codegen.evidence.checks.base import Check, Context, Finding, Findings, does_not_apply, not_measured
-from codegen.evidence.checks.evaluation import NoPointError
+from codegen.evidence.checks.base import Check, Context, Finding, Findings, NoPointError, does_not_apply, not_measured
 from codegen.problem.points import recorded_files
 from codegen.problem.sources import Source, settings_of, source_of
 from codegen.solving import compiler
@@ -44,14 +39,14 @@ __all__ = ["CHECKS", "Check", "Context", "Finding", "Findings", "apply", "contex
 
 
 def _of_equations(name: str, findings: Finder, without: str = "") -> Check:
-    """A check of the expressions of each phase; `without` says what a system of first order lacks."""
+    """Return a check of the expressions of each phase. First-order systems have no `without`."""
     return Check(
         name, findings, False, True, {"first-order": f"a first-order system has no {without}"} if without else {}
     )
 
 
-def _of_problems(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
-    """A check of problems with something to find, for a `reason` why a simulation has nothing."""
+def _of_control(name: str, findings: Finder, reason: str, of_each_phase: bool = False) -> Check:
+    """Return a check of control problems, with the reason why it does not apply to simulations."""
     return Check(name, findings, of_each_phase=of_each_phase, without={"simulate": f"a simulation {reason}"})
 
 
@@ -59,32 +54,32 @@ _ROWS = (
     Check("layout", layout.check_layout, runs_the_module=False),
     Check("derivatives", derivatives.check_derivatives),
     Check("sparsity", derivatives.check_sparsity, without={"simulate": "a step of a simulation has a dense Jacobian"}),
-    _of_problems("given values", assembly.check_given_values, "gives no values but those of its start"),
-    _of_problems("assembly", assembly.check_assembly, "solves step after step"),
-    Check("tables", tables.check_tables),
-    _of_problems("measurements", tables.check_measurements, "fits nothing"),
+    _of_control("given values", assembly.check_given_values, "gives no values but those of its start"),
+    _of_control("assembly", assembly.check_assembly, "solves step after step"),
+    Check("tables", derivatives.check_tables),
+    _of_control("measurements", derivatives.check_measurements, "fits nothing"),
     _of_equations("discrete equations", discrete_equations.check_discrete_equations),
     _of_equations("integrals", discrete_equations.check_integrals),
     Check("momentum matching", discrete_equations.check_momentum_matching),
     _of_equations("discrete Noether", one_step.check_noether, without="momenta"),
-    Check("consistency", consistency.check_consistency, runs_the_module=False),
+    Check("consistency", one_step.check_consistency, runs_the_module=False),
     _of_equations("symplecticity", one_step.check_symplecticity, without="symplectic form"),
     _of_equations("area preservation", one_step.check_area_preservation, without="phase plane of q and p"),
-    _of_equations("midpoint equivalence", consistency.check_midpoint_equivalence, without="discrete Lagrangian"),
-    _of_problems("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
-    _of_problems("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
-    _of_problems("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
-    Check("holonomic drift", motion.check_holonomic_drift),
-    _of_problems("inner times", motion.check_inner_times, "has no conditions on the way"),
-    Check("switches", phases.check_switches),
-    _of_problems("delays", motion.check_delays, "has no values of the past"),
-    _of_problems("second-order condition", optimum.check_second_order, "minimises nothing"),
-    _of_problems("optimum", optimum.check_optimum, "minimises nothing"),
-    _of_problems("sensitivities", optimum.check_sensitivities, "minimises nothing"),
+    _of_equations("midpoint equivalence", one_step.check_midpoint_equivalence, without="discrete Lagrangian"),
+    _of_control("boundary rank", null_spaces.check_boundary_rank, "has no boundary value problem"),
+    _of_control("null controls", null_spaces.check_null_controls, "has no controls to be found", of_each_phase=True),
+    _of_control("path between nodes", null_spaces.check_path_modes, "has no path conditions"),
+    Check("holonomic drift", solution.check_holonomic_drift),
+    _of_control("inner times", solution.check_inner_times, "has no conditions on the way"),
+    Check("switches", discrete_equations.check_switches),
+    _of_control("delays", solution.check_delays, "has no values of the past"),
+    _of_control("second-order condition", solution.check_second_order, "minimises nothing"),
+    _of_control("optimum", solution.check_optimum, "minimises nothing"),
+    _of_control("sensitivities", solution.check_sensitivities, "minimises nothing"),
 )
 
 CHECKS: dict[str, Check] = {check.name: check for check in _ROWS}
-"""Every check by name, in the order of a report; tests run over this table."""
+"""Every check by name, in the order of a report. Tests run over this table."""
 
 
 def run(
@@ -98,11 +93,33 @@ def run(
     module: Path | None = None,
     time_limit: float = CHECK,
 ) -> Findings:
-    """Run all checks that apply to a problem file, or to an object, and return their findings.
+    """Run all checks that apply to a problem.
 
-    `module` is a generated file to be checked as it stands; by default the module is built in the cache. A check may
-    take a quarter of what is left of `time_limit` seconds of processor time; what it has not found by then is a finding
-    that says so. Raises a kind of CodegenError when the problem, a choice or the file is unusable.
+    Parameters
+    ----------
+    problem : Source, Path or str
+        A problem object or a problem file.
+    arguments : Mapping[str, str], optional
+        Arguments of the function `problem` of the file, as texts.
+    scheme, method, controls : str, optional
+        The discretisation, as in `codegen.compile`.
+    sensitivities : bool
+        True to check the module with sensitivities.
+    module : Path, optional
+        A generated file to be checked as it is. By default the module is built in the cache.
+    time_limit : float
+        Seconds of processor time. A check may take a quarter of the remaining time. A check that is interrupted
+        yields a finding with that reason.
+
+    Returns
+    -------
+    Findings
+        The findings of all checks in the order of the registry.
+
+    Raises
+    ------
+    CodegenError
+        If the problem, a choice or the file is unusable.
     """
     end = time.process_time() + time_limit
     source = source_of(problem)
@@ -119,24 +136,23 @@ def run(
     findings = list(layout.compare(module, context.module, inputs, text))
     for name in CHECKS:
         findings += apply(name, context, (end - time.process_time()) / 4)
-    whole = context.model
-    return Findings(replace(own, subject=in_names_of_the_whole(whole, own.subject)) for own in findings)
+    return Findings(replace(f, subject=in_names_of_the_whole(context.model, f.subject)) for f in findings)
 
 
 def context_of(problem: Source | Path | str, arguments: Mapping[str, str], choices: Choices, module: Path) -> Context:
-    """What checks read, for a problem and a generated module on disk."""
+    """Return the input of all checks for a problem and a generated module on disk."""
     return _prepared(source_of(problem), arguments, choices, module)[0]
 
 
 def apply(name: str, context: Context, seconds: float = math.inf) -> list[Finding]:
-    """The findings of one check within seconds of processor time; whatever a damaged module raises is a finding too.
+    """Return the findings of one check within seconds of processor time. An exception is a finding, too.
 
     A module whose layout does not fit is not run, because compiled code would write outside its arrays.
     """
     findings: list[Finding] = []
     try:
         with interrupted_after(seconds):
-            findings += _found(name, context)
+            findings += _findings(name, context)
     except Overdue:
         reason = f"the problem is too large for it, which was not done after {seconds:.0f} s of processor time"
         findings.append(not_measured(name, "all else" if findings else "the whole problem", reason))
@@ -148,7 +164,7 @@ def apply(name: str, context: Context, seconds: float = math.inf) -> list[Findin
     return findings
 
 
-def _found(name: str, context: Context) -> Iterator[Finding]:
+def _findings(name: str, context: Context) -> Iterator[Finding]:
     check = CHECKS[name]
     if check.runs_the_module and not all(finding.passed for finding in layout.check_layout(context)):
         yield Finding(name, "the check itself", False, "not run, because the layout of the module does not fit")
@@ -157,27 +173,26 @@ def _found(name: str, context: Context) -> Iterator[Finding]:
         if kind in check.without:
             yield does_not_apply(name, check.without[kind])
             return
-    parts = phases.phase_contexts(context) if check.of_each_phase else []
+
+    def evidence(part: Context) -> Iterable[Finding]:
+        kinds = [kind for kind in CONDITIONS if kind.check == name]
+        if kinds and not any(kind.of_model(part.model) for kind in kinds):
+            return [does_not_apply(name, f"there are no {kinds[0].words}")]
+        return check.findings(part)
+
+    parts = discrete_equations.phase_contexts(context) if check.of_each_phase else []
     if len(parts) < 2:
-        yield from _evidence(check, context)
+        yield from evidence(context)
         return
-    found = [(phase, finding) for phase, own in parts for finding in _evidence(check, own)]
-    if not any(finding.applies for _, finding in found):
-        yield found[0][1]
+    of_phases = [(phase, finding) for phase, part in parts for finding in evidence(part)]
+    if not any(finding.applies for _, finding in of_phases):
+        yield of_phases[0][1]
         return
-    yield from (replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in found)
-
-
-def _evidence(check: Check, context: Context) -> Iterable[Finding]:
-    """What a check finds; one about a kind of conditions alone has nothing to say where there are none."""
-    kinds = [kind for kind in CONDITIONS if kind.check == check.name]
-    if kinds and not any(kind.of_model(context.model) for kind in kinds):
-        return [does_not_apply(check.name, f"there are no {kinds[0].words}")]
-    return check.findings(context)
+    yield from (replace(finding, subject=f"{phase}{finding.subject}") for phase, finding in of_phases)
 
 
 def _prepared(source: Source, arguments: Mapping[str, str], choices: Choices, module: Path) -> tuple[Context, str]:
-    """The context of all checks, and the text that a fresh derivation makes; each stage runs once."""
+    """Return the input of all checks, and the text of a new derivation. Each stage runs once."""
     from codegen.discretise import transcribe
     from codegen.emit import differentiation, lower
     from codegen.emit.differentiation import control_sensitivities

@@ -1,20 +1,38 @@
-"""What a check is: findings from a context, which is what was derived, and the module on disk."""
+"""The interface of a check, and the numerical tools that checks share.
+
+A check reads a `Context`: the author's model, the derived program, and the generated module on disk. It yields
+findings. `findings_table` and `findings_html` show them.
+
+The numerical tools evaluate expressions in high precision at random points where all of them have values. Derivatives
+are differences of undifferentiated expressions in 120-digit arithmetic. They do not depend on sympy's differentiation
+and are correct to about 40 digits.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+import mpmath
+import numpy as np
+import sympy
+from sympy import Expr, Symbol
+
+from codegen.discretise.interval import LENGTHS, STEP
 from codegen.discretise.model.definitions import Model
+from codegen.discretise.model.smoothness import expected_values
 from codegen.discretise.program import ControlProgram, StepProgram
 from codegen.discretise.schemes.base import Scheme
 from codegen.emit.naming import Choices
 from codegen.emit.verify.comparison import GuessedPoints
 from codegen.emit.verify.execution import Text
 from codegen.emit.verify.kernels import guessed_points
+from codegen.errors import NumericsError
 from codegen.identifiers import plain
 
 if TYPE_CHECKING:
@@ -25,9 +43,22 @@ _LEAST_STEPS = 8
 
 @dataclass(frozen=True)
 class Finding:
-    """One piece of evidence: which check, about what, whether it holds, and the formula or number that says so.
+    """One piece of evidence.
 
-    What does not apply to a problem, or could not be measured, has passed, but is no evidence; then `detail` says why.
+    Parameters
+    ----------
+    check : str
+        Name of the check.
+    subject : str
+        The kernel, equation or quantity that was examined.
+    passed : bool
+        False if the check failed. True also for a check that does not apply or was not measured.
+    detail : str
+        The formula or number that supports the outcome, or the reason why there is no evidence.
+    applies : bool
+        False if the finding is no evidence.
+    measured : bool
+        False if the check applies, but could not be evaluated.
     """
 
     check: str
@@ -35,81 +66,80 @@ class Finding:
     passed: bool
     detail: str
     applies: bool = True
+    measured: bool = True
 
     def __post_init__(self) -> None:
-        """Say names as the problem's author wrote them."""
+        """Write names as the author of the problem wrote them."""
         object.__setattr__(self, "subject", plain(self.subject))
         object.__setattr__(self, "detail", plain(self.detail))
 
+    @property
+    def outcome(self) -> str:
+        """The outcome in words."""
+        if not self.measured:
+            return "not measured"
+        if not self.applies:
+            return "does not apply"
+        return "passed" if self.passed else "FAILED"
+
 
 class Findings(tuple[Finding, ...]):
-    """The findings of all checks in their order, which a notebook shows as a table."""
+    """The findings of all checks in the order of the registry. A notebook shows them as a table."""
 
     __slots__ = ()
 
     @property
     def passed(self) -> bool:
-        """Whether no check has failed."""
+        """True if no check has failed."""
         return all(finding.passed for finding in self)
 
     @property
     def failed(self) -> tuple[Finding, ...]:
-        """Those that have."""
+        """The findings of checks that have failed."""
         return tuple(finding for finding in self if not finding.passed)
 
     def _repr_html_(self) -> str:
         return findings_html(self)
 
 
+def verdict(findings: Sequence[Finding]) -> str:
+    """Return the number of findings with each outcome, as one line."""
+    outcomes = [finding.outcome for finding in findings]
+    passed, unmeasured = outcomes.count("passed"), outcomes.count("not measured")
+    text = f"{passed} {'check' if passed == 1 else 'checks'} passed, {outcomes.count('FAILED')} failed, "
+    text += f"{outcomes.count('does not apply')} do not apply"
+    return text + (f", {unmeasured} not measured" if unmeasured else "")
+
+
 def findings_table(findings: Sequence[Finding]) -> Table:
-    """What was checked, of what, and with what outcome."""
+    """Return a table of all findings for the terminal."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
-    silent = [finding for finding in findings if not finding.applies]
-    unmeasured = sum(map(_is_unmeasured, silent))
-    failed = sum(not finding.passed for finding in findings)
-    passed = len(findings) - len(silent) - failed
-    caption = f"{passed} passed, {failed} failed, {len(silent) - unmeasured} do not apply"
-    caption += f", {unmeasured} not measured" if unmeasured else ""
-    table = Table(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left")
+    styles = {"passed": "green", "FAILED": "bold red"}
+    table = Table(box=box.SIMPLE_HEAD)
     for heading in ("check", "subject", "", "detail"):
         table.add_column(heading)
     for finding in findings:
-        detail = finding.detail
-        for words in () if finding.applies else ("does not apply: ", "not measured: "):
-            detail = detail.removeprefix(words)
-        table.add_row(escape(finding.check), escape(finding.subject), _verdict(finding), escape(detail))
+        outcome = finding.outcome
+        detail = finding.detail if finding.applies else finding.detail.removeprefix(f"{outcome}: ")
+        styled = f"[{styles.get(outcome, 'dim')}]{outcome}[/]"
+        table.add_row(escape(finding.check), escape(finding.subject), styled, escape(detail))
     return table
 
 
 def findings_html(findings: Sequence[Finding]) -> str:
-    """Return the findings as a table in HTML, with the outcomes in words and not in colours alone."""
+    """Return all findings as a table in HTML. Outcomes are words, because colours alone are not accessible."""
     from codegen.show.notebook_solution import table as html_table
 
-    silent = sum(not finding.applies for finding in findings)
-    failed = sum(not finding.passed for finding in findings)
-    outcomes = {(True, True): "passed", (True, False): "FAILED"}
-    rows = [(f.check, f.subject, outcomes.get((f.applies, f.passed), "does not apply"), f.detail) for f in findings]
-    caption = f"{len(findings) - silent - failed} passed, {failed} failed, {silent} do not apply"
-    return html_table(rows, ("check", "subject", "outcome", "detail"), caption)
-
-
-def _is_unmeasured(finding: Finding) -> bool:
-    return not finding.applies and finding.detail.startswith("not measured")
-
-
-def _verdict(finding: Finding) -> str:
-    """A check that says nothing about a problem has not passed."""
-    if not finding.applies:
-        return "[dim]not measured[/]" if _is_unmeasured(finding) else "[dim]does not apply[/]"
-    return "[green]passed[/]" if finding.passed else "[bold red]FAILED[/]"
+    rows = [(finding.check, finding.subject, finding.outcome, finding.detail) for finding in findings]
+    return html_table(rows, ("check", "subject", "outcome", "detail"), verdict(findings))
 
 
 @dataclass(frozen=True)
 class Context:
-    """What checks read: the author's model, its discretisation, and the generated module as it lies on disk."""
+    """The input of a check: the author's model, its discretisation, and the generated module on disk."""
 
     choices: Choices
     model: Model
@@ -125,12 +155,12 @@ class Context:
 
     @cached_property
     def solution(self) -> Any:
-        """What the module's solver finds on the default number of intervals, but on eight at least."""
+        """The solution of the module on the default number of intervals, but on eight intervals at least."""
         return self.module.solve(max(_LEAST_STEPS, len(self.model.inner_times) + 1, self.model.steps))
 
     @cached_property
     def guessed(self) -> GuessedPoints | None:
-        """Points near the guess of the module; none where a damaged module makes no guess."""
+        """Points near the initial guess of the module; None if a damaged module makes no guess."""
         program = self.control
         try:
             return guessed_points(program, Text(Path(self.module.__file__).read_text(encoding="utf-8")))
@@ -140,11 +170,11 @@ class Context:
 
 @dataclass(frozen=True)
 class Check:
-    """A kind of evidence: its name, and what finds it, which yields at least one finding also where it does not apply.
+    """A kind of evidence: its name and the function that yields its findings, at least one in every case.
 
-    A check that `runs_the_module` calls compiled code, or trusts tables of the module; else it looks at expressions
-    alone. One of equations may be made `of_each_phase`, as if that were a problem of its own. `without` says for tasks
-    and forms of dynamics that lack what it is about what that is; such problems are not given to it.
+    A check with `runs_the_module` calls compiled code or trusts tables of the module; other checks read expressions
+    alone. A check `of_each_phase` treats every phase as a problem. `without` maps tasks and forms of dynamics to which
+    the check does not apply to the reason.
     """
 
     name: str
@@ -155,10 +185,235 @@ class Check:
 
 
 def does_not_apply(check: str, reason: str) -> Finding:
-    """The finding of a check that has nothing to say about a problem."""
+    """Return the finding of a check that does not apply to a problem."""
     return Finding(check, "the whole problem", True, f"does not apply: {reason}", applies=False)
 
 
 def not_measured(check: str, subject: str, reason: str) -> Finding:
-    """The finding of a check that needs what is not there, as a solution where the solver found none."""
-    return Finding(check, subject, True, f"not measured: {reason}", applies=False)
+    """Return the finding of a check that lacks its input, for example a solution."""
+    return Finding(check, subject, True, f"not measured: {reason}", applies=False, measured=False)
+
+
+Range = tuple[float, float]
+_SHARES = (0.0, 0.5, 1.0)
+_ORDINARY = 1e-2, 1e2
+"""Quantities between these magnitudes are drawn near one, where all terms of an expression are visible."""
+_BESIDE = 0.02, 0.1
+"""Relative extension of a range: of a single value, and of the distance between two values."""
+_AT = re.compile(r"_(stage\d+(_k)?|k1?)$")
+
+
+def own_ranges(model: Model, likely: Iterable[Mapping[Symbol, float]] = ()) -> dict[str, Range]:
+    """Return the ranges of quantities whose magnitude is far from one, by name.
+
+    The ranges cover the initial guess, the boundary values, the bounds, the defaults, and the `likely` points.
+    """
+    points = [expected_values(phase, share) for phase in model.phases or (model,) for share in _SHARES]
+    values: dict[str, list[float]] = {}
+    for point in (*points, *likely):
+        for symbol, number in point.items():
+            values.setdefault(symbol.name, []).append(number)
+    (small, large), (alone, both), ranges = _ORDINARY, _BESIDE, dict[str, Range]()
+    for name, numbers in values.items():
+        least, greatest = min(numbers), max(numbers)
+        margin = both * (greatest - least) or alone * abs(least)
+        least, greatest = least - margin, greatest + margin
+        if max(-least, greatest) > large or 0 < max(-least, greatest) < small:
+            ranges[name] = least, greatest
+    return ranges
+
+
+def range_of(symbol: Symbol, ranges: Mapping[str, Range]) -> Range | None:
+    """Return the range of a symbol, or of its quantity if the symbol is a value at a node or stage; else None."""
+    return ranges.get(symbol.name) or ranges.get(_AT.sub("", symbol.name))
+
+
+Point: TypeAlias = Mapping[Symbol, float]
+Function: TypeAlias = Callable[..., list[Any]]
+
+DIGITS = 120
+NOTHING = mpmath.mpf(10) ** -30
+"""A difference below this fraction of the largest entry counts as zero."""
+_INCREMENT = mpmath.mpf(10) ** -40
+_SEED = 20240229
+_ATTEMPTS = 200
+
+
+class NoPointError(NumericsError):
+    """Expressions have no values at any random point, so that they cannot be compared."""
+
+
+def function_of(
+    symbols: Sequence[Symbol], values: Sequence[Expr], assignments: Sequence[tuple[Symbol, Expr]] = ()
+) -> Function:
+    """Return a function of numbers of any precision, in the order of the symbols, that returns the list of values.
+
+    Values may contain the symbols of `assignments`, which are evaluated first and in order. Substituted expressions
+    could be far too long.
+    """
+    extra = {"Heaviside": lambda x: (1 + mpmath.sign(x)) / 2, "DiracDelta": lambda *_: mpmath.mpf(0)}
+    parts = (lambda expressions: (list(assignments), expressions)) if assignments else True
+    function = sympy.lambdify(list(symbols), list(values), modules=[extra, "mpmath"], cse=parts)
+    return function  # type: ignore[no-any-return]
+
+
+def random_points(
+    values: Sequence[Expr],
+    symbols: Sequence[Symbol],
+    model: Model,
+    count: int = 3,
+    seed: int = _SEED,
+    likely: Iterable[Point] = (),
+    assignments: Sequence[tuple[Symbol, Expr]] = (),
+) -> list[dict[Symbol, float]]:
+    """Return random points at which all values are real and finite. The seed is fixed.
+
+    Parameters are drawn near their defaults. Quantities whose magnitude in the model or at a likely point is far from
+    one are drawn from their range. Values may contain `assignments`. Points of `likely` come first, but at least one
+    point is random.
+
+    Raises
+    ------
+    NoPointError
+        If too few points are in the domain of the expressions.
+    """
+    likely = list(likely)
+    defaults, ranges = model.default_values, own_ranges(model, likely)
+    ranged = {s: limits for s in symbols if (limits := range_of(s, ranges)) is not None}
+    ranged = {s: limits for s, limits in ranged.items() if s not in defaults and s not in (STEP, *LENGTHS)}
+    generator = np.random.default_rng(seed)
+    function = function_of(symbols, values, assignments)
+
+    def has_value(point: Point) -> bool:
+        try:
+            return all(math.isfinite(float(result)) for result in function(*(mpmath.mpf(point[s]) for s in symbols)))
+        except (TypeError, ValueError, ArithmeticError):
+            return False
+
+    points: list[dict[Symbol, float]] = []
+    for point in likely:
+        if len(points) < count - 1 and has_value(point):
+            points.append({symbol: point[symbol] for symbol in symbols})
+    for _ in range(_ATTEMPTS):
+        drawn = {symbol: float(generator.uniform(0.4, 1.6)) for symbol in symbols}
+        drawn |= {symbol: float(generator.uniform(*limits)) for symbol, limits in ranged.items()}
+        drawn |= {symbol: value * drawn[symbol] for symbol, value in defaults.items() if symbol in drawn and value}
+        drawn |= {length: 0.25 * drawn[length] for length in (STEP, *LENGTHS) if length in drawn}
+        if has_value(drawn):
+            points.append(drawn)
+        if len(points) == count:
+            return points
+    raise NoPointError("the expressions have no real value at random points", "give bounds or a guess of their sizes")
+
+
+def gradient(function: Function, numbers: Sequence[float], indices: Sequence[int]) -> list[Any]:
+    """Return forward differences of the first value of a function by the arguments at some indices."""
+    with mpmath.workdps(DIGITS):
+        at = _shifted(function, numbers)
+        middle = at()
+        return [(at(i) - middle) / _INCREMENT for i in indices]
+
+
+def second_differences(
+    function: Function, numbers: Sequence[float], pairs: Sequence[tuple[int, int]]
+) -> dict[tuple[int, int], Any]:
+    """Return second forward differences of the first value of a function by pairs of arguments.
+
+    Values as large as 1e200 need more digits for a visible difference.
+    """
+    with mpmath.workdps(DIGITS):
+        at = _shifted(function, numbers)
+        more = max(0, int(mpmath.ceil(mpmath.log10(1 + abs(at())))))
+    with mpmath.workdps(DIGITS + more):
+        single = {i: at(i) for i in dict.fromkeys(index for pair in pairs for index in pair)}
+        middle = at()
+        return {(i, j): (at(i, j) - single[i] - single[j] + middle) / _INCREMENT**2 for i, j in pairs}
+
+
+def directional(function: Function, numbers: Sequence[float], direction: Sequence[float]) -> list[Any]:
+    """Return second forward differences of the first value by each of the first arguments and a direction.
+
+    The direction has one entry for each of these arguments.
+    """
+    along = {i: mpmath.mpf(float(weight)) for i, weight in enumerate(direction) if weight}
+    with mpmath.workdps(DIGITS):
+        at = _shifted(function, numbers)
+        ahead, middle = at(along=along), at()
+        return [(at(i, along=along) - at(i) - ahead + middle) / _INCREMENT**2 for i in range(len(direction))]
+
+
+def curved_beyond(
+    function: Function, numbers: Sequence[float], indices: Sequence[int], pattern: Iterable[tuple[int, int]]
+) -> set[tuple[int, int]]:
+    """Return pairs (row, column), row >= column, outside a pattern whose second difference does not vanish.
+
+    A row is searched only if its second difference by a random combination of all columns outside the pattern does
+    not vanish. So the cost grows with the number of rows.
+    """
+    inside, outside = set(pattern), set[tuple[int, int]]()
+    generator = np.random.default_rng(_SEED)
+    largest = max(map(abs, second_differences(function, numbers, sorted(inside)).values()), default=0)
+    least = NOTHING * (largest or 1)
+    with mpmath.workdps(DIGITS):
+        at = _shifted(function, numbers)
+        middle = at()
+        for row in indices:
+            columns = [c for c in indices if c <= row and (row, c) not in inside]
+            weights = {c: mpmath.mpf(float(generator.uniform(0.5, 1.5))) for c in columns}
+            if abs(at(row, along=weights) - at(row) - at(along=weights) + middle) <= least * _INCREMENT**2:
+                continue
+            values = second_differences(function, numbers, [(row, c) for c in columns])
+            outside |= {pair for pair, value in values.items() if abs(value) > least}
+    return outside
+
+
+def _shifted(function: Function, numbers: Sequence[float]) -> Callable[..., Any]:
+    """Return the first value as a function of the indices of incremented arguments, and of a direction."""
+
+    def at(*indices: int, along: Mapping[int, Any] | None = None) -> Any:
+        arguments = [mpmath.mpf(number) for number in numbers]
+        for i in indices:
+            arguments[i] += _INCREMENT
+        for i, weight in (along or {}).items():
+            arguments[i] += weight * _INCREMENT
+        return function(*arguments)[0]
+
+    return at
+
+
+TOLERANCE = 1e-10
+_ROUNDING = 1e-13
+
+
+@dataclass
+class Agreement:
+    """The largest relative error of all compared entries, the name of its entry, and the number of entries."""
+
+    check: str = "derivatives"
+    error: float = 0.0
+    name: str = ""
+    entries: int = 0
+
+    def compare(self, names: Sequence[str], emitted: Any, exact: Sequence[Any]) -> None:
+        """Compare entries; an error is relative to its entry, after subtraction of the rounding of the largest entry.
+
+        The error of an entry that vanishes is relative to the largest entry. Terms that cancel in such an entry leave
+        their rounding: up to 1.4e-11 of the largest entry in the interior angles of 4 to 7 hovercraft.
+        """
+        assert len(names) == len(emitted) == len(exact)
+        largest = max((abs(value) for value in exact), default=0)
+        self.entries += len(names)
+        for name, value, expected in zip(names, emitted, exact, strict=True):
+            excess = abs(mpmath.mpf(float(value)) - expected) - _ROUNDING * largest
+            size = abs(expected) if abs(expected) > NOTHING * largest else largest
+            error = float(excess / size) if size else 0.0 if excess <= 0 else float("inf")
+            if not error <= self.error:
+                self.error, self.name = error if error == error else float("inf"), name
+
+    def finding(self, subject: str, against: str) -> Finding:
+        """Return the finding that all values agree with a reference, or the entry with the largest error."""
+        passed = self.error <= TOLERANCE
+        detail = f"{self.entries} values agree with {against} to {TOLERANCE:g}"
+        if not passed:
+            detail = f"{self.name} differs from {against} by {self.error:.2g} of its value"
+        return Finding(self.check, subject, passed, detail)

@@ -1,216 +1,69 @@
-"""Every emitted kernel against the expression that it stands for, differentiated independently, at random points.
+"""Every emitted kernel and its pattern against the expression that it stands for, at random points.
 
-The references are differences in 120-digit arithmetic of the undifferentiated expression, and for the gradient also
-complex steps (Squire and Trapp, 1998) of a plain numpy evaluation where the expression is analytic.
+The references are differences in 120-digit arithmetic of the undifferentiated expression. The gradient of an interval
+is also compared with complex steps (Squire and Trapp, 1998). They come from the evaluation that verifies a module
+before it is written. A build verifies the text of a module; these checks run the kernels of the module on disk, as
+solvers run them.
 
-The conditions between bodies: kernels and tables of their terms against the conditions that the author wrote. The
-module holds a few kinds of term and says where each occurs. Put together again, terms must give every condition, its
-slopes and its curvatures.
+Conditions between bodies: the module holds a few kinds of term and tables of their occurrences. The assembled terms
+must give every condition of the author, its slopes and its curvatures.
+
+Tables are compared with their files, and look-ups with scipy's splines through the same values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from typing import Any
 
 import mpmath
 import numpy as np
-import sympy
-from sympy import Expr, Symbol
+from scipy.interpolate import CubicSpline, PchipInterpolator, RectBivariateSpline, RegularGridInterpolator
+from sympy import Expr, S, Symbol
 
 from codegen.discretise.interval import STEP
 from codegen.discretise.model.definitions import Model
-from codegen.discretise.program import ControlProgram, EndElement, IntervalElement, StepProgram
-from codegen.emit.verify.comparison import CONTINUED
+from codegen.discretise.program import ControlProgram, EndElement, IntervalElement, SampleElement, StepProgram
+from codegen.emit.verify.comparison import complex_numbers, step_of
+from codegen.emit.verify.execution import Tape
 from codegen.emit.verify.shares import shared_symbols
-from codegen.evidence.checks.base import Context, Finding
-from codegen.evidence.checks.evaluation import (
+from codegen.evidence.checks.base import (
     DIGITS,
     NOTHING,
     TOLERANCE,
     Agreement,
-    Function,
+    Context,
+    Finding,
     Point,
     curved_beyond,
+    does_not_apply,
     function_of,
     gradient,
     random_points,
     second_differences,
 )
-from codegen.evidence.checks.flat_vector import (
+from codegen.evidence.checks.layout import (
     kernel_stems,
     near_end,
     near_interval,
     other_symbols,
     parameter_vector,
     pattern_of,
+    step_lengths,
 )
 from codegen.runtime.stepping.steps import part_of_step
 from codegen.solving.results.estimates import plain
-from codegen.symbolic.functions import numbers_of
+from codegen.symbolic.functions import numbers_of, tables_of
+from codegen.symbolic.tables import ORDERS, TableData
 from codegen.symbolic.zeros import identically_zero
-
-_SHORTER = (1.0, 0.1, 0.01, 1e-3)
-"""Parts of a step's length that are tried in turn."""
-
-
-def _closed(context: Context, program: StepProgram, points: Sequence[Point], equations: Function) -> Finding:
-    """The equations after a step of the module."""
-    names, found = [f"{name} after a step" for name, _ in program.equations], Agreement()
-    for point in points:
-        left_over = _after_a_step(context, program, point, equations) or [mpmath.inf] * len(names)
-        # One is added on both sides, so that what must vanish is measured on the scale of the state.
-        with mpmath.workdps(DIGITS):
-            found.compare(names, [1 + r for r in left_over], [mpmath.mpf(1)] * len(names))
-    return found.finding("one step", "the scheme's equations")
-
-
-def _after_a_step(context: Context, program: StepProgram, point: Point, equations: Function) -> list[Any] | None:
-    """What is left over of the equations, in parts of the largest value of the step, or of one if that is more.
-
-    Nothing where the module makes no step, however short. A long step may have no solution, as where bodies happen to
-    lie beside each other; a short one has.
-    """
-    module, made = context.module, np.empty(len(program.equations))
-    for shorter in _SHORTER:
-        shortened = {**point, **{h: shorter * point[h] for h in program.lengths}}
-        arguments = _step_arguments(shortened, program)
-        if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, made) >= 0:
-            base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
-            scale = max(1.0, np.abs(arguments[0]).max(), np.abs(made).max())
-            with mpmath.workdps(DIGITS):
-                left_over = equations(*(mpmath.mpf(shortened[symbol]) for symbol in base), *map(mpmath.mpf, made))
-                return [value / mpmath.mpf(scale) for value in left_over]
-    return None
-
-
-def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
-    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
-    symbols = [*program.unknowns, *base]
-    functions = [function_of(symbols, [value], program.before) for value in program.residual]
-    size = len(program.unknowns)
-    values_seen, entries_seen = Agreement(), Agreement()
-    for point in random_points(program.residual, symbols, program.model, assignments=program.before):
-        numbers = [point[symbol] for symbol in symbols]
-        unknowns, arguments = np.array(numbers[:size], dtype=float), _step_arguments(point, program)
-        alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))
-        context.module.step_residual(unknowns, *arguments, alone)
-        context.module.step_jacobian(unknowns, *arguments, beside, matrix)
-        with mpmath.workdps(DIGITS):
-            for i, function in enumerate(functions):
-                exact = function(*map(mpmath.mpf, numbers)) * 2
-                values_seen.compare([f"residual {i}"] * 2, [alone[i], beside[i]], exact)
-                names = [f"d residual {i}/d{y}" for y in program.unknowns]
-                entries_seen.compare(names, matrix[i], gradient(function, numbers, range(size)))
-    yield values_seen.finding("step_residual", "the reduced equations")
-    yield entries_seen.finding("step_jacobian", "120-digit differences of the residual")
-
-
-def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:
-    state = np.array([point[symbol] for symbol in program.left_symbols], dtype=float)
-    numbers = numbers_of(program.model)
-    parameters = np.array([*(point[symbol] for symbol in program.model.parameters), *numbers], dtype=float)
-    return state, point[program.model.time], step_lengths(point, program), parameters
-
-
-def step_lengths(point: Point, program: StepProgram) -> Any:
-    """The lengths that a kernel takes: several where a composition has them, else that of the step."""
-    return np.array([point[h] for h in program.lengths], dtype=float)
-
-
-def check_couplings(context: Context, program: ControlProgram) -> Iterator[Finding]:
-    """Compare values, slopes and curvatures of all conditions with differences of what the author wrote."""
-    if not program.couplings:
-        return
-    symbols = shared_symbols(program)
-    conditions = _written_conditions(context.model, program)
-    others = [s for s in (*program.model.parameters, *(v.symbol for v in program.boundary_values)) if s not in symbols]
-    values, slopes, curvatures = Agreement(), Agreement(), Agreement()
-    every = [*symbols, *others]
-    functions = [function_of(every, [condition]) for condition in conditions]
-    for point in random_points(conditions, every, program.model):
-        numbers, row = [point[s] for s in every], dict.fromkeys(program.shared_symbols, 0.0) | point
-        parts = _assembled(context.module, [point[s] for s in symbols], parameter_vector(row, program), len(conditions))
-        for r, (coupling, function) in enumerate(zip(program.couplings, functions, strict=True)):
-            name = f"condition of {coupling.multiplier.name}"
-            read = [i for i, s in enumerate(symbols) if conditions[r].has(s) or parts[1][r][i] or parts[2][r][i].any()]
-            pairs = [(i, j) for i in read for j in read]
-            with mpmath.workdps(DIGITS):
-                values.compare([name], [parts[0][r]], function(*map(mpmath.mpf, numbers)))
-                first = gradient(function, numbers, read)
-                slopes.compare([f"{name} by {symbols[i]}" for i in read], parts[1][r][read], first)
-                # Where a condition is not curved at all, second differences are the rounding of its values.
-                least = NOTHING * max(map(abs, first), default=0)
-                second = [
-                    value if abs(value) > least else mpmath.mpf(0)
-                    for value in second_differences(function, numbers, pairs).values()
-                ]
-                called = [f"{name} by {symbols[i]} and {symbols[j]}" for i, j in pairs]
-                curvatures.compare(called, [parts[2][r][pair] for pair in pairs], second)
-    yield values.finding("coupling_term", "the author's conditions")
-    yield slopes.finding("slopes of coupling_term", "120-digit differences of the author's conditions")
-    yield curvatures.finding("curvatures of coupling_term", "120-digit second differences of the author's conditions")
-
-
-def _written_conditions(model: Model, program: ControlProgram) -> list[Expr]:
-    """The author's conditions whose multipliers the module has, as functions of the shared unknowns.
-
-    A coordinate that is periodic and coupled is shared as it is at the start, without its shift.
-    """
-    shifts = dict(model.periodic)
-    shifted = {v.symbol: v.symbol + shifts.get(model.coordinates[v.coordinate], 0) for v in model.end_values}
-    written = {condition.name: condition.expression for condition in model.couplings}
-    return [written[coupling.multiplier.meaning.of].xreplace(shifted) for coupling in program.couplings]
-
-
-def _assembled(module: Any, shared: list[float], parameters: Any, count: int) -> tuple[Any, Any, Any]:
-    """Values (conditions,), slopes (conditions, shared) and curvatures (conditions, shared, shared) from the terms."""
-    values, size = np.array(shared), len(shared)
-    total, slope, curvature = np.zeros(count), np.zeros((count, size)), np.zeros((count, size, size))
-    for kind, row, read, indices in zip(
-        module.COUPLING_KINDS, module.COUPLING_ROWS, module.COUPLING_COUNTS, module.COUPLING_INDICES, strict=True
-    ):
-        here = indices[:read]
-        width = len(indices)
-        first, second = np.zeros(width), np.zeros(width * width)
-        inputs = np.zeros(width)
-        inputs[:read] = values[here]
-        total[row] += plain(getattr(module, f"coupling_{kind}"))(inputs, parameters, first, second)
-        np.add.at(slope[row], here, first[:read])
-        np.add.at(curvature[row], np.ix_(here, here), second[: read * read].reshape(read, read))
-    return total, slope, curvature
-
-
-_COMPLEX_STEP = 1e-30
-_NOT_ANALYTIC = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.Piecewise, sympy.Heaviside, sympy.atan2)
 
 
 def check_derivatives(context: Context) -> Iterator[Finding]:
-    """Compare all kernels of the module with what was derived."""
+    """Compare all kernels of the module with the derived expressions."""
     program = context.program
     if not isinstance(program, ControlProgram):
-        # The scheme's equations and the energy as written.
-        interval = [*program.stage_symbols, *program.right_symbols]
-        base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
-        equations = function_of([*base, *interval], [value for _, value in program.equations])
-        energy = function_of(base, [program.energy], program.state_assignments)
-        written, height = Agreement(), Agreement()
-        names = [name for name, _ in program.equations]
-        module, size = context.module, len(interval)
-        points = random_points([v for _, v in program.equations], [*base, *interval], program.model)
-        for point in points:
-            arguments = _step_arguments(point, program)
-            after = np.array([point[symbol] for symbol in interval], dtype=float)
-            emitted = np.empty(size)
-            module.step_equations(arguments[0], after, *arguments[1:], emitted)
-            numbers = [mpmath.mpf(point[symbol]) for symbol in base]
-            with mpmath.workdps(DIGITS):
-                written.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, after)))
-                height.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
-        yield written.finding("step_equations", "the scheme's equations")
-        yield height.finding("energy", "the Hamiltonian")
-        yield _closed(context, program, points, equations)
+        yield from _step(context, program)
         if program.unknowns:
             yield from _implicit(context, program)
         return
@@ -221,52 +74,120 @@ def check_derivatives(context: Context) -> Iterator[Finding]:
     yield from check_couplings(context, program)
 
 
+_SHORTER = (1.0, 0.1, 0.01, 1e-3)
+"""Fractions of the length of a step, in the order of the attempts."""
+
+
+def _step(context: Context, program: StepProgram) -> Iterator[Finding]:
+    """Compare the scheme's equations and the energy, and evaluate the equations after a step of the module."""
+    interval = [*program.stage_symbols, *program.right_symbols]
+    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+    equations = function_of([*base, *interval], [value for _, value in program.equations])
+    energy = function_of(base, [program.energy], program.state_assignments)
+    residuals, heights, closed = Agreement(), Agreement(), Agreement()
+    names = [name for name, _ in program.equations]
+    module, emitted, after = context.module, np.empty(len(interval)), np.empty(len(program.equations))
+    for point in random_points([v for _, v in program.equations], [*base, *interval], program.model):
+        arguments = _step_arguments(point, program)
+        drawn = np.array([point[symbol] for symbol in interval], dtype=float)
+        module.step_equations(arguments[0], drawn, *arguments[1:], emitted)
+        numbers = [mpmath.mpf(point[symbol]) for symbol in base]
+        with mpmath.workdps(DIGITS):
+            residuals.compare(names, emitted, equations(*numbers, *map(mpmath.mpf, drawn)))
+            heights.compare(["H"], [module.energy(arguments[0], arguments[1], arguments[3])], energy(*numbers))
+
+        # A long step may have no solution, for example where bodies happen to be close; a short step has one.
+        errors = [mpmath.inf] * len(names)
+        for shorter in _SHORTER:
+            shortened = {**point, **{h: shorter * point[h] for h in program.lengths}}
+            arguments = _step_arguments(shortened, program)
+            if part_of_step(module.problem.scheme, *arguments, 1e-14, 50, after) < 0:
+                continue
+            scale = mpmath.mpf(max(1.0, np.abs(arguments[0]).max(), np.abs(after).max()))
+            with mpmath.workdps(DIGITS):
+                values = equations(*(mpmath.mpf(shortened[symbol]) for symbol in base), *map(mpmath.mpf, after))
+                errors = [value / scale for value in values]
+            break
+        # One is added on both sides, so that residuals are relative to the scale of the state.
+        with mpmath.workdps(DIGITS):
+            closed.compare(
+                [f"{name} after a step" for name in names], [1 + r for r in errors], [mpmath.mpf(1)] * len(names)
+            )
+    yield residuals.finding("step_equations", "the scheme's equations")
+    yield heights.finding("energy", "the Hamiltonian")
+    yield closed.finding("one step", "the scheme's equations")
+
+
+def _implicit(context: Context, program: StepProgram) -> Iterator[Finding]:
+    """Compare the reduced equations of a step and their Jacobian."""
+    base = [*program.left_symbols, program.model.time, *program.lengths, *program.model.parameters]
+    symbols = [*program.unknowns, *base]
+    functions = [function_of(symbols, [value], program.before) for value in program.residual]
+    size = len(program.unknowns)
+    residuals, entries = Agreement(), Agreement()
+    for point in random_points(program.residual, symbols, program.model, assignments=program.before):
+        numbers = [point[symbol] for symbol in symbols]
+        unknowns, arguments = np.array(numbers[:size], dtype=float), _step_arguments(point, program)
+        alone, beside, matrix = np.empty(size), np.empty(size), np.empty((size, size))
+        context.module.step_residual(unknowns, *arguments, alone)
+        context.module.step_jacobian(unknowns, *arguments, beside, matrix)
+        with mpmath.workdps(DIGITS):
+            for i, function in enumerate(functions):
+                exact = function(*map(mpmath.mpf, numbers)) * 2
+                residuals.compare([f"residual {i}"] * 2, [alone[i], beside[i]], exact)
+                names = [f"d residual {i}/d{y}" for y in program.unknowns]
+                entries.compare(names, matrix[i], gradient(function, numbers, range(size)))
+    yield residuals.finding("step_residual", "the reduced equations")
+    yield entries.finding("step_jacobian", "120-digit differences of the residual")
+
+
+def _step_arguments(point: Point, program: StepProgram) -> tuple[Any, float, Any, Any]:
+    state = np.array([point[symbol] for symbol in program.left_symbols], dtype=float)
+    numbers = numbers_of(program.model)
+    parameters = np.array([*(point[symbol] for symbol in program.model.parameters), *numbers], dtype=float)
+    return state, point[program.model.time], step_lengths(point, program), parameters
+
+
 def _interval(context: Context, program: ControlProgram, stem: str, share: IntervalElement) -> Iterator[Finding]:
+    """Compare the gradient, the cost and the Hessian of an interval with its share of the Lagrangian."""
     unknowns = program.element_symbols
     symbols = [*unknowns, *other_symbols(program)]
-    scalar, indices = function_of(symbols, [share.element]), range(len(unknowns))
-    cost = function_of(symbols, [share.cost])
+    scalar, cost = function_of(symbols, [share.element]), function_of(symbols, [share.cost])
+    tape, kind = Tape([share.element]), np.clongdouble
     first, second, steps = Agreement(), Agreement(), Agreement()
-    analytic = not share.element.has(*_NOT_ANALYTIC)
     module, pattern = context.module, pattern_of(context.module, "interval")
     names = [f"dl/d{x}" for x in unknowns]
-    local = unknowns[: len(unknowns) - len(program.shared)]
+    local, size = unknowns[: len(unknowns) - len(program.shared)], len(unknowns)
     likely = near_interval(context, program, stem)
     for point in random_points([share.element, share.cost], symbols, program.model, likely=likely):
         numbers = [point[symbol] for symbol in symbols]
         x, parameters = np.array([point[s] for s in local]), parameter_vector(point, program)
         t, h = point[program.model.time], point[STEP]
-        emitted, entries = np.empty(len(unknowns)), np.empty(len(pattern))
-        found = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, emitted)
+        slopes, entries = np.empty(size), np.empty(len(pattern))
+        emitted_cost = plain(getattr(module, f"{stem}_gradient"))(x, t, h, parameters, slopes)
         plain(getattr(module, f"{stem}_hessian"))(x, t, h, parameters, entries)
         with mpmath.workdps(DIGITS):
-            first.compare(names, emitted, gradient(scalar, numbers, indices))
-            first.compare(["Cd"], [found], cost(*map(mpmath.mpf, numbers)))
+            first.compare(names, slopes, gradient(scalar, numbers, range(size)))
+            first.compare(["Cd"], [emitted_cost], cost(*map(mpmath.mpf, numbers)))
             exact = second_differences(scalar, numbers, pattern)
-            wanted = [exact[pair] for pair in pattern]
-            second.compare([f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern], entries, wanted)
-        if analytic:
-            steps.compare(names, emitted, _complex_steps(share.element, symbols, numbers, len(unknowns)))
+            pairs = [f"d2l/d{unknowns[r]} d{unknowns[c]}" for r, c in pattern]
+            second.compare(pairs, entries, [exact[pair] for pair in pattern])
+        shifted = {symbol: np.full(size, number, kind) for symbol, number in point.items()}
+        for i, symbol in enumerate(unknowns):
+            shifted[symbol][i] += 1j * step_of(kind)
+        with np.errstate(all="ignore"):
+            (values,) = tape.evaluate(shifted, complex_numbers(kind))
+        along = np.broadcast_to(np.asarray(values, kind), size).imag / step_of(kind)
+        steps.compare(names, slopes, [mpmath.mpf(float(slope)) for slope in along])
     yield first.finding(f"{stem}_gradient", "120-digit differences of l")
-    if analytic:
-        yield steps.finding(f"{stem}_gradient", "complex steps of l")
+    yield steps.finding(f"{stem}_gradient", "complex steps of l")
     yield second.finding(f"{stem}_hessian", "120-digit second differences of l")
-
-
-def _complex_steps(scalar: Expr, symbols: Sequence[Symbol], numbers: Sequence[float], count: int) -> list[Any]:
-    function = sympy.lambdify(list(symbols), scalar, modules=[CONTINUED, "numpy"], cse=True)
-    results = []
-    for i in range(count):
-        shifted = [complex(number) for number in numbers]
-        shifted[i] += 1j * _COMPLEX_STEP
-        results.append(mpmath.mpf(float(np.imag(function(*shifted))) / _COMPLEX_STEP))
-    return results
 
 
 def _end(
     context: Context, program: ControlProgram, name: str, end: EndElement, node: Sequence[Symbol]
 ) -> Iterator[Finding]:
-    """The end's own share of the Lagrangian and its cost; entries of pinned unknowns are not emitted."""
+    """Compare the share of an end in the Lagrangian and its cost. Entries of prescribed unknowns are not emitted."""
     unknowns = [*node, *program.shared_symbols]
     symbols = [*unknowns, *other_symbols(program)]
     scalar, cost = function_of(symbols, [end.element]), function_of(symbols, [end.cost])
@@ -278,48 +199,94 @@ def _end(
     for point in random_points([end.element], symbols, program.model, likely=likely):
         numbers = [point[symbol] for symbol in symbols]
         x, t, parameters = np.array(numbers[: len(node)]), point[program.model.time], parameter_vector(point, program)
-        emitted, entries = np.zeros(len(unknowns)), np.zeros(len(pattern))
-        found = plain(getattr(module, f"{name}_gradient"))(x, t, parameters, emitted)
+        slopes, entries = np.zeros(len(unknowns)), np.zeros(len(pattern))
+        emitted_cost = plain(getattr(module, f"{name}_gradient"))(x, t, parameters, slopes)
         if pattern:
             plain(getattr(module, f"{name}_hessian"))(x, t, parameters, entries)
         with mpmath.workdps(DIGITS):
-            exact = gradient(scalar, numbers, free)
-            first.compare([f"by {unknowns[i]}" for i in free], emitted[free], exact)
-            first.compare([f"cost at the {name}"], [found], cost(*map(mpmath.mpf, numbers)))
-            lost = sorted(curved_beyond(scalar, numbers, free, pattern))
-            pairs = [*pattern, *lost]
-            wanted = second_differences(scalar, numbers, pairs)
+            first.compare([f"by {unknowns[i]}" for i in free], slopes[free], gradient(scalar, numbers, free))
+            first.compare([f"cost at the {name}"], [emitted_cost], cost(*map(mpmath.mpf, numbers)))
+            missing = sorted(curved_beyond(scalar, numbers, free, pattern))
+            pairs = [*pattern, *missing]
+            exact = second_differences(scalar, numbers, pairs)
             names = [f"by {unknowns[r]}, {unknowns[c]}" for r, c in pairs]
-            second.compare(names, [*entries, *np.zeros(len(lost))], [wanted[pair] for pair in pairs])
+            second.compare(names, [*entries, *np.zeros(len(missing))], [exact[pair] for pair in pairs])
     yield first.finding(f"{name}_gradient", "120-digit differences")
     if pattern or second.error > TOLERANCE:
         yield second.finding(f"{name}_hessian", "120-digit second differences")
 
 
+def check_couplings(context: Context, program: ControlProgram) -> Iterator[Finding]:
+    """Compare values, slopes and curvatures of all conditions between bodies with the author's expressions."""
+    if not program.couplings:
+        return
+    model, module, symbols = context.model, context.module, shared_symbols(program)
+    # A coordinate that is periodic and coupled is shared as it is at the start, without its shift.
+    shifts = dict(model.periodic)
+    shifted = {v.symbol: v.symbol + shifts.get(model.coordinates[v.coordinate], 0) for v in model.end_values}
+    written = {condition.name: condition.expression for condition in model.couplings}
+    conditions = [written[coupling.multiplier.meaning.of].xreplace(shifted) for coupling in program.couplings]
+    others = [s for s in (*program.model.parameters, *(v.symbol for v in program.boundary_values)) if s not in symbols]
+    every = [*symbols, *others]
+    functions = [function_of(every, [condition]) for condition in conditions]
+    tables = module.COUPLING_KINDS, module.COUPLING_ROWS, module.COUPLING_COUNTS, module.COUPLING_INDICES
+    values, slopes, curvatures = Agreement(), Agreement(), Agreement()
+    for point in random_points(conditions, every, program.model):
+        parameters = parameter_vector(dict.fromkeys(program.shared_symbols, 0.0) | point, program)
+        # Assemble values, slopes (conditions, shared) and curvatures (conditions, shared, shared) from the terms.
+        total, slope = np.zeros(len(conditions)), np.zeros((len(conditions), len(symbols)))
+        curvature = np.zeros((len(conditions), len(symbols), len(symbols)))
+        for kind, row, count, indices in zip(*tables, strict=True):
+            read, width = indices[:count], len(indices)
+            inputs, first, second = np.zeros(width), np.zeros(width), np.zeros(width * width)
+            inputs[:count] = [point[symbols[i]] for i in read]
+            total[row] += plain(getattr(module, f"coupling_{kind}"))(inputs, parameters, first, second)
+            np.add.at(slope[row], read, first[:count])
+            np.add.at(curvature[row], np.ix_(read, read), second[: count * count].reshape(count, count))
+        numbers = [point[s] for s in every]
+        for r, (coupling, function) in enumerate(zip(program.couplings, functions, strict=True)):
+            name = f"condition of {coupling.multiplier.name}"
+            read = [i for i, s in enumerate(symbols) if conditions[r].has(s) or slope[r][i] or curvature[r][i].any()]
+            pairs = [(i, j) for i in read for j in read]
+            with mpmath.workdps(DIGITS):
+                values.compare([name], [total[r]], function(*map(mpmath.mpf, numbers)))
+                exact = gradient(function, numbers, read)
+                slopes.compare([f"{name} by {symbols[i]}" for i in read], slope[r][read], exact)
+                # Where a condition is not curved at all, second differences are the rounding of its values.
+                least = NOTHING * max(map(abs, exact), default=0)
+                differences = second_differences(function, numbers, pairs).values()
+                curved = [value if abs(value) > least else mpmath.mpf(0) for value in differences]
+                names = [f"{name} by {symbols[i]} and {symbols[j]}" for i, j in pairs]
+                curvatures.compare(names, [curvature[r][pair] for pair in pairs], curved)
+    yield values.finding("coupling_term", "the author's conditions")
+    yield slopes.finding("slopes of coupling_term", "120-digit differences of the author's conditions")
+    yield curvatures.finding("curvatures of coupling_term", "120-digit second differences of the author's conditions")
+
+
 Pair = tuple[int, int]
 _MEASURED = 0.4
-"""What stands for everything that belongs to a sample, where all else is as at the guess."""
+"""The value of all symbols of a sample at points near the initial guess."""
 
 
 def check_sparsity(context: Context) -> Iterator[Finding]:
-    """Compare the patterns of the interval and of both ends with where second differences of l are not zero."""
+    """Compare the patterns of the interval and of both ends with the second differences of l that are not zero."""
     program = context.control
     elements = [share.element for share in program.interval_elements]
     likely = [point for stem in kernel_stems(program) for point in near_interval(context, program, stem)[:2]]
     if program.sample is not None:
         elements.append(program.sample.element)
         likely = [{**point, **dict.fromkeys(program.sample.symbols, _MEASURED)} for point in likely]
-    yield from _compared(context, program, "interval", elements, program.element_symbols, set(), likely)
+    yield from _compared_pattern(context, program, "interval", elements, program.element_symbols, set(), likely)
     for name, end, node in (
         ("start", program.start, program.left_symbols),
         ("end", program.end, program.right_symbols),
     ):
-        pinned = {index for index, _ in end.pins}
+        pinned, unknowns = {index for index, _ in end.pins}, (*node, *program.shared_symbols)
         likely = near_end(context, program, name)[:2]
-        yield from _compared(context, program, name, [end.element], (*node, *program.shared_symbols), pinned, likely)
+        yield from _compared_pattern(context, program, name, [end.element], unknowns, pinned, likely)
 
 
-def _compared(
+def _compared_pattern(
     context: Context,
     program: ControlProgram,
     name: str,
@@ -328,14 +295,13 @@ def _compared(
     pinned: set[int],
     likely: Sequence[Point],
 ) -> Iterator[Finding]:
-    """Shares of the Lagrangian that have one pattern; what is pinned counts as a number there."""
+    """Compare the pattern of shares of the Lagrangian. Pinned unknowns count as numbers."""
     symbols = [*unknowns, *other_symbols(program)]
     symbols += program.sample.symbols if program.sample is not None and name == "interval" else ()
     emitted = pattern_of(context.module, name)
     free = [index for index in range(len(unknowns)) if index not in pinned]
     missing, occupied = set[Pair](), set[Pair]()
-    seed = 7
-    points = random_points(scalars, symbols, program.model, len(likely) + 1, seed, likely)
+    points = random_points(scalars, symbols, program.model, len(likely) + 1, 7, likely)
     for function, point in product([function_of(symbols, [scalar]) for scalar in scalars], points):
         numbers = [point[symbol] for symbol in symbols]
         values = second_differences(function, numbers, emitted)
@@ -345,9 +311,12 @@ def _compared(
     if name != "interval" and not emitted and not missing:
         return
 
-    # Where differences are lost in rounding, or flat at all points, only algebra can tell.
-    missing = {pair for pair in missing if not _is_zero(scalars, unknowns, pair)}
-    needless = {pair for pair in set(emitted) - occupied if _is_zero(scalars, unknowns, pair)}
+    def vanishes(row: int, column: int) -> bool:
+        return all(identically_zero(scalar.diff(unknowns[column]).diff(unknowns[row])) for scalar in scalars)
+
+    # Algebra decides where differences are lost in rounding, or zero at all points.
+    missing = {pair for pair in missing if not vanishes(*pair)}
+    needless = {pair for pair in set(emitted) - occupied if vanishes(*pair)}
 
     def named(entries: set[Pair]) -> str:
         r, c = min(entries)
@@ -363,6 +332,144 @@ def _compared(
     yield Finding("sparsity", kernel, not needless and not repeated, wrong if needless or repeated else inside)
 
 
-def _is_zero(scalars: Sequence[Expr], unknowns: Sequence[Symbol], pair: Pair) -> bool:
-    row, column = pair
-    return all(identically_zero(scalar.diff(unknowns[column]).diff(unknowns[row])) for scalar in scalars)
+_POINTS = 40
+_LIMIT = 1e-9
+
+
+def check_tables(context: Context) -> Iterator[Finding]:
+    """Evaluate every table at random points of its range, and compare the module with scipy's spline."""
+    tables = tables_of(context.model)
+    if not tables:
+        yield does_not_apply("tables", "there are no tables")
+        return
+    parameters = np.atleast_2d(context.module.make_grid(context.model.steps).parameters)[0]
+    for table in tables:
+        shape = table.shape
+        same = np.array_equal(np.array(context.module.TABLES[shape.name]), table.numbers)
+        detail = f"{' and '.join(str(size) for size in shape.sizes)} breakpoints"
+        yield Finding("tables", f"{shape.name}: numbers", same, detail if same else f"others than in {table.source}")
+        generator = np.random.default_rng(7)
+        at = [generator.uniform(axis[0], axis[-1], _POINTS) for axis in table.axes]
+        look_up, references, worst = plain(getattr(context.module, shape.lookup)), _references(table), 0.0
+        emitted = np.array([look_up(parameters, *map(float, point)) for point in zip(*at, strict=True)])
+        for order, values in zip(ORDERS[len(at)], emitted.T, strict=True):
+            if sum(order) > 2:
+                continue
+            size = float(np.abs(table.heights[..., 0]).max())
+            for axis, o in zip(table.axes, order, strict=True):
+                size /= float(np.diff(axis).min()) ** o
+            exact = references(order, at)
+            worst = max(worst, float(np.abs(values - exact).max()) / max(float(np.abs(exact).max()), size))
+        detail = f"value and derivatives differ from scipy's spline by {worst:.1g} of their sizes"
+        yield Finding("tables", f"{shape.name}: {shape.kind}", worst <= _LIMIT, detail)
+
+
+def _references(table: TableData) -> Callable[[Sequence[int], Sequence[Any]], Any]:
+    """Return the derivatives of scipy's spline through the values of a table, as a function of order and points."""
+    kind, axes, values = table.shape.kind, table.axes, table.heights[..., 0]
+    if kind == "cubic" and len(axes) == 2:
+        surface = RectBivariateSpline(*axes, values, kx=3, ky=3, s=0)
+        return lambda order, at: surface.ev(*at, dx=order[0], dy=order[1])
+    if kind in ("cubic", "monotone"):
+        curve = (CubicSpline if kind == "cubic" else PchipInterpolator)(axes[0], values)
+        return lambda order, at: curve(at[0], nu=order[0])
+    interpolant = RegularGridInterpolator(axes, values, method="linear")
+
+    def linear(order: Sequence[int], at: Sequence[Any]) -> Any:
+        """Differentiate products of straight lines by differences across a cell, which are exact."""
+        if max(order) > 1:
+            return np.zeros_like(at[0])
+        ends, lengths = [], np.ones_like(at[0])
+        for axis, o, x in zip(axes, order, at, strict=True):
+            cell = np.searchsorted(axis, x, side="right") - 1
+            ends.append(((-1.0, axis[cell]), (1.0, axis[cell + 1])) if o else ((1.0, x),))
+            lengths = lengths * (axis[cell + 1] - axis[cell]) ** o
+        total = np.zeros_like(at[0])
+        for corner in product(*ends):
+            signs, corners = zip(*corner, strict=True)
+            total += np.prod(signs) * interpolant(np.stack(corners, axis=1))
+        return total / lengths
+
+    return linear
+
+
+_GRID = (0.1, 0.55, 0.35)
+_ROUNDING = 1e-12
+
+
+def check_measurements(context: Context) -> Iterator[Finding]:
+    """Compare numbers, times and kernels of samples, and the motion at both ends of an interval."""
+    model, program = context.model, context.control
+    assert program.sample is not None
+    for emitted, data in zip(context.module.OBSERVATIONS, model.measurements, strict=True):
+        same = np.array_equal(emitted, data.array, equal_nan=True)
+        detail = data.summary if same else f"others than in {data.source}"
+        yield Finding("measurements", f"{data.source}: numbers", same, detail)
+    yield _sample_times(context.module, model)
+    yield _motion_at_nodes(model, program, program.sample)
+    yield from _sample_kernels(context, program, program.sample)
+
+
+def _sample_times(module: Any, model: Model) -> Finding:
+    """Compare the interval and the position of every sample, on intervals of different lengths."""
+    grid, structure = module.make_grid(len(_GRID), grid=_GRID), module.problem.structure
+    nodes = np.append(0.0, np.cumsum(_GRID)) * grid.steps * grid.h
+    worst, count = 0.0, 0
+    for row, data in zip(grid.parameters, model.measurements, strict=True):
+        samples = row[structure.first_sample :].reshape(-1, structure.sample)[: len(data.rows)]
+        for (middle, fraction, *_), (time, *_) in zip(samples, data.rows, strict=True):
+            k = int(np.searchsorted(nodes, middle)) - 1
+            inside = 0 <= k < len(_GRID) and 0.0 <= fraction <= 1.0
+            error = abs(nodes[k] + fraction * (nodes[k + 1] - nodes[k]) - time) if inside else np.inf
+            worst, count = max(worst, error / nodes[-1]), count + 1
+    detail = f"{count} samples lie where they were taken, on {len(_GRID)} intervals of different lengths"
+    if not worst <= _ROUNDING:
+        detail = f"a sample is taken {worst:.2g} of the duration away from its time"
+    return Finding("measurements", "times of samples", bool(worst <= _ROUNDING), detail)
+
+
+def _motion_at_nodes(model: Model, program: ControlProgram, sample: SampleElement) -> Finding:
+    """Compare the motion inside an interval with its nodes, for measurements of states alone."""
+    subject, states = "motion inside an interval", {*model.coordinates, *model.rates}
+    for number, observed in enumerate(model.observed):
+        if not observed.expression.free_symbols <= {*states, *model.parameters}:
+            continue
+        weights = {weight: S.One if i == number else S.Zero for i, weight in enumerate(sample.weights)}
+        for end, symbols in ((S.Zero, program.left_symbols), (S.One, program.right_symbols)):
+            at = {s: node for s in states for u, node in zip(program.node, symbols, strict=True) if s.name == u.name}
+            if not observed.expression.free_symbols & states <= set(at):
+                continue
+            measured = {sample.values[number]: observed.expression.xreplace(at)}
+            if not identically_zero(sample.element.xreplace(weights | measured).subs(sample.fraction, end)):
+                which = "right" if end else "left"
+                detail = f"{observed.name} at the {which} node is not that of its state"
+                return Finding("measurements", subject, False, detail)
+    return Finding("measurements", subject, True, "at its ends it is that of the nodes, proved symbolically")
+
+
+def _sample_kernels(context: Context, program: ControlProgram, sample: SampleElement) -> Iterator[Finding]:
+    """Compare the emitted losses of a sample, their gradient and their Hessian, at random points."""
+    unknowns, pattern = program.element_symbols, pattern_of(context.module, "interval")
+    symbols, size = [*unknowns, *other_symbols(program), *sample.symbols], len(unknowns)
+    losses, module = function_of(symbols, [sample.element]), context.module
+    first, second = Agreement("measurements"), Agreement("measurements")
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    for point in random_points([sample.element], symbols, program.model):
+        x = np.array([point[s] for s in unknowns[: size - len(program.shared)]])
+        t, h = point[program.model.time], point[STEP]
+        row = np.array([*parameter_vector(point, program), t + h / 2, *(point[s] for s in sample.symbols)])
+        arguments = x, t, h, row, module.problem.structure.first_sample
+        slopes, entries, matrix = np.zeros(size), np.zeros(len(pattern)), np.zeros((size, size))
+        value = plain(module.sample_gradient)(*arguments, slopes)
+        plain(module.sample_hessian)(*arguments, entries)
+        for pair, entry in zip(pattern, entries, strict=True):
+            matrix[pair] += entry
+        numbers = [point[symbol] for symbol in symbols]
+        with mpmath.workdps(DIGITS):
+            first.compare(["the losses"], [value], losses(*map(mpmath.mpf, numbers)))
+            first.compare([f"by {symbol}" for symbol in unknowns], slopes, gradient(losses, numbers, range(size)))
+            exact = second_differences(losses, numbers, pairs)
+            names = [f"by {unknowns[i]}, {unknowns[j]}" for i, j in pairs]
+            second.compare(names, [matrix[pair] for pair in pairs], list(exact.values()))
+    yield first.finding("sample_gradient", "120-digit differences of the losses")
+    yield second.finding("sample_hessian", "120-digit second differences of the losses")

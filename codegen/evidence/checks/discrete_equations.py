@@ -1,89 +1,164 @@
-"""The derived discrete equations, divided by h, tend to the forced equations of motion as h -> 0.
+"""The derived discrete equations against the continuous problem: nodes, steps, integrals, momenta and switches.
 
-This settles the signs of forces and potentials. The discrete side is what the module was emitted from; the continuous
-side is d/dt dL/dv - dL/dq = f + G^T y with constraint forces y along the normals of holonomic constraints, Hamilton's
-equations, or x' = f, put together here. Along a smooth motion their difference must vanish like h.
+Divided by h, the discrete equations must tend to the forced equations of motion as h -> 0. This fixes the signs of
+forces and potentials. The discrete side is the source of the module. The continuous side is derived independently: the
+Euler-Lagrange equations d/dt dL/dv - dL/dq = f + G^T y, Hamilton's equations, or x' = f. The constraint forces y act
+along the normals of holonomic constraints. Along a smooth motion both sides differ by O(h). In the same way the share
+of an interval in an integral condition, divided by h, must tend to the author's integrand.
 
-Shares of an interval in conditions on integrals, divided by h, tend to the integrands as h -> 0. The discrete side is
-what the module was emitted from, the continuous side the author's integrand, in the quantities in which the problem is
-discretised. Along a motion with a constant rate their difference must vanish like h.
+Momentum matching: the discrete Euler-Lagrange equation is p_k^+ = p_k^- (Marsden and West 2001, section 1.5). The
+momenta are p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+. The ends match prescribed momenta.
 
-Momentum matching: the discrete Euler-Lagrange equation says p_k^+ = p_k^-, and the ends match prescribed momenta. With
-p_k^- = -D1 Ld(q_k, q_k1) - f- and p_k^+ = D2 Ld(q_k-1, q_k) + f+ (Marsden and West 2001, section 1.5).
+Switches: the solution must satisfy the end conditions of the earlier phase before a switch. The author's jump then
+gives the values after the switch. The first interval of the later phase must satisfy the equations of a step with these
+values. For a discrete Lagrangian these are the Legendre transforms -D1 Ld - f- = p of the momentum after the jump.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import mpmath
 import numpy as np
 import sympy
-from sympy import Expr, S, Symbol
+from sympy import Add, Expr, S, Symbol
 
 from codegen.discretise.forms import rewritten
 from codegen.discretise.interval import STEP, at_nodes, repeated, variational_interval
 from codegen.discretise.model import legendre
-from codegen.discretise.model.definitions import Boundary, Model
+from codegen.discretise.model.definitions import Model, prescribed
 from codegen.discretise.program import ControlProgram, StepProgram
-from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme, Step
-from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
-from codegen.evidence.checks.evaluation import DIGITS, function_of, random_points, vanishing
-from codegen.evidence.checks.motion import free_values
-from codegen.evidence.checks.phases import phase_contexts
+from codegen.discretise.schemes.base import DiscreteLagrangian, Scheme
+from codegen.evidence.checks.base import (
+    DIGITS,
+    Context,
+    Finding,
+    does_not_apply,
+    function_of,
+    not_measured,
+    random_points,
+)
+from codegen.evidence.checks.layout import FlatVector, other_symbols
+from codegen.evidence.checks.solution import data_at_solution
+from codegen.runtime.record import Kind
+from codegen.symbolic import checks as expressions
+from codegen.symbolic.functions import NUMPY
+from codegen.symbolic.zeros import identically_zero
 
-_STEPS = (mpmath.mpf(10) ** -20, mpmath.mpf(10) ** -22)
+_STEP = mpmath.mpf(10) ** -22
 _VANISHED = 1e-15
 
 
+def phase_contexts(context: Context) -> list[tuple[str, Context]]:
+    """Return a prefix of subjects and the context of each phase, as if the phase were a problem in its own time.
+
+    A problem without phases has one context and no prefix.
+    """
+    if not context.model.phases:
+        return [("", context)]
+    return [
+        (f"phase {i + 1}: ", replace(context, model=model, program=_phase_alone(context.control, context.model, i)))
+        for i, model in enumerate(context.model.phases)
+    ]
+
+
+def _phase_alone(program: ControlProgram, chain: Model, index: int) -> ControlProgram:
+    """Return the program of the later intervals of a phase, with t and h as times of the whole problem."""
+    phase, durations = program.phases[index], [model.duration for model in chain.phases]
+    begin, time = Add(*durations[:index]), chain.time
+    scales = {STEP: STEP / durations[index], time: index + (time - begin) / durations[index]}
+    return replace(
+        program,
+        model=chain.phases[index],
+        element=phase.regular.element.xreplace(scales),
+        cost=phase.regular.cost.xreplace(scales),
+        equations=tuple((name, value.xreplace(scales)) for name, value in phase.equations),
+        scaled_time=False,
+        phases=(),
+    )
+
+
 def check_discrete_equations(context: Context) -> Iterator[Finding]:
-    """Compare both sides at random states, one finding for each equation."""
+    """Compare both sides at random states. Each equation yields one finding."""
     model, program = context.model.with_free_ends, context.program
-    forces: list[Symbol] = []
     if program.method == "variational":
         model = legendre.lagrangian_form(model)
         names = [f"equation of motion of {q}" for q in model.coordinates]
-        forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
-        scheme = repeated(context.scheme)[1].discrete_lagrangian()
-        share = weight_of_node(scheme)
-        discrete = [e / share for e in _nodal(model, node_equations(program), program, forces, scheme)]
-        continuous = _euler_lagrange(model, forces)
-        rates: list[Symbol] = [*model.rates, *_accelerations(model), *forces]
+        discrete, continuous, rates = _node_sides(model, program, repeated(context.scheme)[1].discrete_lagrangian())
     else:
         model = legendre.hamiltonian_form(model)
         names = [f"step of {x}" for x in (*model.coordinates, *model.rates)]
-        rates = [Symbol(f"rate_{x}", real=True) for x in (*model.coordinates, *model.rates)]
-        discrete = _stepwise(model, program, rates, context.scheme)
-        continuous = _flow(model, rates)
+        discrete, continuous, rates = _step_sides(model, program, context.scheme)
     free = [parameter.symbol for parameter in model.free_parameters]
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, *free, model.time]
     symbols = list(dict.fromkeys(symbols))
     points = random_points(continuous, symbols, model)
-    for name, scheme_side, exact in zip(names, discrete, continuous, strict=True):
-        at_h, limit = function_of([*symbols, STEP], [scheme_side]), function_of(symbols, [exact])
-        gaps = []
+    for name, at_h, limit in zip(names, discrete, continuous, strict=True):
+        share, exact = function_of([*symbols, STEP], [at_h]), function_of(symbols, [limit])
+        differences, sizes = [], []
         with mpmath.workdps(DIGITS):
-            for step in _STEPS:
-                differences, sizes = [], []
-                for point in points:
-                    numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                    wanted = limit(*numbers)[0]
-                    differences.append(abs(at_h(*numbers, step)[0] / step - wanted))
-                    sizes.append(abs(wanted))
-                gaps.append(max(differences) / max(sizes))
-        passed = gaps[-1] < _VANISHED
-        detail = f"divided by h it is the forced equation of motion, up to {float(gaps[-1]):.1g} at h = 1e-22"
+            for point in points:
+                numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
+                expected = exact(*numbers)[0]
+                differences.append(abs(share(*numbers, _STEP)[0] / _STEP - expected))
+                sizes.append(abs(expected))
+            gap = max(differences) / max(sizes)
+        passed = gap < _VANISHED
+        detail = f"divided by h it is the forced equation of motion, up to {float(gap):.1g} at h = 1e-22"
         if not passed:
-            detail = f"divided by h it differs from the forced equation of motion by {float(gaps[-1]):.2g} as h -> 0"
+            detail = f"divided by h it differs from the forced equation of motion by {float(gap):.2g} as h -> 0"
         yield Finding("discrete equations", name, bool(passed), detail)
 
 
-def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], list[Expr]]:
-    """Halves of a node's discrete Euler-Lagrange equation: -p_k of the interval after it, p_k1 of the one before it.
+_Sides = tuple[list[Expr], list[Expr], list[Symbol]]
+"""The discrete and the continuous sides of equations, and the symbols of rates of a smooth motion."""
 
-    In time, also where the program measures it in fractions of a free duration.
+
+def _node_sides(model: Model, program: ControlProgram | StepProgram, scheme: DiscreteLagrangian) -> _Sides:
+    """Return both sides of the equations of a node at time t, on the motion q(t +- h) = q +- h v + h^2 a/2."""
+    q, v = model.coordinates, model.rates
+    a = [Symbol(f"acceleration_{x}", real=True) for x in q]
+    forces = [Symbol(f"constraint_force_{i}", real=True) for i in range(len(model.holonomic))]
+
+    def shifted(s: Expr) -> list[Expr]:
+        return [x + s * w + s**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
+
+    # The interval after the node, and the interval before the node.
+    sides = []
+    for half, begin in zip(_node_equations(program), (S.Zero, -STEP), strict=True):
+        motion = _constant_controls(program)
+        for suffix in ("_k", "_k1"):
+            motion |= dict(zip(_constraint_multipliers(program, suffix), forces, strict=True))
+        motion |= _along(q, scheme.nodes, lambda c, begin=begin: shifted(begin + c * STEP))
+        motion[model.time] = model.time + begin
+        sides.append([equation.xreplace(motion) for equation in half])
+
+    # A node's equation holds this part of the equation of motion, in units of h; inner points hold the rest. The node
+    # is the first point of one interval and the last point of the other.
+    def basis(node: Expr, c: Expr) -> Expr:
+        return sympy.prod([(c - other) / (node - other) for other in scheme.nodes if other != node])
+
+    shares = (basis(node, point.abscissa) * point.weight for point in scheme.points for node in (S.Zero, S.One))
+    weight = sympy.expand(sympy.Add(*shares))
+    discrete = [(after + before) / weight for after, before in zip(*sides, strict=True)]
+
+    continuous = []
+    for x, w, f in zip(q, v, model.force, strict=True):
+        momentum = sympy.diff(model.function, w)
+        rate = sympy.diff(momentum, model.time)
+        rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *a), strict=True))
+        normal = sum((y * sympy.diff(c, x) for y, c in zip(forces, model.holonomic, strict=True)), S.Zero)
+        continuous.append(sympy.diff(model.function, x) - rate + f + normal)
+    return discrete, continuous, [*v, *a, *forces]
+
+
+def _node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], list[Expr]]:
+    """Return the halves of a node's discrete Euler-Lagrange equation: -p_k of the next interval, p_k1 of the last.
+
+    The equations are in time, also if the program measures time in fractions of a free duration.
     """
     dimension = len(program.model.coordinates)
     if isinstance(program, ControlProgram):
@@ -98,253 +173,157 @@ def node_equations(program: ControlProgram | StepProgram) -> tuple[list[Expr], l
     return [-value for value in values[:dimension]], values[dimension:]
 
 
-def constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
-    """The forces along the normals of holonomic constraints at a node."""
+def _constraint_multipliers(program: ControlProgram | StepProgram, suffix: str) -> list[Symbol]:
+    """Return the forces along the normals of holonomic constraints at a node."""
     return list(at_nodes([Symbol(unknown.name) for unknown in program.holonomic_multipliers], suffix))
 
 
-def weight_of_node(scheme: DiscreteLagrangian) -> Expr:
-    """The part of the equation of motion, in units of h, that a node's equation holds; inner points hold the rest.
-
-    It comes from the interval after the node, of which this is the first point, and the one before, of which it is the
-    last.
-    """
-
-    def basis(own: Expr, c: Expr) -> Expr:
-        return sympy.prod([(c - node) / (own - node) for node in scheme.nodes if node != own])
-
-    shares = (basis(own, point.abscissa) * point.weight for point in scheme.points for own in (S.Zero, S.One))
-    return sympy.expand(sympy.Add(*shares))
+def _along(
+    symbols: Sequence[Symbol], abscissae: Sequence[Expr], at: Callable[[Expr], list[Expr]]
+) -> dict[Symbol, Expr]:
+    """Return the values of symbols at the left node, at stages and at the right node of an interval."""
+    suffixes = ("_k", *(f"_stage{i}" for i in range(1, len(abscissae) - 1)), "_k1")
+    pairs = zip(suffixes, abscissae, strict=True)
+    return {site: x for suffix, c in pairs for site, x in zip(at_nodes(symbols, suffix), at(c), strict=True)}
 
 
-def inner_motion(model: Model, scheme: DiscreteLagrangian, before: bool) -> dict[Symbol, Expr]:
-    """Inner points of the interval after a node at time t, or before it, on q(t + s) = q + s v + s^2 a/2."""
-    substitution: dict[Symbol, Expr] = {}
-    for i, c in enumerate(scheme.nodes[1:-1], start=1):
-        s = STEP * (c - 1 if before else c)
-        motion = zip(model.coordinates, model.rates, _accelerations(model), strict=True)
-        substitution |= {
-            site: x + s * w + s**2 * b / 2
-            for site, (x, w, b) in zip(at_nodes(model.coordinates, f"_stage{i}"), motion, strict=True)
-        }
-    return substitution
+def _straight(symbols: Sequence[Symbol], rates: Sequence[Symbol], c: Expr) -> list[Expr]:
+    """Return x + c h x' for each symbol."""
+    return [x + c * STEP * rate for x, rate in zip(symbols, rates, strict=True)]
 
 
-def _nodal(
-    model: Model,
-    halves: tuple[list[Expr], list[Expr]],
-    program: ControlProgram | StepProgram,
-    forces: Sequence[Symbol],
-    scheme: DiscreteLagrangian,
-) -> list[Expr]:
-    """The equations of a node on the motion q(t +- h) = q +- h v + h^2 a/2, with the node at time t."""
-    after, before = halves
-    q, v, a = model.coordinates, model.rates, _accelerations(model)
-    left, right = at_nodes(q, "_k"), at_nodes(q, "_k1")
-    earlier = [x - STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
-    later = [x + STEP * w + STEP**2 * b / 2 for x, w, b in zip(q, v, a, strict=True)]
-    controls = constant_controls(program)
-    controls |= {
-        site: force
-        for suffix in ("_k", "_k1")
-        for site, force in zip(constraint_multipliers(program, suffix), forces, strict=True)
-    }
-    going = {**dict(zip(left, q, strict=True)), **dict(zip(right, later, strict=True)), **controls}
-    coming = {**dict(zip(left, earlier, strict=True)), **dict(zip(right, q, strict=True)), **controls}
-    coming[model.time] = model.time - STEP
-    going |= inner_motion(model, scheme, before=False)
-    coming |= inner_motion(model, scheme, before=True)
-    return [e.xreplace(going) + f.xreplace(coming) for e, f in zip(after, before, strict=True)]
+def _constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
+    """Return constant controls at nodes, intervals or stages."""
+    return {site: u for u in program.model.controls for site in program.controls_of(u)}
 
 
-def _euler_lagrange(model: Model, forces: Sequence[Symbol]) -> list[Expr]:
-    """L_q - d/dt L_v + f, and the forces of holonomic constraints along their normals."""
-    function, q, v, a = model.function, model.coordinates, model.rates, _accelerations(model)
-    equations = []
-    for x, w, f in zip(q, v, model.force, strict=True):
-        momentum = sympy.diff(function, w)
-        rate = sympy.diff(momentum, model.time)
-        rate += sum(sympy.diff(momentum, y) * z for y, z in zip((*q, *v), (*v, *a), strict=True))
-        normal = sum((y * sympy.diff(c, x) for y, c in zip(forces, model.holonomic, strict=True)), sympy.S.Zero)
-        equations.append(sympy.diff(function, x) - rate + f + normal)
-    return equations
+def _step_sides(model: Model, program: ControlProgram | StepProgram, scheme: Scheme) -> _Sides:
+    """Return both sides of the equations of a step, for each state, on the motion x(t + s h) = x + s h x'.
 
-
-def _stepwise(
-    model: Model, program: ControlProgram | StepProgram, rates: Sequence[Symbol], scheme: Scheme
-) -> list[Expr]:
-    """What leads from the left to the right node on the motion x(t + s h) = x + s h x', for each state.
-
-    That is the sum over the substeps of a chain; else over the updates by which the right node follows from the left
-    one, of which a Runge-Kutta method has one. The substeps of a composition that is stepped are made equal.
+    The discrete side is the sum over the substeps of a chain. Else it is the sum over the updates from the left node to
+    the right node; a Runge-Kutta method has one update. The substeps of a composition have equal lengths.
     """
     states, equal = (*model.coordinates, *model.rates), dict[Symbol, Expr]()
+    rates = [Symbol(f"rate_{x}", real=True) for x in states]
     if isinstance(program, StepProgram):
         lengths, scheme = repeated(scheme)
         equal = {length: STEP / len(lengths) for length in lengths}
         equations = [equation for _, equation in program.equations]
     else:
         equations = [program.in_time(equation) for name, equation in program.equations if name == "0"]
-    size, abscissae = len(states), scheme.step().abscissae
-    substitution: dict[Symbol, Expr] = constant_controls(program)
-    suffixes = ("_k", *(f"_stage{n}" for n in range(1, len(abscissae))), "_k1")
-    for suffix, c in zip(suffixes, (S.Zero, *abscissae), strict=True):
-        sites = zip(at_nodes(states, suffix), states, rates, strict=True)
-        substitution |= {site: x + c * STEP * rate for site, x, rate in sites}
-    leading = (
-        [equations[i::size] for i in range(size)] if scheme.is_chain else _updates(scheme.step(), model, equations)
-    )
-    return [sum(parts, S.Zero).xreplace(substitution).xreplace(equal) for parts in leading]
+    size, step = len(states), scheme.step()
+    motion: dict[Symbol, Expr] = _constant_controls(program)
+    motion |= _along(states, (S.Zero, *step.abscissae), partial(_straight, states, rates))
+    if scheme.is_chain:
+        sums = [equations[i::size] for i in range(size)]
+    else:
+        kinds = [step.positions] * len(model.coordinates) + [step.momenta] * len(model.rates)
+        written = [(n, i) for n in range(len(step.positions)) for i, kind in enumerate(kinds) if kind[n]]
+        number, sums = {update: index for index, update in enumerate(written)}, list[list[Expr]]()
+        for i, kind in enumerate(kinds):
+            state, parts = len(kind), list[Expr]()
+            while state and (update := kind[state - 1]):
+                parts.append(equations[number[state - 1, i]])
+                state = update.begin
+            sums.append(parts)
+    discrete = [sum(parts, S.Zero).xreplace(motion).xreplace(equal) for parts in sums]
 
-
-def _updates(step: Step, model: Model, equations: Sequence[Expr]) -> list[list[Expr]]:
-    """For each state, the equations of the updates that lead to the right node from the left one."""
-    kinds = [step.positions] * len(model.coordinates) + [step.momenta] * len(model.rates)
-    written = [(n, i) for n in range(len(step.positions)) for i, kind in enumerate(kinds) if kind[n]]
-    number, found = {place: index for index, place in enumerate(written)}, list[list[Expr]]()
-    for i, kind in enumerate(kinds):
-        state, parts = len(kind), list[Expr]()
-        while state and (update := kind[state - 1]):
-            parts.append(equations[number[state - 1, i]])
-            state = update.begin
-        found.append(parts)
-    return found
-
-
-def _flow(model: Model, rates: Sequence[Symbol]) -> list[Expr]:
-    """The left sides of q' - dH/dp = 0 and p' + dH/dq - f = 0, or of x' - f(x, u, t) = 0."""
-    if model.form == "first-order":
-        return [rate - f for rate, f in zip(rates, model.dynamics, strict=True)]
-    half = len(model.coordinates)
-    first = [rate - sympy.diff(model.function, p) for rate, p in zip(rates[:half], model.rates, strict=True)]
+    if model.form == "first-order":  # x' - f(x, u, t) = 0
+        return discrete, [rate - f for rate, f in zip(rates, model.dynamics, strict=True)], rates
+    half = len(model.coordinates)  # q' - dH/dp = 0 and p' + dH/dq - f = 0
+    continuous = [rate - sympy.diff(model.function, p) for rate, p in zip(rates[:half], model.rates, strict=True)]
     pairs = zip(rates[half:], model.coordinates, model.force, strict=True)
-    return first + [rate + sympy.diff(model.function, q) - f for rate, q, f in pairs]
-
-
-def _accelerations(model: Model) -> list[Symbol]:
-    return [Symbol(f"acceleration_{q}", real=True) for q in model.coordinates]
-
-
-def constant_controls(program: ControlProgram | StepProgram) -> dict[Symbol, Expr]:
-    """Constant controls, wherever they live."""
-    return {site: u for u in program.model.controls for site in program.controls_of(u)}
-
-
-_STEP = mpmath.mpf(10) ** -22
+    continuous += [rate + sympy.diff(model.function, q) - f for rate, q, f in pairs]
+    return discrete, continuous, rates
 
 
 def check_integrals(context: Context) -> Iterator[Finding]:
-    """One finding for each condition, at random states."""
-    original = context.control.model  # that of a phase is as its author wrote it
+    """Compare shares and integrands at random states. Each integral condition yields one finding."""
+    original = context.control.model  # the model of a phase is as its author wrote it
     transform = legendre.lagrangian_form if context.control.method == "variational" else legendre.hamiltonian_form
     model = rewritten(original, transform(original.with_free_ends))
     program = replace(context.control, model=model)
-    substitution, rates = _smooth_motion(context, program)
+
+    # The unknowns of an interval on a motion with constant rates and controls.
+    motion = _constant_controls(program)
+    if program.method == "variational":
+        rates, nodes = list(model.rates), repeated(context.scheme)[1].discrete_lagrangian().nodes
+        motion |= _along(model.coordinates, nodes, partial(_straight, model.coordinates, rates))
+    else:
+        states = (*model.coordinates, *model.rates)
+        rates, by_name = [Symbol(f"rate_{x}", real=True) for x in states], {x.name: x for x in states}
+        inner = [s for s in program.interval_symbols if "_stage" in s.name]
+        motion |= {s: by_name[s.name.rpartition("_stage")[0]] for s in inner}
+        motion |= _along(states, (S.Zero, S.One), partial(_straight, states, rates))
     symbols = [*model.coordinates, *model.rates, *rates, *model.controls, *model.parameters, model.time]
-    symbols += [free.symbol for free in model.free_parameters]
-    symbols += sorted({s for value in substitution.values() for s in value.free_symbols} - {*symbols, STEP}, key=str)
-    symbols = list(dict.fromkeys(symbols))
-    written = dict(program.equations)
+    symbols = list(dict.fromkeys([*symbols, *(free.symbol for free in model.free_parameters)]))
+    equations = dict(program.equations)
     for number, integral in enumerate(model.integrals, start=1):
-        integrand, quadrature = integral.expression, program.in_time(written[f"Gd_{number}"]).xreplace(substitution)
-        share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integrand])
+        quadrature = program.in_time(equations[f"Gd_{number}"]).xreplace(motion)
+        share, limit = function_of([*symbols, STEP], [quadrature]), function_of(symbols, [integral.expression])
         gap = mpmath.mpf(0)
         with mpmath.workdps(DIGITS):
-            for point in random_points([integrand], symbols, model):
+            for point in random_points([integral.expression], symbols, model):
                 numbers = [mpmath.mpf(point[symbol]) for symbol in symbols]
-                wanted = limit(*numbers)[0]
-                gap = max(gap, abs(share(*numbers, _STEP)[0] / _STEP - wanted) / max(1, abs(wanted)))
+                expected = limit(*numbers)[0]
+                gap = max(gap, abs(share(*numbers, _STEP)[0] / _STEP - expected) / max(1, abs(expected)))
         passed = gap < _VANISHED
         verb = "is" if passed else "differs from"
         detail = f"divided by h an interval's share {verb} the integrand, up to {float(gap):.1g} at h = 1e-22"
         yield Finding("integrals", str(integral), bool(passed), detail)
 
 
-def _smooth_motion(context: Context, program: ControlProgram) -> tuple[dict[Symbol, Expr], list[Symbol]]:
-    """Values of the unknowns of an interval on a motion with constant rates and controls, and the symbols of rates."""
-    model, substitution = program.model, dict[Symbol, Expr]()
-    if program.method == "variational":
-        states, rates = model.coordinates, list(model.rates)
-        substitution |= inner_motion(model, repeated(context.scheme)[1].discrete_lagrangian(), before=False)
-    else:
-        states = (*model.coordinates, *model.rates)
-        rates = [Symbol(f"rate_{x}", real=True) for x in states]
-        stages = {x.name: x for x in states}
-        inner = [s for s in program.interval_symbols if "_stage" in s.name]
-        substitution |= {s: stages[s.name.rpartition("_stage")[0]] for s in inner}
-    substitution |= dict(zip(at_nodes(states, "_k"), states, strict=True))
-    substitution |= {site: x + STEP * v for site, x, v in zip(at_nodes(states, "_k1"), states, rates, strict=True)}
-    return substitution | constant_controls(program), rates
-
-
 _MATCHED = 1e-9
 
 
 def check_momentum_matching(context: Context) -> Iterator[Finding]:
-    """Check the symbolic identity, the sign of the transforms, and momenta of a computed motion at both ends."""
+    """Check the symbolic identity, the sign of the transforms, and momenta of a solution at both ends."""
     program = context.program
     if program.method != "variational":
         yield does_not_apply("momentum matching", f"the {program.method} method has no discrete Lagrangian")
         return
-    for phase, own in phase_contexts(context):
-        model = legendre.lagrangian_form(own.model.with_free_ends)
-        for finding in (*_matching(own, model), *_limits(own, model)):
+    for phase, part in phase_contexts(context):
+        model = legendre.lagrangian_form(part.model.with_free_ends)
+        for finding in (*_matching(part, model), *_limits(part, model)):
             yield replace(finding, subject=f"{phase}{finding.subject}")
     if isinstance(program, ControlProgram):
-        yield from _ends(context)
+        yield from _end_momenta(context)
 
 
 def _matching(context: Context, model: Model) -> Iterator[Finding]:
-    """The emitted equation of a node against the gradient of the action of its two intervals."""
-    _, scheme = repeated(context.scheme)
-    interval = variational_interval(model, scheme, context.choices.controls)
-    after, before = node_equations(context.program)
-    left, right = _constraint_impulses(context.program, model)
+    """Compare the emitted equation of a node with the gradient of the action of its two intervals."""
+    interval = variational_interval(model, repeated(context.scheme)[1], context.choices.controls)
+    after, before = _node_equations(context.program)
+    # Impulses of holonomic constraints in half an interval: h/2 G^T kappa at the left and at the right node.
+    impulses = []
+    for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
+        node = dict(zip(model.coordinates, at_nodes(model.coordinates, suffix), strict=True)) | {model.time: instant}
+        pairs = list(zip(_constraint_multipliers(context.program, suffix), model.holonomic, strict=True))
+        impulses.append(
+            [sum((STEP / 2 * y * sympy.diff(c, q).xreplace(node) for y, c in pairs), S.Zero) for q in model.coordinates]
+        )
     for i, q in enumerate(model.coordinates):
-        minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i]
-        plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i]
-        minus, plus = minus - left[i], plus + right[i]
-        known = [vanishing(before[i] - plus), vanishing(after[i] + minus)]
-        passed = all(known)
-        detail = f"its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, {max(known, key=len)}"
+        minus = -sympy.diff(interval.lagrangian, interval.q.left[i]) - interval.force_minus[i] - impulses[0][i]
+        plus = sympy.diff(interval.lagrangian, interval.q.right[i]) + interval.force_plus[i] + impulses[1][i]
+        passed = identically_zero(before[i] - plus) and identically_zero(after[i] + minus)
+        detail = "its discrete Euler-Lagrange equation is p_k^+ - p_k^- = 0, proved symbolically"
         if not passed:
             detail = "its emitted equation is not p_k^+ - p_k^- = 0 with p_k^- = -D1 Ld - f-, p_k^+ = D2 Ld + f+"
         yield Finding("momentum matching", f"node equation of {q}", passed, detail)
 
 
-def _constraint_impulses(program: ControlProgram | StepProgram, model: Model) -> tuple[list[Expr], list[Expr]]:
-    """Impulses of holonomic constraints in half an interval: h/2 G^T kappa at its left and at its right node."""
-    impulses = []
-    for suffix, instant in (("_k", model.time), ("_k1", model.time + STEP)):
-        here = at_nodes(model.coordinates, suffix)
-        substitution = dict(zip(model.coordinates, here, strict=True)) | {model.time: instant}
-        pairs = list(zip(constraint_multipliers(program, suffix), model.holonomic, strict=True))
-        impulses.append(
-            [
-                sum((STEP / 2 * y * sympy.diff(c, q).xreplace(substitution) for y, c in pairs), sympy.S.Zero)
-                for q in model.coordinates
-            ]
-        )
-    return impulses[0], impulses[1]
-
-
 def _limits(context: Context, model: Model) -> Iterator[Finding]:
-    """Both discrete momenta tend to dL/dv as h -> 0; a lost sign would show here."""
-    after, before = node_equations(context.program)
+    """Check that both discrete momenta tend to dL/dv as h -> 0. A wrong sign is visible here."""
+    after, before = _node_equations(context.program)
     q, v = model.coordinates, model.rates
-    sites = [Symbol(f"{x}_k", real=True) for x in q], [Symbol(f"{x}_k1", real=True) for x in q]
-    arrival: dict[Symbol, Expr] = dict(zip(sites[0], q, strict=True))
-    arrival |= {site: x + STEP * w for site, x, w in zip(sites[1], q, v, strict=True)}
     nodes = repeated(context.scheme)[1].discrete_lagrangian().nodes
-    for i, c in enumerate(nodes[1:-1], start=1):
-        arrival |= {site: x + c * STEP * w for site, x, w in zip(at_nodes(q, f"_stage{i}"), q, v, strict=True)}
-    arrival |= constant_controls(context.program)
+    motion = _constant_controls(context.program) | _along(q, nodes, partial(_straight, q, v))
     free = [parameter.symbol for parameter in model.free_parameters]
-    forces = [s for suffix in ("_k", "_k1") for s in constraint_multipliers(context.program, suffix)]
+    forces = [s for suffix in ("_k", "_k1") for s in _constraint_multipliers(context.program, suffix)]
     symbols = [*q, *v, *model.controls, *model.parameters, *free, *forces, model.time]
     for i, x in enumerate(q):
         momentum = sympy.diff(model.function, v[i])
-        function = function_of([*symbols, STEP], [e.xreplace(arrival) for e in (-after[i], before[i])])
+        function = function_of([*symbols, STEP], [e.xreplace(motion) for e in (-after[i], before[i])])
         limit, worst = function_of(symbols, [momentum]), mpmath.mpf(0)
         with mpmath.workdps(DIGITS):
             for point in random_points([momentum, *model.force], symbols, model, count=2):
@@ -359,29 +338,30 @@ def _limits(context: Context, model: Model) -> Iterator[Finding]:
         yield Finding("momentum matching", f"discrete momenta of {x}", passed, detail)
 
 
-def _ends(context: Context) -> Iterator[Finding]:
-    """Momenta of the generated solution at its ends against D2 L(q, v) of the prescribed positions and velocities."""
-    phases = context.model.phases or (context.model,)
-    first, last = (
-        legendre.lagrangian_form(model) for model in (phases[0], replace(phases[-1], duration=context.model.duration))
-    )
+def _end_momenta(context: Context) -> Iterator[Finding]:
+    """Compare momenta of the solution at its ends with dL/dv at the prescribed positions and velocities."""
+    model, solution, width = context.model, context.solution, len(context.model.coordinates)
+    phases = model.phases or (model,)
+    first = legendre.lagrangian_form(phases[0])
+    last = legendre.lagrangian_form(replace(phases[-1], duration=model.duration))
     assert last.end is not None
-    model = context.model
-    solution, module, width = context.solution, context.module, len(model.coordinates)
     if solution.status != "solved":
         yield not_measured("momentum matching", "momenta at the ends", solution.message)
         return
-    values: dict[Symbol, Any] = dict(model.default_values)
-    values |= dict(zip((p.symbol for p in model.free_parameters), free_values(module, solution), strict=True))
-    for where, own, boundary, row in (("start", first, first.start, 0), ("end", last, last.end, -1)):
-        instant = 0.0 if where == "start" else float(solution.t[-1])
-        errors: dict[str, float] = {}
+    data = data_at_solution(context)
+    for where, side, boundary, row in (("start", first, first.start, 0), ("end", last, last.end, -1)):
+        instant, errors = 0.0 if where == "start" else float(solution.t[-1]), dict[str, float]()
+        boundary_values = (*boundary.positions, *boundary.rates)
         for body in range(model.bodies):
-            known = values | ({model.body: body} if model.body is not None else {})
             of_body = f" of body {body}" if model.bodies > 1 else ""
-            for i, (name, p) in _prescribed(own, boundary, known, instant).items():
-                found = float(solution.p[row, body * width + i])
-                errors[f"{name}{of_body}"] = abs(found - p) / max(1.0, abs(p))
+            values = data | ({model.body: body} if model.body is not None else {})
+            pairs = zip((*side.coordinates, *side.rates), boundary_values, strict=True)
+            states = {side.time: instant} | {s: value.subs(values) for s, value in pairs if value is not None}
+            for i, (q, v) in enumerate(zip(side.coordinates, side.rates, strict=True)):
+                momentum = sympy.diff(side.function, v).subs(states).subs(values)
+                if boundary.rates[i] is not None and not momentum.free_symbols:
+                    p = float(np.float64(momentum.evalf()))
+                    errors[f"{q.name}{of_body}"] = abs(float(solution.p[row, body * width + i]) - p) / max(1.0, abs(p))
         if not errors:
             continue
         worst = max(errors, key=lambda name: errors[name])
@@ -392,16 +372,96 @@ def _ends(context: Context) -> Iterator[Finding]:
         yield Finding("momentum matching", f"momenta at the {where}", passed, detail)
 
 
-def _prescribed(
-    model: Model, boundary: Boundary, values: dict[Symbol, Any], instant: float
-) -> dict[int, tuple[str, float]]:
-    """Index, name and value of every momentum that the prescribed values of an end determine."""
-    symbols: Sequence[Symbol] = (*model.coordinates, *model.rates)
-    given = zip(symbols, (*boundary.positions, *boundary.rates), strict=True)
-    known = {model.time: instant} | {symbol: value.subs(values) for symbol, value in given if value is not None}
-    found = {}
-    for i, (q, v) in enumerate(zip(model.coordinates, model.rates, strict=True)):
-        momentum = sympy.diff(model.function, v).subs(known).subs(values)
-        if boundary.rates[i] is not None and not momentum.free_symbols:
-            found[i] = (q.name, float(np.float64(momentum.evalf())))
-    return found
+_HELD = 1e-8
+
+Numbers = dict[Symbol, float]
+
+
+def check_switches(context: Context) -> Iterator[Finding]:
+    """Evaluate conditions before every switch, and the equations of the interval after the switch."""
+    if not context.model.phases:
+        yield does_not_apply("switches", "there is a single phase")
+        return
+    program, solution = context.control, context.solution
+    if solution.status != "solved":
+        yield not_measured("switches", "all switches", solution.message)
+        return
+    steps = (solution.t.size - 1) // len(program.phases)
+    for number in range(1, len(program.phases)):
+        before = _values_before(context, number, number * steps)
+        yield _end_of_phase(context.model.phases[number - 1], before, number)
+        yield _begin_of_phase(context, program, before, number, number * steps)
+
+
+def _values_before(context: Context, number: int, node: int) -> Numbers:
+    """Return parameters, and the author's coordinates and rates before a switch."""
+    chain, solution = context.model, context.solution
+    model = chain.phases[number - 1].with_free_ends
+    numbers: Numbers = data_at_solution(context) | {chain.time: float(solution.t[node])}
+    numbers |= dict(zip(model.coordinates, map(float, solution.q[node]), strict=True))
+    momenta = list(map(float, solution.p[node][: len(model.rates)]))
+    if model.form != "lagrangian":
+        return numbers | dict(zip(model.rates, momenta, strict=True))
+    phase_space = numbers | dict(zip(legendre.conjugate_symbols(model), momenta, strict=True))
+    velocities = (_number(v, phase_space) for v in legendre.velocity_of_momentum(model))
+    return numbers | dict(zip(model.rates, velocities, strict=True))
+
+
+def _end_of_phase(model: Model, before: Numbers, number: int) -> Finding:
+    """Evaluate the conditions at the end of the earlier phase."""
+    ends = prescribed(model, "end").items()
+    conditions = {f"{symbol} = {sympy.sstr(value)}": symbol - value for symbol, value in ends}
+    conditions |= {c.name: c.expression for c in model.end_conditions if c.equality}
+    errors = [abs(_number(value, before)) for value in conditions.values()]
+    subject = f"switch {number}, before it"
+    if not errors:
+        return Finding("switches", subject, True, f"phase {number} says nothing of its end")
+    passed = max(errors) <= _HELD * max(1.0, *map(abs, before.values()))
+    return Finding("switches", subject, passed, f"{', '.join(conditions)}: up to {max(errors):.1g}")
+
+
+def _begin_of_phase(context: Context, program: ControlProgram, before: Numbers, number: int, node: int) -> Finding:
+    """Evaluate the equations of the first interval of the later phase with the values after the jump."""
+    chain, module, solution = context.model, context.module, context.solution
+    jumps = chain.jumps[number - 1]
+    after = before | {symbol: _number(value, before) for symbol, value in jumps}
+    model, alone = chain.phases[number], _phase_alone(program, chain, number)
+    values = {symbol.name: value for symbol, value in after.items()}
+    if model.form == "lagrangian":
+        slopes = [_number(sympy.diff(model.function, v), after) for v in model.rates]
+        values |= {f"p_{q}": slope for q, slope in zip(model.coordinates, slopes, strict=True)}
+    flat = FlatVector(program, solution.t.size - 1)
+    unknowns = solution.unknowns[flat.element(0, node)]
+    for index, unknown in enumerate(program.node):
+        if not unknown.multiplier:
+            unknowns[index] = values.get(unknown.name, unknowns[index])
+    step = float(solution.t[node + 1] - solution.t[node])
+    parameters = module.make_grid((solution.t.size - 1) // len(program.phases)).parameters[0]
+    others = [*parameters[: len(other_symbols(program)) - 2], float(solution.t[node]), step]
+    # The factors of multipliers in the Lagrangian: -p_k of an interval, or the equations of a step.
+    momenta: list[float] = []
+    if program.method == "variational":
+        size = len(model.coordinates)
+        multipliers = alone.left_symbols[size : 2 * size]
+        names = [p.name for p in model.rates] if model.form == "hamiltonian" else [f"p_{q}" for q in model.coordinates]
+        momenta = [values[name] for name in names]
+    else:
+        kinds = zip(alone.interval, alone.interval_symbols, strict=True)
+        multipliers = tuple(symbol for u, symbol in kinds if u.kind is Kind.STEP)
+    equations = [sympy.diff(alone.element, multiplier) for multiplier in multipliers]
+    function = sympy.lambdify([*alone.element_symbols, *other_symbols(program)], equations, NUMPY)
+    residuals = np.array(function(*unknowns, *others), dtype=float)
+    residuals[: len(momenta)] += momenta
+    error = float(np.abs(residuals).max())
+    passed = error <= _HELD * max(1.0, float(np.abs(unknowns).max()))
+    jump = ", ".join(f"{symbol} -> {sympy.sstr(value)}" for symbol, value in jumps) or "no jump"
+    detail = f"{jump}: the next interval begins with these values, up to {error:.1g}"
+    if not passed:
+        detail = f"{jump}: the equations of the next interval do not hold with these values, by {error:.2g}"
+    return Finding("switches", f"switch {number}, after it", passed, detail)
+
+
+def _number(expression: Expr, at: Mapping[Symbol, Any]) -> float:
+    """Return the value of an expression; infinity if there is none."""
+    value = expressions.rounded_at(expression, at)
+    return float("inf") if value is None else value

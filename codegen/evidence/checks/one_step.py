@@ -1,38 +1,47 @@
-"""The equations of one step of any scheme in phase space, and the derivative of the map that they define.
+"""Properties of the map of one step: order, symplecticity, areas, conserved momenta, and the midpoint rule.
 
-The determinant of the one-step map of every scheme, for a system with one degree of freedom. By implicit
-differentiation of the equations of a step: with E(z0, y) = 0, y the unknowns, Dy = -(dE/dy)^-1 dE/dz0. Source: Hairer,
+Derivative: with the equations E(z0, y) = 0 of a step and its unknowns y, Dy = -(dE/dy)^-1 dE/dz0. Source: Hairer,
 Lubich and Wanner (2006), Geometric numerical integration, section VI.2.
 
-Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved where no force acts on it. Source:
-Marsden and West (2001), section 1.3.3. For a translation of q_i the infinitesimal symmetry of Ld is D1 Ld + D2 Ld = 0
-in that component, which is p_k = p_k1.
+Symplecticity: S^T J S = J for the derivative S of the map, or a violation if the scheme does not claim it. With
+dE/dz0 = A and dE/dz1 = B, S = -B^-1 A, and the identity is equivalent to A J A^T = B J B^T. This form has no inverse
+and can often be decided symbolically. For one degree of freedom, the determinant of the map is compared for every
+scheme.
 
-Symplecticity of the one-step map: S^T J S = J for its derivative S, or a violation where it is not claimed. With dE/dz0
-= A and dE/dz1 = B in the equations E(z0, z1) = 0 of a step, S = -B^-1 A, and the identity is equivalent to A J A^T = B
-J B^T, which holds no inverse and is decided symbolically where it can be. Source: Hairer, Lubich and Wanner (2006),
-Geometric numerical integration, section VI.2.
+Discrete Noether theorem: a cyclic coordinate's discrete momentum is conserved without forces. For a translation of q_i
+the infinitesimal symmetry of Ld is D1 Ld + D2 Ld = 0 in that component, so p_k = p_k1. Source: Marsden and West (2001),
+Discrete mechanics and variational integrators, section 1.3.3.
+
+Order: one step and the exact flow are expanded in powers of h, for a generic forced, time-dependent system with
+rational coefficients. The arithmetic is exact, so that agreement and disagreement are proved. The exact flow is
+expanded by its Lie series. The expansion is too long for compositions and for stages that depend on each other. Their
+order is measured by the errors of two short steps in arithmetic of many digits.
+
+The midpoint rule is the discrete Hamiltonian map of Ld = h L(midpoint), forces included (Marsden and West, 2.6).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import mpmath
 import sympy
-from sympy import Expr, Matrix, S, Symbol
+from sympy import Expr, Matrix, Rational, S, Symbol
 
-from codegen.discretise.interval import STEP, at_nodes, one_step_interval, repeated, variational_interval
+from codegen.discretise import schemes
+from codegen.discretise.interval import STEP, at_nodes, between, one_step_interval, repeated, variational_interval
 from codegen.discretise.model import legendre
 from codegen.discretise.model.definitions import Model
 from codegen.discretise.model.from_problem import normalise
 from codegen.discretise.schemes import METHODS
 from codegen.discretise.schemes.base import Scheme, Tableau
+from codegen.discretise.simulation import phase_functions
 from codegen.errors import DegenerateError, NumericsError
-from codegen.evidence.checks.base import Context, Finding, does_not_apply
-from codegen.evidence.checks.evaluation import Function, function_of, random_points, symbols_of, vanishing
+from codegen.evidence.analysis.modified_equations import vector_field
+from codegen.evidence.checks.base import Context, Finding, Function, does_not_apply, function_of, random_points
 from codegen.problem.problem import Simulate
 from codegen.problem.symbols import coordinate, time
 from codegen.symbolic.zeros import identically_zero
@@ -44,8 +53,8 @@ _MOST_ITERATIONS = 60
 class StepEquations:
     """Expressions that vanish in a step from `left` = (q_k, p_k) over inner `stages` to `right` = (q_k1, p_k1).
 
-    Of a composition they are those of one step of its base, which depend on `lengths`; `fractions` has them for each
-    step of the base, in parts of the whole.
+    The equations of a composition are those of one step of its base, which depend on `lengths`. `fractions` has the
+    relative lengths for each step of the base.
     """
 
     left: tuple[Symbol, ...]
@@ -57,11 +66,11 @@ class StepEquations:
 
     @property
     def unknowns(self) -> tuple[Symbol, ...]:
-        """What a step determines."""
+        """The unknowns of a step."""
         return (*self.stages, *self.right)
 
     def links(self) -> list[tuple[tuple[Symbol, ...], tuple[Symbol, ...], tuple[Expr, ...]]]:
-        """The step as a chain of substeps from one state to the next; one link when it is no such chain."""
+        """Return the step as a chain of substeps from one state to the next; one link if the step is no chain."""
         size = len(self.left)
         whole = (*self.left, *self.unknowns)
         chain = [whole[i : i + size] for i in range(0, len(whole), size)]
@@ -74,9 +83,9 @@ class StepEquations:
 
 
 def step_equations(model: Model, scheme: Scheme) -> StepEquations:
-    """Write one step: the equations of a one-step method, or a discrete Lagrangian's balances and Legendre transforms.
+    """Return the equations of a one-step method, or the balances and Legendre transforms of a discrete Lagrangian.
 
-    Raises what the Legendre transforms raise.
+    Raises the errors of the Legendre transforms.
     """
     model = model.with_free_ends
     lengths, part = repeated(scheme)
@@ -95,19 +104,23 @@ def step_equations(model: Model, scheme: Scheme) -> StepEquations:
     return StepEquations(left, interval.inner, right, tuple(equations), lengths, scheme.parts)
 
 
-def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], start: Sequence[Any]) -> list[Any]:
-    """The unknowns of a step by Newton's method in mpmath's current precision, from `start`.
+def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequence[Expr]) -> tuple[Matrix, Matrix]:
+    """Return derivatives of equations by the state before and the unknowns after a step."""
+    column = Matrix(list(equations))
+    return column.jacobian(list(left)), column.jacobian(list(right))
 
-    `residual` and `jacobian` (row by row) are functions of `given` and the unknowns. Raises NumericsError where the
-    method does not converge.
+
+def solved_step(residual: Function, jacobian: Function, data: Sequence[Any], start: Sequence[Any]) -> list[Any]:
+    """Return the unknowns of a step by Newton's method in mpmath's current precision, from `start`.
+
+    `residual` and `jacobian` (row by row) are functions of `data` and the unknowns. Raises NumericsError if the
+    iteration does not converge.
     """
-    y, count = [mpmath.mpf(x) for x in start], len(start)
+    y = [mpmath.mpf(x) for x in start]
     least = mpmath.mpf(10) ** (8 - mpmath.mp.dps)
     for _ in range(_MOST_ITERATIONS):
-        entries = jacobian(*given, *y)
-        matrix = mpmath.matrix([entries[i : i + count] for i in range(0, count**2, count)])
         try:
-            change = mpmath.lu_solve(matrix, mpmath.matrix(residual(*given, *y)))
+            change = mpmath.lu_solve(_matrix(jacobian(*data, *y), len(y)), mpmath.matrix(residual(*data, *y)))
         except ZeroDivisionError:
             break
         y = [value - change[i] for i, value in enumerate(y)]
@@ -116,28 +129,19 @@ def solved_step(residual: Function, jacobian: Function, given: Sequence[Any], st
     raise NumericsError("the equations of a step could not be solved", "check the scheme")
 
 
+def _matrix(entries: list[Any], columns: int) -> mpmath.matrix:
+    return mpmath.matrix([entries[i : i + columns] for i in range(0, len(entries), columns)])
+
+
 def without_forces(model: Model) -> Model:
-    """The conservative part of a model."""
+    """Return the conservative part of a model."""
     return replace(model, force=(S.Zero,) * len(model.force), controls=(), cost=None)
 
 
-def jacobians(left: Sequence[Symbol], right: Sequence[Symbol], equations: Sequence[Expr]) -> tuple[Matrix, Matrix]:
-    """Derivatives of equations by the state before and the unknowns after a step."""
-    column = Matrix(list(equations))
-    return column.jacobian(list(left)), column.jacobian(list(right))
-
-
-def symplectic_form(size: int) -> Matrix:
-    """The matrix J of the canonical symplectic form on a phase space of that (even) dimension."""
-    half = size // 2
-    zero, unit = sympy.zeros(half), sympy.eye(half)
-    return Matrix(sympy.BlockMatrix([[zero, unit], [-unit, zero]]))
-
-
 def generic_model() -> Model:
-    """A system without special structure, which no scheme treats better than any other.
+    """Return a system without special structure, which no scheme treats better than any other.
 
-    Its mass depends on the position, it is gyroscopic, driven in time and damped; everything is rational, so that
+    Its mass depends on the position; it is gyroscopic, driven in time and damped. Everything is rational, so that
     series in h are computed exactly.
     """
     q, v = coordinate("q")
@@ -153,20 +157,26 @@ def generic_model() -> Model:
     )
 
 
+def generic_model_without_forces() -> Model:
+    """Return the conservative part of the generic system."""
+    return without_forces(generic_model())
+
+
 _DIGITS = 50
 PRESERVED = 1e-35
-"""A defect in 50-digit arithmetic that is rounding."""
+"""A smaller defect in 50-digit arithmetic is rounding."""
 _VIOLATED = 1e-20
 _LARGEST_SYSTEM = 8
-_SHORTER = 6
-"""How often a step of random length is made shorter where its equations have no solution nearby."""
+_ATTEMPTS = 6
+"""The number of lengths of a step, each a quarter of the one before, until its equations have a solution nearby."""
 
 
 def check_symplecticity(context: Context) -> Iterator[Finding]:
-    """Prove or refute the identity for the chosen scheme, forces left out."""
+    """Prove or refute the identity for the chosen scheme, without forces."""
     scheme = context.scheme
     if not scheme.symplectic:
-        defect = defect_at_random_points(generic_model_without_forces(), scheme_step(context, generic=True))
+        generic = generic_model_without_forces()
+        defect = defect_at_random_points(generic, step_equations(generic, scheme))
         detail = f"not claimed, and violated by a generic system: |S^T J S - J| = {defect:.2g}"
         if not defect > _VIOLATED:
             detail = f"not claimed, but |S^T J S - J| = {defect:.2g} for a generic system; flag it as symplectic"
@@ -177,8 +187,8 @@ def check_symplecticity(context: Context) -> Iterator[Finding]:
         detail = "b_i a_ij + b_j a_ji = b_i b_j, exactly" if passed else "b_i a_ij + b_j a_ji = b_i b_j does not hold"
         yield Finding("symplecticity", scheme.name, passed, f"{detail} (a_ij of the momenta, a_ji of the coordinates)")
         return
-    step = scheme_step(context, generic=False)
-    if len(step.left) <= _LARGEST_SYSTEM and is_proved(step):
+    step = step_equations(without_forces(context.model), scheme)
+    if len(step.left) <= _LARGEST_SYSTEM and _is_proved(step):
         yield Finding("symplecticity", scheme.name, True, "S^T J S = J, proved symbolically")
         return
     defect = defect_at_random_points(context.model, step)
@@ -186,117 +196,106 @@ def check_symplecticity(context: Context) -> Iterator[Finding]:
     yield Finding("symplecticity", scheme.name, defect < PRESERVED, detail)
 
 
-def scheme_step(context: Context, generic: bool) -> StepEquations:
-    """One unforced step of the problem, or of the generic system."""
-    model = generic_model_without_forces() if generic else without_forces(context.model)
-    return step_equations(model, context.scheme)
-
-
-def generic_model_without_forces() -> Model:
-    """The conservative part of the generic system."""
-    return without_forces(generic_model())
-
-
 def has_symplectic_table(table: Tableau) -> bool:
-    """Whether a table satisfies the condition for partitioned methods (HLW, theorem VI.4.6)."""
+    """Return True if a table satisfies the condition for partitioned methods (HLW, theorem VI.4.6)."""
     b, a, c = table.weights, table.positions, table.momenta
     indices = range(len(b))
     return all(sympy.expand(b[i] * c[i][j] + b[j] * a[j][i] - b[i] * b[j]) == 0 for i in indices for j in indices)
 
 
-def is_proved(step: StepEquations) -> bool:
-    """Whether A J A^T = B J B^T holds symbolically in every link of the chain that makes up the step."""
+def _is_proved(step: StepEquations) -> bool:
+    """Return True if A J A^T = B J B^T holds symbolically in every link of the chain of substeps."""
     for left, right, equations in step.links():
         if len(left) != len(right):
             return False
         before, after = jacobians(left, right, equations)
-        form = symplectic_form(len(left))
+        form = _symplectic_form(len(left))
         difference = before * form * before.T - after * form * after.T
         if not all(identically_zero(entry) for entry in difference):
             return False
     return True
 
 
+def _symplectic_form(size: int) -> Matrix:
+    """Return the matrix J of the canonical symplectic form on a phase space of this (even) dimension."""
+    zero, unit = sympy.zeros(size // 2), sympy.eye(size // 2)
+    return Matrix(sympy.BlockMatrix([[zero, unit], [-unit, zero]]))
+
+
 def defect_at_random_points(model: Model, step: StepEquations) -> float:
-    """The largest entry of S^T J S - J where the equations of a step hold, solved in 50-digit arithmetic."""
-    symbols = symbols_of(step.equations, step.left, step.unknowns)
-    known = [symbol for symbol in symbols if symbol not in step.unknowns]
-    order = [*known, *step.unknowns]
+    """Return the largest entry of S^T J S - J at solutions of the equations of a step, in 50-digit arithmetic."""
+    symbols = set().union(*(value.free_symbols for value in step.equations), step.left, step.unknowns)
+    ordered = sorted(symbols, key=lambda symbol: symbol.name)
+    data_symbols = [symbol for symbol in ordered if symbol not in step.unknowns]
+    order = [*data_symbols, *step.unknowns]
     residual = function_of(order, step.equations)
     before, after = (function_of(order, list(m)) for m in jacobians(step.left, step.unknowns, step.equations))
-    form = mpmath.matrix(symplectic_form(len(step.left)).tolist())
+    columns, rows = len(step.left), len(step.unknowns)
+    form = mpmath.matrix(_symplectic_form(columns).tolist())
     largest = 0.0
     with mpmath.workdps(_DIGITS):
-        for point in random_points(step.equations, symbols, model, count=2):
-            size = len(step.left)
-            start = [point[step.left[i % size]] for i in range(-len(step.unknowns), 0)]
-            for attempt in range(1, _SHORTER + 1):
-                given = [mpmath.mpf(point[symbol]) / (4**attempt if symbol in step.lengths else 1) for symbol in known]
+        for point in random_points(step.equations, ordered, model, count=2):
+            start = [point[step.left[i % columns]] for i in range(-rows, 0)]
+            for attempt in range(1, _ATTEMPTS + 1):
+                lengths = dict.fromkeys(step.lengths, 4**attempt)
+                data = [mpmath.mpf(point[symbol]) / lengths.get(symbol, 1) for symbol in data_symbols]
                 try:
-                    y = solved_step(residual, after, given, start)
+                    y = solved_step(residual, after, data, start)
                     break
-                except NumericsError:  # bodies that meet, for instance
-                    if attempt == _SHORTER:
+                except NumericsError:  # for example bodies that meet
+                    if attempt == _ATTEMPTS:
                         raise
-            columns, rows = len(step.left), len(step.unknowns)
-            a = mpmath.matrix(rows, columns)
-            b = mpmath.matrix(rows, rows)
-            a[:, :], b[:, :] = _shaped(before(*given, *y), columns), _shaped(after(*given, *y), rows)
-            derivative = -(b**-1) * a
-            derivative = derivative[rows - columns :, :]
+            a, b = _matrix(before(*data, *y), columns), _matrix(after(*data, *y), rows)
+            derivative = (-(b**-1) * a)[rows - columns :, :]
             difference = derivative.T * form * derivative - form
             largest = max(largest, float(max(abs(entry) for entry in difference)))
     return largest
 
 
-def _shaped(entries: list[mpmath.mpf], columns: int) -> mpmath.matrix:
-    return mpmath.matrix([entries[i : i + columns] for i in range(0, len(entries), columns)])
-
-
 def check_area_preservation(context: Context) -> Iterator[Finding]:
-    """Derive the determinant for every registered scheme, forces left out, where there is one coordinate.
+    """Derive the determinant for every registered scheme, without forces, if there is one coordinate.
 
-    Compositions are left out, whose determinant is a product of those of their base.
+    Compositions are left out. Their determinant is a product of determinants of their base.
     """
     if len(context.model.coordinates) != 1:
         yield does_not_apply("area preservation", "there is more than one coordinate")
         return
     for method, table in METHODS.items():
         try:
-            yield from _of_method(context.model, method, table.values())
+            yield from _areas(context.model, method, table.values())
         except DegenerateError:
             yield does_not_apply("area preservation", f"a degenerate Legendre transform rules out {method} schemes")
 
 
-def _of_method(forced: Model, method: str, schemes: Iterable[Scheme]) -> Iterator[Finding]:
-    """The rows of the schemes of a method; DegenerateError where the problem has no form for it."""
+def _areas(forced: Model, method: str, table: Iterable[Scheme]) -> Iterator[Finding]:
+    """Check the schemes of a method. Raises DegenerateError if the problem has no form for the method."""
     model = without_forces(forced)
     curvature = sympy.hessian(model.function, [*model.coordinates, *model.rates])
     curved, linear = not identically_zero(curvature.det()), not curvature.has(*model.coordinates, *model.rates)
-    for scheme in schemes:
+    for scheme in table:
         if scheme.parts:
             continue
         if scheme.is_chain:
             determinant = area_factor(model, scheme)
-            preserved, found = determinant == 1, f"det = {sympy.sstr(determinant)}"
+            preserved, result = determinant == 1, f"det = {sympy.sstr(determinant)}"
         else:
-            # The determinant of a step with inner stages is a long expression; for two variables it is S^T J S.
+            # The determinant of a step with inner stages is a long expression. For two variables it is S^T J S.
             defect = defect_at_random_points(forced, step_equations(model, scheme))
-            preserved, found = defect < PRESERVED, f"|det - 1| = {defect:.2g} at random points"
-        # Where the potential or the kinetic energy is linear, any scheme may preserve areas by accident, and so do
-        # symmetric ones where both are quadratic: the map is R(hA) with R(z) R(-z) = 1.
+            preserved, result = defect < PRESERVED, f"|det - 1| = {defect:.2g} at random points"
+        # If the potential or the kinetic energy is linear, any scheme may preserve areas by accident. So do symmetric
+        # schemes if both are quadratic: the map is R(hA) with R(z) R(-z) = 1.
         accident = preserved and (not curved or (linear and scheme.symmetric))
         claim = "symplectic" if scheme.symplectic else "not symplectic"
         passed = preserved == scheme.symplectic or accident
-        yield Finding("area preservation", f"{scheme.name} ({method})", passed, f"{found}, and the scheme is {claim}")
+        yield Finding("area preservation", f"{scheme.name} ({method})", passed, f"{result}, and the scheme is {claim}")
 
 
 def area_factor(model: Model, scheme: Scheme) -> Expr:
-    """The determinant of the derivative of the one-step map, simplified; a product over substeps.
+    """Return the determinant of the derivative of the one-step map, simplified. It is a product over substeps.
 
-    That of a composition is the factor of one step of its base, of any length.
+    The factor of a composition is that of one step of its base, of any length.
     """
-    factor = sympy.S.One
+    factor = S.One
     for left, right, equations in step_equations(model, scheme).links():
         before, after = jacobians(left, right, equations)
         if len(right) == len(left):
@@ -308,7 +307,7 @@ def area_factor(model: Model, scheme: Scheme) -> Expr:
 
 
 def check_noether(context: Context) -> Iterator[Finding]:
-    """Prove conservation for every coordinate that the Lagrangian or Hamiltonian does not hold."""
+    """Prove conservation for every coordinate on which the Lagrangian or Hamiltonian does not depend."""
     model = context.model
     cyclic = [i for i, q in enumerate(model.coordinates) if not model.function.has(q)]
     if not cyclic:
@@ -316,8 +315,8 @@ def check_noether(context: Context) -> Iterator[Finding]:
     for i in cyclic:
         q = model.coordinates[i]
         change = momentum_change(model, context.scheme, i)
-        known = vanishing(change)
-        passed, detail = bool(known), f"{q} is cyclic, and without force its discrete momentum is conserved, {known}"
+        passed = identically_zero(change)
+        detail = f"{q} is cyclic, and without force its discrete momentum is conserved, proved symbolically"
         if model.force[i] != 0:
             detail += f" (the force {sympy.sstr(model.force[i])} changes it)"
         if any(constraint.has(q) for constraint in model.holonomic):
@@ -328,9 +327,10 @@ def check_noether(context: Context) -> Iterator[Finding]:
 
 
 def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
-    """The sum of all D_j Ld in one component, or what a one-step method adds to the momentum; forces left out.
+    """Return the change of a momentum component in one step, without forces.
 
-    A composition conserves what its base does.
+    For a discrete Lagrangian it is the sum of all D_j Ld in one component. A composition conserves a momentum if its
+    base does.
     """
     model = without_forces(model.with_free_ends)
     _, scheme = repeated(scheme)
@@ -338,7 +338,189 @@ def momentum_change(model: Model, scheme: Scheme, i: int) -> Expr:
         interval = variational_interval(legendre.lagrangian_form(model), scheme)
         inner = interval.inner[i :: len(model.coordinates)]
         positions = (interval.q.left[i], interval.q.right[i], *inner)
-        return sum((sympy.diff(interval.lagrangian, q) for q in positions), sympy.S.Zero)
+        return sum((sympy.diff(interval.lagrangian, q) for q in positions), S.Zero)
     step, dimension = one_step_interval(legendre.hamiltonian_form(model), scheme), len(model.coordinates)
     equations = step.equations if scheme.is_chain else step.equations[-2 * dimension :]
-    return sum(equations[dimension + i :: 2 * dimension], sympy.S.Zero) - (step.p.right[i] - step.p.left[i])
+    return sum(equations[dimension + i :: 2 * dimension], S.Zero) - (step.p.right[i] - step.p.left[i])
+
+
+_STATE = (Rational(3, 5), Rational(4, 7))
+_INSTANT = Rational(1, 3)
+_ORDER_DIGITS = 60
+_DIVISIONS = (200, 400)
+_EXACT = 0.1
+"""Allowed distance of a measured order from a whole number."""
+
+
+def check_consistency(context: Context) -> Iterator[Finding]:
+    """Find the first power of h in which one step differs from the flow. The order of the scheme is one less."""
+    scheme = context.scheme
+    if scheme.parts or not scheme.is_chain:
+        order, error = measured_order(scheme)
+        passed = abs(order - scheme.order) < _EXACT
+        detail = f"one step departs from the flow like h^{order + 1:.3f} (error {error:.2g} of a short step)"
+    else:
+        agreement, difference = first_difference(scheme, scheme.order + 1)
+        passed = difference != 0 and agreement == scheme.order
+        detail = f"one step and the Lie series of the flow agree up to h^{agreement} (exact expansion, generic system)"
+        if difference != 0:
+            detail += f", and differ by {float(difference):.3g} h^{agreement + 1}"
+    if not passed:
+        detail = f"order {scheme.order} is claimed, but {detail}"
+    yield Finding("consistency", f"order of {scheme.name}", passed, detail)
+
+
+def measured_order(scheme: Scheme) -> tuple[float, float]:
+    """Return the order of the error of one step by two short lengths, and the smaller of both errors."""
+    model = generic_model().with_free_ends
+    step = step_equations(model, scheme)
+    symbols = [model.time, *step.lengths, *step.left, *step.unknowns]
+    residual = function_of(symbols, step.equations)
+    jacobian = function_of(symbols, list(jacobians(step.left, step.unknowns, step.equations)[1]))
+    errors = []
+    with mpmath.workdps(_ORDER_DIGITS):
+        fractions = [[mpmath.mpf(str(sympy.N(f, _ORDER_DIGITS))) for f in row] for row in step.fractions]
+        for divisions in _DIVISIONS:
+            state, instant = [mpmath.mpf(x.p) / x.q for x in _STATE], mpmath.mpf(_INSTANT.p) / _INSTANT.q
+            for row in fractions or [[mpmath.mpf(1)]]:
+                lengths = [fraction / mpmath.mpf(divisions) for fraction in row]
+                start = [state[i % len(state)] for i in range(-len(step.unknowns), 0)]
+                state = solved_step(residual, jacobian, (instant, *lengths, *state), start)[-len(state) :]
+                instant += sum(lengths)
+            errors.append(max(abs(a - b) for a, b in zip(_flow_after(divisions), state, strict=True)))
+        return float(mpmath.log(errors[0] / errors[1], 2)) - 1.0, float(errors[1])
+
+
+@cache
+def _flow_after(divisions: int) -> list[mpmath.mpf]:
+    """Return the exact flow of the generic system over a fraction of the unit of time, by mpmath's Taylor series."""
+    phase = legendre.hamiltonian_form(generic_model().with_free_ends)
+    rates = function_of([phase.time, *phase.coordinates, *phase.rates], vector_field(phase))
+    with mpmath.workdps(_ORDER_DIGITS):
+        start = [mpmath.mpf(x.p) / x.q for x in _STATE]
+        instant = mpmath.mpf(_INSTANT.p) / _INSTANT.q
+        return list(mpmath.odefun(lambda t, z: rates(t, *z), instant, start)(instant + 1 / mpmath.mpf(divisions)))
+
+
+def first_difference(scheme: Scheme, highest: int) -> tuple[int, Expr]:
+    """Return the last power of h of agreement between step and flow, and the largest coefficient of the difference.
+
+    The difference is zero if step and flow agree up to the highest power.
+    """
+    model = generic_model().with_free_ends
+    step = _step_series(model, scheme, highest)
+
+    # Taylor coefficients of the flow (q, p)(t + h), from x_{j+1} = [h^j] F(x_0 + x_1 h + ... ) / (j + 1).
+    phase = legendre.hamiltonian_form(model)
+    flow: list[list[Expr]] = [[value] for value in _STATE]
+    for power in range(highest):
+        at = {**_polynomials((*phase.coordinates, *phase.rates), flow), phase.time: _INSTANT + STEP}
+        coefficients = [_coefficient(rate.xreplace(at), power) for rate in vector_field(phase)]
+        for series, value in zip(flow, coefficients, strict=True):
+            series.append(value / (power + 1))
+
+    for power in range(1, highest + 1):
+        largest = max((a[power] - b[power] for a, b in zip(step, flow, strict=True)), key=abs)
+        if largest != 0:
+            return power - 1, largest
+    return highest, S.Zero
+
+
+def _step_series(model: Model, scheme: Scheme, highest: int) -> list[list[Expr]]:
+    """Return coefficients of the state after one step, from one linear system for each power of h."""
+    step = step_equations(model, scheme)
+    start = dict(zip(step.left, _STATE, strict=True)) | {model.time: _INSTANT}
+    size = len(step.left)
+    half = size // 2
+    # Equations that are regular at h = 0, their unknowns, and the values of the unknowns at h = 0. A variational scheme
+    # has the mean velocity V as unknown, with q_k1 = q_k + h V.
+    equations, unknowns = [e.xreplace(start) for e in step.equations], list(step.unknowns)
+    first = list(_STATE * (len(step.unknowns) // len(_STATE)))
+    if scheme.variational:
+        velocities = [Symbol(f"V{i}", real=True) for i in range(half)]
+        arrival = {q1: start[q] + STEP * v for q, q1, v in zip(step.left, step.right, velocities, strict=False)}
+        equations, unknowns = [sympy.cancel(e.xreplace(arrival)) for e in equations], [*velocities, *step.right[half:]]
+        momentum = dict(zip((*model.coordinates, *legendre.conjugate_symbols(model)), _STATE, strict=True))
+        initial = [v.xreplace({**momentum, model.time: _INSTANT}) for v in legendre.velocity_of_momentum(model)]
+        first = [*initial, *_STATE[half:]]
+    at_zero = dict(zip(unknowns, first, strict=True))
+    matrix = Matrix([[_coefficient(e.diff(y).xreplace(at_zero), 0) for y in unknowns] for e in equations])
+    series = [[value] for value in first]
+    for power in range(1, highest + 1):
+        at = _polynomials(unknowns, series)
+        residual = Matrix([_coefficient(e.xreplace(at), power) for e in equations])
+        for coefficients, value in zip(series, -matrix.LUsolve(residual), strict=True):
+            coefficients.append(value)
+    if not scheme.variational:
+        return series[-size:]
+    return [[q, *velocity[:-1]] for q, velocity in zip(_STATE[:half], series[:half], strict=True)] + series[half:]
+
+
+def _polynomials(symbols: Sequence[Symbol], series: Sequence[Sequence[Expr]]) -> dict[Symbol, Expr]:
+    return {
+        symbol: sum((c * STEP**i for i, c in enumerate(coefficients)), S.Zero)
+        for symbol, coefficients in zip(symbols, series, strict=True)
+    }
+
+
+def _coefficient(expression: Expr, power: int) -> Expr:
+    """Return the coefficient of h^power of a rational function of h that is regular at zero, by long division."""
+    numerator, denominator = sympy.fraction(sympy.cancel(sympy.together(expression)))
+    above, below = (sympy.Poly(part, STEP).all_coeffs()[::-1] for part in (numerator, denominator))
+    quotient: list[Expr] = []
+    for n in range(power + 1):
+        value = above[n] if n < len(above) else S.Zero
+        value -= sum((below[i] * quotient[n - i] for i in range(1, min(n, len(below) - 1) + 1)), S.Zero)
+        quotient.append(value / below[0])
+    return quotient[power]
+
+
+def check_midpoint_equivalence(context: Context) -> Iterator[Finding]:
+    """Substitute both discrete Legendre transforms into the implicit midpoint equations, which must then vanish."""
+    if context.scheme.name != "midpoint":
+        yield does_not_apply("midpoint equivalence", f"the scheme is {context.scheme.name}")
+        return
+    try:
+        equations = residuals(context.model)
+    except DegenerateError:
+        yield does_not_apply("midpoint equivalence", "the Legendre transform is degenerate: there is no Lagrangian")
+        return
+    for name, residual in equations:
+        passed = identically_zero(residual)
+        detail = "p_k = -D1 Ld - f-, p_k1 = D2 Ld + f+ satisfy it, proved symbolically"
+        if not passed:
+            detail = f"the discrete Hamiltonian map leaves {sympy.sstr(residual)[:200]}"
+        yield Finding("midpoint equivalence", f"implicit midpoint rule of {name}", passed, detail)
+
+
+def residuals(model: Model) -> list[tuple[str, Expr]]:
+    """Return residuals of the midpoint rule under the discrete Hamiltonian map, by coordinate and momentum.
+
+    The Hamiltonian of a large system is not written out. Its midpoint rule is v = dH/dp and p' = f - dH/dq at the
+    midpoint. Equivalent equations are p = dL/dv and p' = f + dL/dq at the velocity v = (q_k1 - q_k)/h.
+    """
+    model = model.with_free_ends
+    scheme = schemes.METHODS["variational"]["midpoint"]
+    if not phase_functions(model):
+        phase = legendre.hamiltonian_form(model)
+        rule = schemes.METHODS["hamiltonian"]["midpoint"]
+        interval = variational_interval(legendre.lagrangian_form(model), scheme)
+        left, right = at_nodes(phase.rates, "_k"), at_nodes(phase.rates, "_k1")
+        # Halves of sums of momenta are expanded first, where curvature terms cancel.
+        momenta = dict(zip((*left, *right), (*interval.left_momentum, *interval.right_momentum), strict=True))
+        means = {a / 2 + b / 2: sympy.expand((momenta[a] + momenta[b]) / 2) for a, b in zip(left, right, strict=True)}
+        equations = one_step_interval(phase, rule).equations
+        names = [symbol.name for symbol in (*phase.coordinates, *phase.rates)]
+        return [(name, e.subs(means).xreplace(momenta)) for name, e in zip(names, equations, strict=True)]
+    interval = variational_interval(model, scheme)
+    left, right = interval.left_momentum, interval.right_momentum
+    ends = list(zip(interval.q.left, interval.q.right, strict=True))
+    middle: dict[Symbol, Expr] = dict(zip(model.coordinates, (between(a, b, S.Half) for a, b in ends), strict=True))
+    middle |= dict(zip(model.rates, ((b - a) / STEP for a, b in ends), strict=True))
+    middle |= dict(zip(model.controls, interval.q.left_controls, strict=True)) | {model.time: model.time + STEP / 2}
+    rows = []
+    for i, (q, v) in enumerate(zip(model.coordinates, model.rates, strict=True)):
+        rows.append((q.name, (left[i] + right[i]) / 2 - sympy.diff(model.function, v).xreplace(middle)))
+        slope = (sympy.diff(model.function, q) + model.force[i]).xreplace(middle)
+        rows.append((f"p_{q.name}", right[i] - left[i] - STEP * slope))
+    return rows

@@ -1,6 +1,6 @@
 """The motion of a problem with delays, assembled from its segments.
 
-A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.segments`). Its
+A problem with delays is solved as M segments on an M-th of the duration (`codegen.discretise.model.delays`). Its
 module has columns for the quantities of each segment. Users see the quantities of the problem over the whole duration.
 """
 

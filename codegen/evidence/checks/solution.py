@@ -1,0 +1,603 @@
+"""Checks of a computed solution: its motion, its optimality and its sensitivities.
+
+Motion: holonomic constraints at all nodes, and the author's conditions at inner times. Nodes, coordinates and rates
+come from the solution, not from tables or kernels of the module. A motion with delays is integrated from its history by
+DOP853 under the controls of the solution. The equations are those of the author's problem with its delayed values;
+DOP853 knows no segments. The distance from the motion of the module must decrease at the order of the scheme.
+
+Optimum: the costs of the module must converge to the optimum of the maximum principle, at least at the order of the
+scheme. The expected order is at most 2, because controls are constant on each interval or averaged over the interval.
+Costs may converge faster: if time reversal maps the problem to itself, odd powers of h cancel in the cost.
+
+Second-order condition: a solution is a minimum, and no saddle point, if the KKT matrix has the right inertia. At a
+strict local minimum the Hessian of the Lagrangian is positive definite on the null space of the equations. Then the KKT
+matrix has exactly one negative eigenvalue for every equation (Nocedal and Wright, 2006, theorem 16.3). A multiplier z
+of an active bound adds z / distance to the diagonal.
+
+Sensitivities: the derivatives of a solution by data against central differences of solutions with other data. All
+quantities change at once in random proportions: first each by itself, then parameters alone, which boundary values and
+the duration follow. Some changes leave no solution, for example beyond the range of a table. Then quantities that
+cannot change alone stay fixed, and the finding names them. Differences with three lengths, halved each time, are
+extrapolated twice (Richardson). The distance of both results estimates the error of the reference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import sympy
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import LinearOperator, onenormest, splu
+from sympy import Expr, Symbol
+
+from codegen.batch.quantities import Quantity, given_to, quantities
+from codegen.discretise.model import legendre
+from codegen.discretise.model.definitions import InnerCondition, Model
+from codegen.errors import CodegenError
+from codegen.evidence.analysis.maximum_principle import beyond_maximum_principle, exact_optimum, reference_optimum
+from codegen.evidence.analysis.modified_equations import vector_field
+from codegen.evidence.checks.base import Context, Finding, does_not_apply, not_measured
+from codegen.runtime.search import point
+from codegen.runtime.search.linear_system import allocate_system, factor_kkt
+from codegen.solving.drivers import find
+from codegen.solving.loading import Vector
+from codegen.solving.results.control import control_result
+from codegen.solving.results.result import Result, Run
+from codegen.solving.results.segments import put_together, segments_of
+from codegen.symbolic.functions import NUMPY
+
+
+def free_values(module: Any, solution: Any) -> NDArray[np.float64]:
+    """Return the free parameters at a solution, in the order of their declaration."""
+    count = len(module.metadata.free_parameters)
+    end = solution.unknowns.size - module.problem.structure.couplings
+    return np.asarray(solution.unknowns[end - count : end])
+
+
+def data_at_solution(context: Context) -> dict[Symbol, float]:
+    """Return parameters, and free parameters at the solution."""
+    model = context.model
+    free = map(float, free_values(context.module, context.solution))
+    return model.default_values | dict(zip((p.symbol for p in model.free_parameters), free, strict=True))
+
+
+def integral_of_cost(model: Model, module: Any, solution: Any) -> float:
+    """Return the integral of the running cost of all bodies for controls on nodes, by Simpson's rule.
+
+    Between nodes coordinates, momenta and controls are linear functions of time, and velocities are constant.
+    """
+    free = [parameter.symbol for parameter in model.free_parameters]
+    symbols = [*model.coordinates, *model.rates, *model.controls, model.time, *model.parameters, *free]
+    function = sympy.lambdify(symbols, model.cost, modules=NUMPY, cse=True)
+    constants = [*model.defaults, *free_values(module, solution)]
+    h, total = np.diff(solution.t), 0.0
+
+    def of_body(values: NDArray[np.float64], width: int, body: int) -> NDArray[np.float64]:
+        return values[:, body * width : (body + 1) * width]
+
+    for body in range(model.bodies):
+        q, u = (of_body(v, len(s), body) for v, s in ((solution.q, model.coordinates), (solution.u, model.controls)))
+        slopes = np.diff(q, axis=0) / h[:, None]
+        for weight, abscissa in ((1, 0.0), (4, 0.5), (1, 1.0)):
+            q_at, u_at = ((1.0 - abscissa) * v[:-1] + abscissa * v[1:] for v in (q, u))
+            rates = slopes if model.form == "lagrangian" else np.empty((h.size, 0))
+            if model.form == "hamiltonian":
+                p = of_body(solution.p, len(model.rates), body)
+                rates = (1.0 - abscissa) * p[:-1] + abscissa * p[1:]
+            values = function(*q_at.T, *rates.T, *u_at.T, solution.t[:-1] + abscissa * h, *constants)
+            total += weight / 6.0 * float(np.sum(h * values))
+    return total
+
+
+_HELD = 1e-9
+
+
+def check_holonomic_drift(context: Context) -> Iterator[Finding]:
+    """Evaluate every constraint at all nodes of the solution, relative to the terms of the constraint."""
+    model = context.model
+    solution = context.solution
+    if solution.status != "solved":
+        yield not_measured("holonomic drift", "all constraints", solution.message)
+        return
+    data, width = data_at_solution(context), len(model.coordinates)
+    symbols = [*model.coordinates, model.time, *data]
+    for constraint in model.holonomic:
+        terms = sympy.Add.make_args(constraint)
+        function = sympy.lambdify(symbols, [constraint, sum(map(sympy.Abs, terms), sympy.S.Zero)], cse=True)
+        largest, size, node, body = 0.0, 1.0, 0, 0
+        for b in range(model.bodies):
+            q = solution.q[:, b * width : (b + 1) * width].T
+            values, sizes = (np.broadcast_to(v, solution.t.shape) for v in function(*q, solution.t, *data.values()))
+            if np.abs(values).max() >= largest:
+                node, body = int(np.argmax(np.abs(values))), b
+                largest, size = float(np.abs(values[node])), max(1.0, float(np.abs(sizes).max()))
+        passed = largest <= _HELD * size
+        of_body = f" of body {body}" if model.bodies > 1 else ""
+        detail = f"|c| <= {largest:.1g} at all {solution.t.size} nodes, greatest at node {node}{of_body}"
+        if not passed:
+            detail = f"the motion leaves the constraint: |c| = {largest:.2g} at node {node}{of_body}"
+        yield Finding("holonomic drift", f"c = {sympy.sstr(constraint)}", passed, detail)
+
+
+_MET = 1e-7
+
+
+def check_inner_times(context: Context) -> Iterator[Finding]:
+    """Evaluate every condition at its inner time, and the inner times themselves."""
+    model = context.model
+    solution = context.solution
+    if solution.status != "solved":
+        yield not_measured("inner times", "all conditions", solution.message)
+        return
+    numbers = data_at_solution(context)
+
+    def number(expression: Expr | None) -> float:
+        return float(sympy.sympify(expression).subs(numbers))
+
+    # The node nearest to every prescribed time; of free times the node on the module's grid.
+    on_grid = context.module.make_grid(solution.t.size - 1).inner
+    prescribed = [None if inner.time is None else number(inner.time) for inner in model.inner_times]
+    pairs = zip(prescribed, on_grid, strict=True)
+    nodes = [node if time is None else int(np.argmin(np.abs(solution.t - time))) for time, node in pairs]
+    for condition in model.inner_conditions:
+        yield _condition_at(context, condition, nodes[condition.number], numbers)
+    times = solution.t[np.array(nodes)]
+    slack = _MET * max(1.0, float(np.abs(times).max()))
+    wrong = []
+    for index, (inner, time) in enumerate(zip(model.inner_times, times, strict=True), start=1):
+        missed = [abs(time - number(inner.time))] if inner.time is not None else []
+        missed += [number(inner.earliest) - time] if inner.earliest is not None else []
+        missed += [time - number(inner.latest)] if inner.latest is not None else []
+        if max(missed, default=0.0) > slack:
+            wrong.append(f"time {index} is {time:.6g}, which misses what is given by {max(missed):.2g}")
+    if (np.diff(times) < -slack).any():
+        wrong.append("the times are not in order")
+    listed = ", ".join(f"{time:.6g}" for time in times)
+    yield Finding("inner times", "times", not wrong, wrong[0] if wrong else f"in order, as given: t = {listed}")
+
+
+def _condition_at(context: Context, condition: InnerCondition, node: int, numbers: dict[Symbol, float]) -> Finding:
+    """Evaluate a condition relative to its own terms, for the body with the largest violation."""
+    model, solution, width = context.model, context.solution, len(context.model.coordinates)
+    momenta, rates = model.rates, dict[Symbol, Expr]()
+    if model.form == "lagrangian" and model.rates:
+        momenta = legendre.conjugate_symbols(model)
+        used = {s for c in model.inner_conditions for s in c.expression.free_symbols}
+        if used & set(model.rates):
+            rates = dict(zip(model.rates, legendre.velocity_of_momentum(model), strict=True))
+    symbols = [*model.coordinates, *momenta, model.time, *numbers]
+    expression = condition.expression.subs(rates, simultaneous=True)
+    size = sympy.Add(*map(sympy.Abs, sympy.Add.make_args(expression)))
+    function, worst = sympy.lambdify(symbols, [expression, size], modules=NUMPY, cse=True), 0.0
+    for body in range(model.bodies):
+        columns = slice(body * width, (body + 1) * width)
+        state = [*solution.q[node, columns], *(solution.p[node, columns] if model.rates else ())]
+        value, scale = function(*state, solution.t[node], *numbers.values())
+        excess = abs(value) if condition.equality else max(0.0, value)
+        worst = max(worst, float(excess) / max(1.0, float(scale)))
+    detail = f"at node {node}, t = {solution.t[node]:.6g}, it {'holds to' if worst <= _MET else 'fails by'} {worst:.1g}"
+    return Finding("inner times", str(condition), bool(worst <= _MET), detail)
+
+
+_LEAST_STEPS = 48
+"""Intervals of the coarser motion, of all segments together."""
+_ORDER_ALLOWED = 0.5
+"""Allowed deficit of the observed order, because the controls of both motions differ."""
+_ROUND_OFF = 1e-10
+_OF_STAGES = 2
+"""The expected order if the control is a polynomial through values at stages."""
+
+
+def check_delays(context: Context) -> Iterator[Finding]:
+    """Integrate the motions on N and 2 N intervals."""
+    whole = context.model.authored
+    if not whole.delays:
+        yield does_not_apply("delays", "there are no values of the past")
+        return
+    if whole.holonomic:
+        yield does_not_apply("delays", "motions with holonomic constraints are not followed here")
+        return
+    module, distances = context.module, []
+    segments = segments_of(module.metadata)
+    number = segments.number if segments else 1
+    steps = max(4, -(-_LEAST_STEPS // number))
+    for run in (Run(steps), Run(2 * steps)):
+        attempt = find("newton").function("control")(module, run)
+        result = put_together(control_result(module, "newton", run, attempt), module.metadata)
+        if not result.solved:
+            yield not_measured("delays", "the motion from its history", result.message)
+            return
+        distances.append(_distance(whole, result))
+    first, last = distances
+    order = _OF_STAGES if context.choices.controls == "stages" else context.scheme.order
+    observed = math.log2(first / last) if last > 0.0 else math.inf
+    detail = (
+        f"DOP853 with the controls that were found is {first:.1e} away on {steps * number} intervals and {last:.1e} on "
+        f"{2 * steps * number}: order {observed:.2f}, at least {order} expected"
+    )
+    passed = last < _ROUND_OFF or observed > order - _ORDER_ALLOWED
+    yield Finding("delays", "the motion from its history", passed, detail)
+
+
+def _distance(whole: Model, result: Result) -> float:
+    """Return the distance of a result from the integrated motion, relative to the largest value of each state."""
+    side = legendre.hamiltonian_form(whole.with_free_ends)
+    states, numbers = (*side.coordinates, *side.rates), side.default_values
+    t, pieces = result.t, list[Callable[[float], Vector]]()
+
+    def function(expressions: Sequence[Expr], *arguments: Any) -> Callable[..., Any]:
+        plugged = [sympy.sympify(e).xreplace(numbers) for e in expressions]
+        return sympy.lambdify(arguments, plugged, NUMPY)  # type: ignore[no-any-return]
+
+    symbols = [delay.symbol for delay in whole.delays]
+    rates = function(vector_field(side), list(states), list(side.controls), side.time, symbols)
+    velocities = function([side.function.diff(p) for p in side.rates], list(states), side.time)
+
+    def controls(k: int, time: float) -> Vector:
+        """Evaluate the controls at a time in interval k."""
+        margin = 1e-9 * (t[k + 1] - t[k])
+        return np.asarray(result.controls_at(np.array([min(max(time, t[k] + margin), t[k + 1] - margin)]))[0])
+
+    def delayed(delay: Any) -> Callable[[int, float], float]:
+        """Return a delayed value as a function of interval and time."""
+        lag = float(delay.lag.xreplace(numbers))
+        back = round(lag / float(whole.duration.xreplace(numbers)) * (t.size - 1))
+        history = sympy.lambdify(whole.time, delay.history.xreplace(numbers), NUMPY)
+
+        def value(k: int, time: float) -> float:
+            k, time = k - back, time - lag
+            if k < 0:
+                return float(history(time))
+            if delay.quantity in states:
+                return float(pieces[k](time)[states.index(delay.quantity)])
+            if delay.quantity in whole.controls:
+                return float(controls(k, time)[whole.controls.index(delay.quantity)])
+            return float(velocities(pieces[k](time), time)[whole.rates.index(delay.quantity)])
+
+        return value
+
+    past = [delayed(delay) for delay in whole.delays]
+    motion = [np.concatenate([result.q[0], result.p[0]])]
+    for k in range(t.size - 1):
+
+        def rate(time: float, state: Vector, k: int = k) -> Sequence[float]:
+            return rates(state, controls(k, time), time, [value(k, time) for value in past])  # type: ignore[no-any-return]
+
+        piece = solve_ivp(rate, (t[k], t[k + 1]), motion[-1], "DOP853", rtol=1e-11, atol=1e-12, dense_output=True)
+        pieces.append(piece.sol)
+        motion.append(piece.y[:, -1])
+    computed = np.column_stack([result.q, result.p])
+    sizes = np.maximum(np.abs(computed).max(axis=0), 1e-12)
+    return float((np.abs(np.array(motion) - computed) / sizes).max())
+
+
+_OF_CONTROLS = 2
+"""The order of piecewise constant controls."""
+_COST_ALLOWED = 0.15
+_COST_ROUNDING = 1e-9
+_LARGEST = 10_000
+_TOLERANCE = 1e-9
+_SECONDS = 30.0
+"""Processor time for the optimum of the continuous problem."""
+
+
+def check_optimum(context: Context) -> Iterator[Finding]:
+    """Solve on N, 2N and 4N intervals, more if necessary, and compare with the optimum of the continuous problem."""
+    reason = beyond_maximum_principle(context.model)
+    if reason:
+        yield does_not_apply(
+            "optimum", f"the maximum principle is derived here for plain problems, this one has {reason}"
+        )
+        return
+    subject = "convergence to the optimum"
+    try:
+        optimum, source = _optimal_cost(context)
+    except CodegenError as error:
+        yield not_measured("optimum", subject, " ".join(str(error).split()))
+        return
+    order, steps = min(context.scheme.order, _OF_CONTROLS), context.model.steps
+    errors: list[tuple[int, float]] = []
+    rate, passed = 0.0, False
+    while len(errors) < 3 or (steps <= _LARGEST and not passed):
+        solution = context.module.solve(steps)
+        if solution.status != "solved":
+            yield not_measured("optimum", subject, f"N = {steps}: {solution.message}")
+            return
+        errors.append((steps, abs(solution.cost - optimum)))
+        steps *= 2
+        if len(errors) >= 3:
+            coarse, fine = errors[-2][1], errors[-1][1]
+            rate = math.log2(coarse / fine) if coarse > 0.0 and fine > 0.0 else math.inf
+            passed = rate > order - _COST_ALLOWED or fine < _COST_ROUNDING * max(1.0, abs(optimum))
+    listed = ", ".join(f"{error:.3g} (N = {n})" for n, error in errors[-3:])
+    detail = f"J* = {optimum:.12g} {source}; errors {listed}; order {rate:.2f}, {order} is expected"
+    yield Finding("optimum", subject, passed, detail)
+
+
+def _optimal_cost(context: Context) -> tuple[float, str]:
+    """Return the cost of the continuous optimum, and its source: the closed form, or collocation.
+
+    Collocation starts from the discrete motion, so that it converges to the same local optimum. It does not start from
+    a motion with controls on nodes, which cannot be trusted.
+    """
+    model, solution = context.model, context.solution
+    exact = exact_optimum(model)
+    if exact is not None:
+        return exact.cost_at(), "in closed form"
+    guess = None
+    if solution.status == "solved" and context.choices.controls == "interval":
+        rates = solution.p if model.form == "hamiltonian" else np.gradient(solution.q, solution.t, axis=0)
+        states = np.hstack([solution.q, rates])
+        guess = solution.t, states, np.zeros_like(states)
+    return reference_optimum(model, tolerance=_TOLERANCE, guess=guess, seconds=_SECONDS).cost, "by collocation"
+
+
+_NOTHING = (1e-9, 1e-8, 1e-7)
+"""Fractions of the second derivatives below which a curvature may be rounding of the elimination."""
+_ACTIVE, _FAST = 1.0, 1e12
+"""An unknown is active if z / distance exceeds the first number; inside the bounds z / distance is of the size of the
+tolerance. The second number limits z / distance, which would be infinite at the bound."""
+_REGULAR = 1e13
+"""Largest condition number of regular matrices."""
+
+
+def check_second_order(context: Context) -> Iterator[Finding]:
+    """Count the negative eigenvalues at the solution by a symmetric elimination, which is exact."""
+    module, solution = context.module, context.solution
+    subject = f"solution on {solution.t.size - 1} intervals"
+    if solution.status != "solved":
+        yield not_measured("second-order condition", subject, solution.message)
+        return
+    program, unknowns = context.control, solution.unknowns
+    grid = module.make_grid((solution.t.size - 1) // max(1, len(program.phases)))
+    diagonal = _bound_curvature(module, grid, unknowns)
+
+    # The size of the second derivatives of every unknown, or a typical size. Slacks follow from other unknowns.
+    rows, _, values = point.hessian(grid, unknowns)
+    primal, sizes = module.primal_unknowns(grid), np.zeros(unknowns.size)
+    np.maximum.at(sizes, primal[rows], np.abs(values))
+    present = sizes[sizes > 0.0]
+    sizes[primal[sizes[primal] == 0.0]] = np.median(present) if present.size else 1.0
+    nodes, intervals = module.views(grid, sizes)
+    intervals[:, :, intervals.shape[2] - len(program.slacks) :] = 0.0
+    for end in (program.start, program.end):
+        nodes[:, :, [slack for slack, _ in end.slacks]] = 0.0
+
+    equations, system = module.multiplier_unknowns(grid).size, allocate_system(grid)
+    excess = factor_kkt(grid, unknowns, 1.0, diagonal, system)
+    passed, detail = True, ""
+    if excess == 0 and factor_kkt(grid, unknowns, 1.0, diagonal - _NOTHING[0] * sizes, system) == 0:
+        detail = f"a strict local minimum: {equations} negative eigenvalues for {equations} equations"
+    else:
+        # If a symmetry maps an optimum to another optimum, the curvature along it is zero, and its sign is rounding.
+        for part in _NOTHING:
+            if factor_kkt(grid, unknowns, 1.0, diagonal + part * sizes, system) == 0:
+                detail = f"a minimum, isolated or not: a curvature is zero up to rounding, above -{part:g} of its terms"
+                break
+    if not detail and excess is not None and excess > 0:
+        passed = False
+        detail = f"no minimum: the cost decreases to second order in {excess} or more independent directions"
+    if not detail and is_determined(module, grid, unknowns, diagonal):
+        yield does_not_apply("second-order condition", "the equations alone determine the solution, whatever it costs")
+    elif not detail:
+        yield not_measured("second-order condition", subject, "equations depend on each other at the solution")
+    else:
+        if module.metadata.inequalities:
+            detail += f" ({np.count_nonzero(diagonal > _ACTIVE)} unknowns are held by bounds)"
+        yield Finding("second-order condition", subject, passed, detail)
+
+
+def is_determined(module: Any, grid: Any, unknowns: NDArray[np.float64], diagonal: NDArray[np.float64]) -> bool:
+    """Return True if there are as many equations as unknowns without active bounds, and their Jacobian is regular.
+
+    The Jacobian is regular to rounding, after scaling of rows and columns to one.
+    """
+    free = diagonal[module.primal_unknowns(grid)] <= _ACTIVE
+    rows, columns, values = point.jacobian(grid, unknowns)
+    shape = (module.multiplier_unknowns(grid).size, free.size)
+    matrix = coo_array((values, (rows, columns)), shape=shape).tocsc()[:, free]
+    if matrix.shape[0] != matrix.shape[1]:
+        return False
+    for axis in (1, 0):  # rows, then columns
+        largest = abs(matrix).max(axis=axis).toarray()
+        if not largest.all():
+            return False
+        matrix = matrix.multiply(1.0 / (largest[:, None] if axis == 1 else largest)).tocsc()
+    try:
+        factors = splu(matrix)
+    except RuntimeError:  # exactly singular
+        return False
+    inverse = LinearOperator(matrix.shape, factors.solve, rmatvec=lambda vector: factors.solve(vector, "T"))
+    return bool(onenormest(matrix) * onenormest(inverse) < _REGULAR)
+
+
+def _bound_curvature(module: Any, grid: Any, unknowns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the diagonal z / distance of the unknowns at bounds; z is the gradient of the Lagrangian."""
+    diagonal = np.zeros(unknowns.size)
+    if not module.metadata.inequalities:
+        return diagonal
+    gradient = np.where(grid.is_multiplier, 0.0, module.evaluate(grid, unknowns).gradient)
+    lower, upper = module.variable_bounds(grid)
+    for z, distance in ((gradient, unknowns - lower), (-gradient, upper - unknowns)):
+        pushes = np.isfinite(distance) & (z > 0.0)
+        diagonal[pushes] += np.minimum(z[pushes] / np.maximum(distance[pushes], 1e-100), _FAST)
+    return diagonal
+
+
+_LENGTHS = (1e-2, 1e-3, 1e-4)
+"""Lengths of changes to both sides, relative to the quantities."""
+_SENSITIVITY_ALLOWED, _ROUGH = 1e-6, 1e-5
+"""Allowed error of sensitivities relative to the largest entry, and largest useful error of the references."""
+_KINK = 1e-3
+"""Relative difference of the derivatives to both sides that shows a kink."""
+_FLOOR = 1e-3
+"""Derivatives below this fraction of the largest value are compared as if they were that large."""
+_KINDS = ("cost", "q", "u", "multipliers")
+_TOLERANCES = (1e-12, 1e-10)
+
+Values = dict[str, Vector]
+"""Cost, coordinates, controls and multipliers of a solution, or their derivatives, by the names in `_KINDS`."""
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """Quantities that change, their values and changes; `prescribed` names quantities that follow no parameter."""
+
+    subject: str
+    varied: tuple[Quantity, ...]
+    values: tuple[Any, ...]
+    changes: Vector
+    prescribed: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """Differences extrapolated from a length and its half, and from its half and quarter; and the second difference."""
+
+    coarse: Values
+    fine: Values
+    bend: dict[str, float]
+
+
+def check_sensitivities(context: Context) -> Iterator[Finding]:
+    """Compare sensitivities along two directions."""
+    module, solution = context.module, context.solution
+    if module.metadata.sensitivities is None:
+        yield does_not_apply("sensitivities", "the module has none, unless it is built with --sensitivities")
+        return
+    subject = f"solution on {solution.t.size - 1} intervals"
+    if solution.status != "solved":
+        yield not_measured("sensitivities", subject, solution.message)
+        return
+    steps = (solution.t.size - 1) // max(1, len(context.control.phases))
+    solution = _solved_nearby(module, steps, {}, solution.unknowns) or solution
+
+    names, count, grid = module.QUANTITIES, len(module.metadata.parameters), module.make_grid(steps)
+    columns = (*grid.parameters[:, : module.OWN_QUANTITIES].T, grid.steps * grid.h)[: len(names)]
+    values = tuple(v if i >= count else float(np.max(v)) for i, v in enumerate(columns))
+    sizes = np.array([max(float(np.abs(value).max()), 0.1) for value in columns])
+    signs = np.random.default_rng(11).uniform(0.3, 1.0, len(names)) * np.where(np.arange(len(names)) % 2, 1.0, -1.0)
+    varied, changes, prescribed = quantities(names, module, ()), sizes * signs, tuple(names[count:])
+    all_quantities = _Direction("all quantities by themselves", varied, values, changes, prescribed)
+    yield _compared_sensitivities(module, steps, solution, all_quantities)
+    if prescribed and count:
+        subject = "parameters, which others follow"
+        parameters = _Direction(subject, varied[:count], values[:count], changes[:count], ())
+        yield _compared_sensitivities(module, steps, solution, parameters)
+
+
+def _compared_sensitivities(module: Any, steps: int, solution: Any, direction: _Direction) -> Finding:
+    grid, subject = module.make_grid(steps), f"{direction.subject}, {steps} intervals"
+    rates = module.sensitivities(grid, solution.unknowns, direction.prescribed)
+    if rates.failure:
+        return not_measured("sensitivities", subject, rates.failure)
+    if rates.doubtful.size:
+        reason = f"strict complementarity fails for {rates.doubtful.size} unknowns"
+        return not_measured("sensitivities", subject, reason)
+    values, changes, left_out = _values(solution), direction.changes, ""
+
+    def moved(changes: Vector, part: float) -> Values | None:
+        triples = zip(direction.varied, direction.values, changes, strict=True)
+        data = given_to({quantity: value + part * change for quantity, value, change in triples})
+        other = _solved_nearby(module, steps, data, solution.unknowns)
+        return None if other is None else _values(other)
+
+    def references_along(changes: Vector) -> list[_Reference]:
+        """Return references of all lengths; none if the problem cannot be solved at one of them."""
+        references = []
+        for length in _LENGTHS:
+            reference = _reference(lambda part: moved(changes, part), values, length)
+            if reference is None:
+                return []
+            references.append(reference)
+        return references
+
+    references = references_along(changes)
+    if not references:
+        alone = [np.where(np.arange(changes.size) == i, changes, 0.0) for i in range(changes.size)]
+        longest = _LENGTHS[0]
+        can = np.array([all(moved(one, side * longest) is not None for side in (1, -1)) for one in alone])
+        if can.any() and not can.all():
+            left_out = ", without " + ", ".join(direction.varied[i].name for i in np.flatnonzero(~can))
+            changes = np.where(can, changes, 0.0)
+            references = references_along(changes)
+    if not references:
+        reason = f"the problem beside the solution is not solved{left_out}"
+        return not_measured("sensitivities", subject, reason)
+    subject += left_out
+    if any(_is_kinked(references, kind, values[kind]) for kind in _KINDS):
+        reason = "derivatives to both sides differ, as where bounds begin to hold"
+        return not_measured("sensitivities", subject, reason)
+
+    along: dict[str, Any] = dict.fromkeys(_KINDS, 0.0)
+    for quantity, change in zip(direction.varied, changes, strict=True):
+        i = module.QUANTITIES.index(quantity.name)
+        _, q, _, u, multipliers = module.unpacked_rates(grid, solution.unknowns, rates, i)
+        for kind, derivative in (("cost", rates.cost[i]), ("q", q), ("u", u), ("multipliers", multipliers)):
+            along[kind] = along[kind] + change * derivative
+
+    worst, beyond, rough, of = 0.0, 0.0, 0.0, ""
+    for kind in _KINDS:
+        if not values[kind].size:
+            continue
+        floor = _FLOOR * float(np.abs(values[kind]).max())
+        errors = []
+        for reference in references:
+            coarse, fine = reference.coarse[kind], reference.fine[kind]
+            scale = max(float(np.abs(fine).max()), floor, 1e-300)
+            errors.append((float(np.abs(fine - coarse).max()) / scale, float(np.abs(along[kind] - fine).max()) / scale))
+        noise, error = min(errors)
+        rough = max(rough, noise)
+        worst = max(worst, error)
+        if not error - 10.0 * noise <= max(beyond, _SENSITIVITY_ALLOWED):
+            beyond, of = error - 10.0 * noise, kind
+    if rough > _ROUGH:
+        reason = f"differences do not converge, only to {rough:.0e}, as where bounds change"
+        return not_measured("sensitivities", subject, reason)
+    detail = f"differ by at most {worst:.1e} from central differences, which are good to {rough:.0e}"
+    return Finding("sensitivities", subject, not of, f"those of {of} {detail}" if of else detail)
+
+
+def _reference(moved: Callable[[float], Values | None], values: Values, length: float) -> _Reference | None:
+    """Return the differences of a length; None if the problem has no solution to one side."""
+    differences, bend = [], dict[str, float]()
+    for part in (length, 0.5 * length, 0.25 * length):
+        above, below = moved(part), moved(-part)
+        if above is None or below is None:
+            return None
+        if part == length:
+            for kind in _KINDS:
+                bend[kind] = float(np.abs(above[kind] + below[kind] - 2.0 * values[kind]).max(initial=0.0)) / length
+        differences.append({kind: (above[kind] - below[kind]) / (2 * part) for kind in _KINDS})
+    coarse, fine = (
+        {kind: (4.0 * second[kind] - first[kind]) / 3.0 for kind in _KINDS} for first, second in pairwise(differences)
+    )
+    return _Reference(coarse, fine, bend)
+
+
+def _is_kinked(references: Sequence[_Reference], kind: str, values: Vector) -> bool:
+    """Return True if derivatives to both sides differ by more than curvature, which is in proportion to lengths."""
+    longer, last = references[-2].bend[kind], references[-1]
+    floor = _FLOOR * float(np.abs(values).max(initial=0.0))
+    largest = max(float(np.abs(last.fine[kind]).max(initial=0.0)), floor)
+    return bool(last.bend[kind] > max(0.3 * longer, _KINK * largest))
+
+
+def _values(solution: Any) -> Values:
+    return {kind: np.asarray(getattr(solution, kind), dtype=float) for kind in _KINDS}
+
+
+def _solved_nearby(module: Any, steps: int, data: dict[str, Any], start: Any) -> Any:
+    """Return the solution near another solution, to the smallest tolerance that is reached; None without solution."""
+    for tolerance in _TOLERANCES:
+        result = module.solve(steps, **data, guess=start, warm=True, tolerance=tolerance)
+        if result.status == "solved":
+            return result
+    return None
