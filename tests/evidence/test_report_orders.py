@@ -97,7 +97,7 @@ def test_a_mesh_sequence_has_the_optima_of_its_grids(tmp_path):
     found = convergence_of(store, problem, variant, 2)
     assert found.order is not None
     assert found.order.value == pytest.approx(2.0, abs=0.02)
-    assert (found.said, found.remark) == ("", "")
+    assert (found.verdict, found.remark) == ("", "")
     store.measured(Case(references_of(problem), "cost", lambda: {"cost": 15.0, "error": 1e-9}))
     elsewhere = convergence_of(store, problem, variant, 2)
     assert elsewhere.remark == "another local optimum, whose cost tends to 12"

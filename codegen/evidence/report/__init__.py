@@ -27,7 +27,7 @@ def report(problem: Path, folder: Path, quick: bool = False, limit: float | None
     from dataclasses import replace
 
     from codegen.evidence.report.landmark_study import run
-    from codegen.evidence.report.settings import Settings, quick_settings
+    from codegen.evidence.report.store import Settings, quick_settings
 
     settings = quick_settings(problem) if quick else Settings(problem)
     return run(settings if limit is None else replace(settings, limit=limit), folder)
@@ -54,7 +54,7 @@ def problems_report(
         return Report(report(problem, folder, quick, limit))
     from dataclasses import replace
 
-    from codegen.evidence.report.settings import FULL, GALLERY, QUICK, QUICK_PROBLEMS
+    from codegen.evidence.report.store import FULL, GALLERY, QUICK, QUICK_PROBLEMS
 
     extent = QUICK if quick else GALLERY if everything else FULL
     chosen = [_one(problem)] if not everything else _all(Path("problems") if problem is None else problem)

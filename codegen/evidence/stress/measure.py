@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.evidence.stress import systems
 from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Values
-from codegen.evidence.stress.families.common import registered
+from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.systems import (
     DEFAULTS,
     FORCES,
