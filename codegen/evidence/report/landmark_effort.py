@@ -156,7 +156,8 @@ DIMENSION_SECTION = "dimension"
 COUNTS = (5, 10, 20, 50, 100, 200)
 KERNELS = (("plate", 2), ("plate", 3), ("gauss", 2), ("gauss", 3))
 WIDTH = 0.15
-"""The width of the Gaussian; with wider ones the kernel matrix of many landmarks is numerically singular."""
+"""The width of the Gaussian, which the module calls `width_`; with wider ones the kernel matrix of many landmarks is
+numerically singular."""
 
 
 def dimension_cases(settings: Settings, store: Store) -> Iterator[Case]:
@@ -173,7 +174,7 @@ def _grown(settings: Settings, kernel: str, dimension: int, count: int) -> Value
     arguments |= {"dimension": str(dimension)} if dimension != 2 else {}
     module: Any = settings.module("explicit-euler", **arguments)
     points = smooth_pair(count, dimension)
-    case = module.make_case(points.start, points.target, 10, **({"width": WIDTH} if kernel == "gauss" else {}))
+    case = module.make_case(points.start, points.target, 10, **({"width_": WIDTH} if kernel == "gauss" else {}))
     solution = module.solve_case(case)
     return {
         "status": solution.status,
