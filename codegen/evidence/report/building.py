@@ -9,8 +9,8 @@ from __future__ import annotations
 import multiprocessing
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,29 +93,15 @@ def workers() -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(cancel_futures=True)  # an interrupted report does not wait for builds that have not begun
 
 
-def surveyed(
-    pool: ProcessPoolExecutor, store: Store, problems: Iterable[Path], report_progress: Callable[[str], None]
+def gather(
+    pool: ProcessPoolExecutor,
+    store: Store,
+    section: str,
+    jobs: Mapping[str, Callable[[], Values]],
+    report_progress: Callable[[str], None],
 ) -> None:
-    """Survey every problem; a file that cannot be read is recorded as refused."""
-    _gather(store, SURVEYS, {p.stem: (survey_of, (p,)) for p in problems}, pool, report_progress)
-
-
-def build_all(
-    pool: ProcessPoolExecutor, workshop: Workshop, variants: Iterable[Variant], report_progress: Callable[[str], None]
-) -> None:
-    """Derive and compile the variants that the store does not contain yet."""
-    jobs: dict[str, Any] = {v.case: (build_one, (v, workshop.folder)) for v in variants}
-    _gather(workshop.store, MODULES, jobs, pool, report_progress)
-
-
-def _gather(
-    store: Store, section: str, jobs: dict[str, Any], pool: ProcessPoolExecutor, report_progress: Callable[[str], None]
-) -> None:
-    pending: dict[str, Future[Values]] = {
-        name: pool.submit(function, *arguments)
-        for name, (function, arguments) in jobs.items()
-        if store.get(section, name) is None
-    }
+    """Let the workers do the jobs of a section that the store does not contain yet."""
+    pending = {name: pool.submit(job) for name, job in jobs.items() if store.get(section, name) is None}
     for name, future in pending.items():
         report_progress(name)
         store.measured(Case(section, name, future.result))
@@ -137,7 +123,10 @@ def _identity(x: Any) -> Any:
 
 
 def survey_of(problem: Path) -> dict[str, Any]:
-    """The survey of a problem with its optimal cost, or the reason of a refusal; runs in a worker."""
+    """The survey of a problem with its optimal cost, or the reason of a refusal; runs in a worker.
+
+    A file that cannot be read is recorded as refused.
+    """
     from codegen.discretise.model.from_file import load_problem
 
     try:

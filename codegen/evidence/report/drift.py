@@ -20,7 +20,7 @@ import numpy as np
 from codegen.errors import CodegenError
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, number
-from codegen.evidence.report.store import Case, Extent, Store, Values
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving import api
 from codegen.solving.interfaces import SimulateModule, Vector, is_simulation
 
@@ -47,12 +47,7 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         return drift_values(module, extent.drift_steps)
 
     for variant in workshop.built(variants) if extent.drift_steps else []:
-        yield Case(_section_of(problem), variant.label, partial(measure, variant))
-
-
-def _section_of(problem: Path) -> str:
-    """The section of the store that holds long motions."""
-    return f"{problem.stem}: long motion"
+        yield Case(section_of(problem, "long motion"), variant.label, partial(measure, variant))
 
 
 def drift_values(module: SimulateModule, steps: int) -> Values:
@@ -139,7 +134,9 @@ def _random_walk(module: SimulateModule, states: Any, steps: int) -> float:
 
 def section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
     """A table of all schemes; an empty list if nothing was measured."""
-    measured = {v: values for v in variants if (values := store.get(_section_of(problem), v.label)) is not None}
+    measured = {
+        v: values for v in variants if (values := store.get(section_of(problem, "long motion"), v.label)) is not None
+    }
     if not measured:
         return []
     symplectic = {(m, s) for m, s, _, claimed in (store.get(SURVEYS, problem.stem) or {})["schemes"] if claimed}

@@ -11,12 +11,22 @@ import ast
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from codegen.errors import ArgumentError
 from codegen.evidence.report import drift, modules, optima, simulations, thesis
-from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_all, surveyed, workers
+from codegen.evidence.report.building import (
+    MODULES,
+    SURVEYS,
+    Variant,
+    Workshop,
+    build_one,
+    gather,
+    survey_of,
+    workers,
+)
 from codegen.evidence.report.orders import Measured
 from codegen.evidence.report.page import Section, Table, number, page, seconds
 from codegen.evidence.report.store import Case, Extent, Store
@@ -51,13 +61,13 @@ class Extra:
     sections: Callable[[Store, Path], list[Section]]
 
 
-EXTRAS = {
+EXTRAS = {  # landmark registration has no variants, since its study builds its modules itself
     "pendulum": Extra(thesis.pendulum_variants, thesis.pendulum_cases, thesis.pendulum_sections),
     "linear_pendulum": Extra(
         thesis.linear_pendulum_variants, thesis.linear_pendulum_cases, thesis.linear_pendulum_sections
     ),
     "orbital_transfer": Extra(thesis.orbit_variants, thesis.orbit_cases, thesis.orbit_sections),
-    "image_registration": Extra(thesis.landmark_variants, thesis.landmark_cases, thesis.landmark_sections),
+    "image_registration": Extra(lambda _: [], thesis.landmark_cases, thesis.landmark_sections),
     "hovercraft": Extra(thesis.hovercraft_variants, thesis.hovercraft_cases, thesis.hovercraft_sections),
 }
 """Experiments by the names of problem files."""
@@ -71,6 +81,11 @@ class Chosen:
     task: str
     variants: tuple[Variant, ...]
     omitted: tuple[str, ...]
+
+    @property
+    def extra(self) -> Extra | None:
+        """The experiment of the thesis on the problem."""
+        return EXTRAS.get(self.problem.stem)
 
     def measured(self, store: Store) -> dict[Variant, Measured]:
         """The results of every variant."""
@@ -111,12 +126,17 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     workshop = Workshop(folder / "modules", store)
     with progress("", len(problems) + 2) as report_progress:
         with workers() as pool:
-            surveyed(pool, store, problems, lambda name: report_progress(0, f"reading {name}"))
+            surveys = {problem.stem: partial(survey_of, problem) for problem in problems}
+            gather(pool, store, SURVEYS, surveys, lambda name: report_progress(0, f"reading {name}"))
             selection = [choose(problem, store, extent) for problem in problems]
-            wanted = dict.fromkeys(v for chosen in selection for v in (*chosen.variants, *_extra_variants(chosen)))
-            build_all(pool, workshop, wanted, lambda name: report_progress(1, f"building {name}"))
-            forms = [v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent)]
-            build_all(pool, workshop, forms, lambda name: report_progress(1, f"building {name}"))
+            plain = [v for c in selection for v in (*c.variants, *(c.extra.variants(c.problem) if c.extra else ()))]
+            # Omissions of the plain modules decide on the general forms.
+            for variants in (
+                plain,
+                (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent)),
+            ):
+                builds = {v.case: partial(build_one, v, workshop.folder) for v in variants}
+                gather(pool, store, MODULES, builds, lambda name: report_progress(1, f"building {name}"))
         for done, chosen in enumerate(selection):
             for case in _cases(chosen, workshop, extent):
                 report_progress(done + 2, f"{chosen.problem.stem}: {case.name}")
@@ -142,33 +162,28 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
     return Report(path, tuple(worse))
 
 
-def _extra_variants(chosen: Chosen) -> list[Variant]:
-    name = chosen.problem.stem
-    return EXTRAS[name].variants(chosen.problem) if name in EXTRAS else []
-
-
 def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]:
     if chosen.task in KINDS:
         yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
         if chosen.task == "simulate":
             yield from drift.cases(chosen.problem, chosen.variants, workshop, extent)
         yield from modules.cases(chosen.problem, chosen.variants, workshop, extent)
-    if chosen.problem.stem in EXTRAS:
-        yield from EXTRAS[chosen.problem.stem].cases(chosen.problem, workshop, extent)
+    if chosen.extra:
+        yield from chosen.extra.cases(chosen.problem, workshop, extent)
 
 
 def _sections(chosen: Chosen, store: Store) -> list[Section]:
     problem, name = chosen.problem, chosen.problem.stem
     survey = store.get(SURVEYS, name) or {}
     if chosen.task not in KINDS:
-        if survey.get("status") == "refused" or name not in EXTRAS:
+        if survey.get("status") == "refused" or chosen.extra is None:
             reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
             return [Section(f"{name}: not measured here", (reason,))]
-        return EXTRAS[name].sections(store, problem)
+        return chosen.extra.sections(store, problem)
     return [
         *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
         *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
-        *(EXTRAS[name].sections(store, problem) if name in EXTRAS else []),
+        *(chosen.extra.sections(store, problem) if chosen.extra else []),
         modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
         *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
     ]

@@ -18,7 +18,7 @@ from codegen.errors import CodegenError
 from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop
 from codegen.evidence.report.optima import MOST_STEPS, well_timed
 from codegen.evidence.report.page import Section, Table, listed, number, seconds
-from codegen.evidence.report.store import Case, Extent, Store, Values
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 
 PARTICLES = "particles"
 _FORMS = {
@@ -58,12 +58,9 @@ def _operations(module: Values, column: int) -> int:
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """Both forms on the problem's own number of steps."""
     for general in workshop.built(general_forms(workshop.store, problem, variants, extent)):
-        yield Case(_section_of(problem), general.label, partial(_compared, workshop, general, extent.repeat))
-
-
-def _section_of(problem: Path) -> str:
-    """The section of the store that compares the two forms."""
-    return f"{problem.stem}: general form"
+        yield Case(
+            section_of(problem, "general form"), general.label, partial(_compared, workshop, general, extent.repeat)
+        )
 
 
 def _compared(workshop: Workshop, general: Variant, repeat: int) -> Values:
@@ -134,7 +131,7 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
         rows = tuple((part, reason) for part, _, reason in (line.partition(": ") for line in made["left out"]))
         caption = f"Left out of {variant.label}, because the problem does not need it."
         tables.append(Table(caption, ("what", "why"), rows, "words"))
-        other, run = store.get(MODULES, general.case), store.get(_section_of(problem), general.label)
+        other, run = store.get(MODULES, general.case), store.get(section_of(problem, "general form"), general.label)
         if other is None or other["status"] != "built" or run is None:
             continue
         tables.append(_forms_table(variant, made, other, run))

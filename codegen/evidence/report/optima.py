@@ -57,7 +57,7 @@ from codegen.evidence.report.page import (
     times_of_drivers,
     work_precision,
 )
-from codegen.evidence.report.store import Case, Extent, Store, Values
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.search import callbacks
 from codegen.solving import api
 from codegen.solving.drivers import DRIVERS as REGISTERED
@@ -77,51 +77,35 @@ OTHER_OPTIMUM = 0.1
 """A relative error of the finest cost from which on a remark names the possible reasons."""
 
 
-def errors_of(problem: Path) -> str:
-    """The section of the store that holds costs of all schemes."""
-    return f"{problem.stem}: optima"
-
-
-def orders_of(problem: Path) -> str:
-    """The section of the store that holds the mesh sequences of all schemes."""
-    return f"{problem.stem}: mesh sequences"
-
-
-def references_of(problem: Path) -> str:
-    """The section of the store that holds the reference cost."""
-    return f"{problem.stem}: reference"
-
-
-def drivers_of(problem: Path) -> str:
-    """The section of the store that compares drivers."""
-    return f"{problem.stem}: drivers"
-
-
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
     store, modules = workshop.store, {v: _control(workshop, v) for v in workshop.built(variants)}
     for variant, module in modules.items():
         first = _first_steps(module)
         for steps in (first * 2**k for k in range(extent.control_doublings + 1)):
-            yield Case(errors_of(problem), variant.run(steps), partial(solved, module, steps, extent.repeat))
-            values = store.get(errors_of(problem), variant.run(steps)) or {}
+            yield Case(section_of(problem, "optima"), variant.run(steps), partial(solved, module, steps, extent.repeat))
+            values = store.get(section_of(problem, "optima"), variant.run(steps)) or {}
             if (values.get("seconds") or 0.0) > extent.limit:
                 break
-        yield Case(orders_of(problem), variant.label, partial(sequence, module, first, extent.sequence_seconds))
+        yield Case(
+            section_of(problem, "mesh sequences"),
+            variant.label,
+            partial(sequence, module, first, extent.sequence_seconds),
+        )
     if not modules:
         return
     # Optima of all schemes of order 2 and more converge alike, so that the problem's own scheme comes first.
     default = next(iter(modules))
     trusted = sorted(modules, key=lambda v: (-min(v.order, 2), v != default))
     exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
-    yield Case(references_of(problem), "cost", partial(_reference, store, problem, trusted, exact))
+    yield Case(section_of(problem, "reference"), "cost", partial(_reference, store, problem, trusted, exact))
     module = modules[default]
     steps = _first_steps(module)
     if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
         return
     for driver in DRIVERS:
         repeat = extent.repeat if REGISTERED[driver].generated else 1
-        yield Case(drivers_of(problem), driver, partial(solved, module, steps, repeat, driver))
+        yield Case(section_of(problem, "drivers"), driver, partial(solved, module, steps, repeat, driver))
 
 
 def _control(workshop: Workshop, variant: Variant) -> ControlModule:
@@ -163,7 +147,7 @@ def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: f
     if exact is not None:
         return {"cost": exact, "error": 1e-15 * abs(exact), "how": "closed form of the maximum principle"}
     for variant in trusted:
-        values = store.get(orders_of(problem), variant.label)
+        values = store.get(section_of(problem, "mesh sequences"), variant.label)
         if values is not None and (limit := _limit(values)) is not None:
             how = f"{variant.label} on {values['steps'][0]} to {values['steps'][-1]} intervals, {limit.how}"
             return {"cost": limit.value, "error": limit.error, "how": how, "scheme": variant.label}
@@ -394,12 +378,12 @@ class Convergence:
 
 def convergence_of(store: Store, problem: Path, variant: Variant, expected: int) -> Convergence:
     """The convergence of the mesh sequence of a scheme."""
-    values = store.get(orders_of(problem), variant.label)
+    values = store.get(section_of(problem, "mesh sequences"), variant.label)
     limit = None if values is None else _limit(values)
     if values is None or limit is None:
         failure = "" if values is None else values["failure"]
         return Convergence(None, "no optimum on three successive grids", remark=failure)
-    reference = store.get(references_of(problem), "cost") or {}
+    reference = store.get(section_of(problem, "reference"), "cost") or {}
     switching, target, floor, remark = tuple(values["switching"]), limit.value, limit.error, ""
     if reference.get("cost") is not None:
         cost, error = float(reference["cost"]), float(reference["error"])
@@ -454,8 +438,8 @@ def measured(store: Store, problem: Path, variant: Variant) -> Measured:
     Errors are None where a solve failed or there is no reference. The expected order is the scheme's, but 2 at most
     where controls are constant on intervals.
     """
-    rows = variant.rows(store, errors_of(problem))
-    exact = (store.get(references_of(problem), "cost") or {}).get("cost")
+    rows = variant.rows(store, section_of(problem, "optima"))
+    exact = (store.get(section_of(problem, "reference"), "cost") or {}).get("cost")
     expected = next((int(order) for v in rows if (order := v.get("expected order")) is not None), variant.order)
     convergence = convergence_of(store, problem, variant, expected)
     return Measured(rows, [_error(v, exact) for v in rows], convergence.order, expected, convergence.verdict)
@@ -470,7 +454,7 @@ def _error(values: Values, exact: float | None) -> float | None:
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
     """Cost errors against steps and time, and a comparison of drivers."""
-    reference = store.get(references_of(problem), "cost") or {}
+    reference = store.get(section_of(problem, "reference"), "cost") or {}
     exact = reference.get("cost")
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
     convergences = {v: convergence_of(store, problem, v, m.expected) for v, m in schemes.items()}
@@ -495,7 +479,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         caption = "Relative error of the cost against number of intervals and against solve time; dashed: variational."
         pictures.append(Picture(caption, svg(lambda: work_precision([("relative error of cost", lines)], floor))))
     tables = [_orders_table(schemes, convergences), _runs_table(schemes)]
-    by_driver = dict(store.rows(drivers_of(problem)))
+    by_driver = dict(store.rows(section_of(problem, "drivers")))
     if by_driver:
         tables.append(_drivers_table(by_driver, exact))
         bars = [(name, v["seconds"], v["status"] == "solved") for name, v in by_driver.items() if v["seconds"]]

@@ -36,7 +36,7 @@ from codegen.evidence.report.orders import (
     verdict,
 )
 from codegen.evidence.report.page import Line, Picture, Section, Table, listed, number, seconds, svg, work_precision
-from codegen.evidence.report.store import Case, Extent, Store, Values
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving.interfaces import SimulateModule, Vector, is_simulation
 
 TIGHT, LOOSE = 3e-14, 1e-13
@@ -58,29 +58,14 @@ _STATES = 3
 _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
 
 
-def errors_of(problem: Path) -> str:
-    """The section of the store that holds the errors of all schemes."""
-    return f"{problem.stem}: errors"
-
-
-def references_of(problem: Path) -> str:
-    """The section of the store that holds the reference motion."""
-    return f"{problem.stem}: reference"
-
-
-def orders_of(problem: Path) -> str:
-    """The section of the store that holds the measurements of orders."""
-    return f"{problem.stem}: orders"
-
-
 def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """The reference, then every scheme with ever more steps, until a solve is slow or rounding has taken over."""
     store, modules = workshop.store, {v: _simulation(workshop, v) for v in workshop.built(variants)}
     euler = next((module for v, module in modules.items() if v.scheme == "explicit-euler"), None)
     if euler is None:
         return
-    yield Case(references_of(problem), "motion", partial(_reference, euler))
-    reference = store.get(references_of(problem), "motion")
+    yield Case(section_of(problem, "reference"), "motion", partial(_reference, euler))
+    reference = store.get(section_of(problem, "reference"), "motion")
     assert reference is not None
     span = cache(partial(reference_motion, euler, ORDER_CHECKPOINTS))
 
@@ -88,15 +73,19 @@ def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent
         return order_values(module, map(span, span_durations(euler, reference)), extent.limit)
 
     for variant, module in modules.items():
-        yield Case(orders_of(problem), variant.label, partial(order, module))
+        yield Case(section_of(problem, "orders"), variant.label, partial(order, module))
         first = CHECKPOINTS * max(1, round(int(module.metadata.steps) / 2**BELOW / CHECKPOINTS))
         steps: list[int] = []
         errors: list[float | None] = []
         for doublings in range(extent.simulation_doublings + 1):
             steps.append(first * 2**doublings)
             name = variant.run(steps[-1])
-            yield Case(errors_of(problem), name, partial(_errors, module, euler, reference, steps[-1], extent.repeat))
-            values = store.get(errors_of(problem), name) or {}
+            yield Case(
+                section_of(problem, "errors"),
+                name,
+                partial(_errors, module, euler, reference, steps[-1], extent.repeat),
+            )
+            values = store.get(section_of(problem, "errors"), name) or {}
             errors.append(values.get("trajectory"))
             if (values.get("seconds") or 0.0) > extent.limit or is_exhausted(steps, errors):
                 break
@@ -302,7 +291,10 @@ def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, st
 
 def measured(store: Store, problem: Path, variant: Variant) -> Measured:
     """The runs of a scheme, errors of its trajectory, and the order that errors on a short span show."""
-    rows, values = variant.rows(store, errors_of(problem)), store.get(orders_of(problem), variant.label)
+    rows, values = (
+        variant.rows(store, section_of(problem, "errors")),
+        store.get(section_of(problem, "orders"), variant.label),
+    )
     order = None if values is None else measured_order(values["steps"], values["errors"], values["floor"])
     errors = [row.get("trajectory") for row in rows]
     return Measured(rows, errors, order, variant.order, verdict(order, variant.order))
@@ -310,7 +302,7 @@ def measured(store: Store, problem: Path, variant: Variant) -> Measured:
 
 def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
     """Errors against steps and time, and a table of schemes."""
-    reference = store.get(references_of(problem), "motion")
+    reference = store.get(section_of(problem, "reference"), "motion")
     schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
     if reference is None or not schemes:
         return [Section(title, ("No scheme of this problem could be compared with a reference.",))]
@@ -323,7 +315,7 @@ def sections(store: Store, problem: Path, variants: Sequence[Variant], title: st
         ]  # fmt: skip
         if any(error for line in lines for error in line.errors):
             groups.append((name, lines))
-    spans = sorted({values["span"] for v in schemes if (values := store.get(orders_of(problem), v.label))})
+    spans = sorted({values["span"] for v in schemes if (values := store.get(section_of(problem, "orders"), v.label))})
     texts = [
         f"Errors are the largest at {len(reference['times']) - 1} equidistant times, relative to the largest place or "
         f"momentum, those of energy to the largest sum of |p q̇|. "

@@ -35,6 +35,11 @@ class Case:
     measure: Callable[[], Values]
 
 
+def section_of(problem: Path, part: str) -> str:
+    """The section of a problem: its optima, mesh sequences, errors, orders, reference, drivers, and others."""
+    return f"{problem.stem}: {part}"
+
+
 class Store:
     """The measured values of all cases, kept in a file of JSON lines; damaged lines are measured again."""
 

@@ -108,12 +108,6 @@ def _paths(runs: dict[int, Values]) -> Figure:
 # ---- Landmarks ----
 
 
-def landmark_variants(problem: Path) -> list[Variant]:
-    """No modules: the study builds them when it needs them, for several schemes, methods and kernels."""
-    del problem
-    return []
-
-
 def landmark_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """The quick form of the study for every extent: the complete study takes longer than all other cases."""
     del extent
