@@ -1,8 +1,8 @@
 """A long motion of every scheme: the symplecticity of one emitted step, and the trend of the energy's error in time.
 
-The derivative S of a step is computed by central differences of order ten of the emitted step itself, in double
-precision, so that |S'JS - J| is accurate to about 1e-13. Whether the energy drifts is a statistical question: its error
-oscillates, and rounding makes it a random walk. A straight line is fitted to the means over blocks of time. The
+The derivative S of a step is computed by central differences of order ten of the emitted step itself. In double
+precision |S'JS - J| is then accurate to about 1e-13. A drift of the energy is a statistical question, because its error
+oscillates, and rounding makes the error a random walk. A straight line is fitted to the means over blocks of time. The
 standard error of its slope comes from the residuals, and is larger where neighbours are correlated (Priestley 1981,
 Spectral analysis and time series, section 5.3).
 """
@@ -27,9 +27,9 @@ from codegen.solving.interfaces import SimulateModule, Vector, is_simulation
 STORED, BLOCKS = 2000, 50
 """Stored states of a long motion, and blocks over which they are averaged."""
 SIGNIFICANT, BY_ROUNDING = 3.0, 10.0
-"""A slope with a t value below the first is not significant; a rise below so many random walks is due to rounding."""
+"""The least significant t value of a slope, and the least ratio of a rise to the random walk of rounding."""
 GROWN = 2.0
-"""An error has grown if it oscillates by more than so many times its range in the problem's own duration."""
+"""An error has grown if its range is larger than GROWN times the range in the problem's own duration."""
 _OFFSETS = np.array([-5, -4, -3, -2, -1, 1, 2, 3, 4, 5])
 _WEIGHTS = np.array([-2, 25, -150, 600, -2100, 2100, -600, 150, -25, 2]) / 2520.0
 _DISTANCE = 0.02

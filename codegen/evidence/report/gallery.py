@@ -150,7 +150,7 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
         sections += _sections(chosen, store)
     title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
     introduction = (
-        "Every number was measured by the run that made this page; all of them are in measurements.csv beside it. "
+        "Every number was measured by the run that module this page; all of them are in measurements.csv beside it. "
         "A scheme has one colour in all figures. Run times are of one solve with warm machine code, the least of a few."
     )
     if extent.quick:
@@ -232,13 +232,13 @@ def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
     orders = [(m.order.value, v.scheme) for v, m in measured.items() if m.order is not None]
     best = max(orders, key=lambda pair: pair[0], default=None)
     default = chosen.variants[0]
-    made: Any = store.get(MODULES, default.case) or {}
-    count, lines = str(sum(bool(m.rows) for m in measured.values())), str(made.get("lines", "–"))
-    best_order, omissions = f"{number(best[0])} ({best[1]})" if best else "–", str(len(made.get("left out", ())))
+    module: Any = store.get(MODULES, default.case) or {}
+    count, lines = str(sum(bool(m.rows) for m in measured.values())), str(module.get("lines", "–"))
+    best_order, omissions = f"{number(best[0])} ({best[1]})" if best else "–", str(len(module.get("left out", ())))
     rows = measured[default].rows
     if not rows:
-        return (name, chosen.task, count, best_order, *["–"] * 3, made.get("status", "–"), lines, omissions)
-    steps = made.get("steps") or 0
+        return (name, chosen.task, count, best_order, *["–"] * 3, module.get("status", "–"), lines, omissions)
+    steps = module.get("steps") or 0
     row, error = min(zip(rows, measured[default].errors, strict=True), key=lambda pair: abs(pair[0]["steps"] - steps))
     return (
         name, chosen.task, count, best_order, str(row["steps"]), number(error, 2), seconds(row["seconds"]),
@@ -258,7 +258,7 @@ ORDER_LOSS = 0.3
 """An order is worse if it fell by more than this."""
 MORE_ITERATIONS, MORE_LINES = 1.1, 1.1
 """Iterations and lines are worse if they grew by more than these factors; one more iteration does not count."""
-_LOAD = "load of the machine when the page was made"
+_LOAD = "load of the machine when the page was module"
 
 
 @dataclass(frozen=True)
@@ -279,12 +279,12 @@ def record_of(selection: Sequence[Chosen], store: Store, environment: Mapping[st
     for chosen in (c for c in selection if c.task in KINDS):
         name = chosen.problem.stem
         for variant, measured in chosen.measured(store).items():
-            made = store.get(MODULES, variant.case) or {}
+            module = store.get(MODULES, variant.case) or {}
             cases.append({
-                "problem": name, "case": variant.label, "status": made.get("status"), "lines": made.get("lines"),
+                "problem": name, "case": variant.label, "status": module.get("status"), "lines": module.get("lines"),
                 "order": measured.order and measured.order.value, "stated order": variant.order,
                 "expected order": measured.expected,
-                "order verdict": measured.verdict if made.get("status") == "built" else "",
+                "order verdict": measured.verdict if module.get("status") == "built" else "",
             })  # fmt: skip
             for values, error in zip(measured.rows, measured.errors, strict=True):
                 cases.append({

@@ -1,9 +1,9 @@
 """The effort of landmark registration: accuracy, routes of solution, the fastest scheme, dimensions.
 
-The particle ansatz is checked as a weak solution of the Euler-Poincare equations (thesis, B.2). m = sum_i p_i delta(x
-- q_i) solves m_t + v . grad m + (grad v)' m + m div v = 0 if, for every test function psi, the sum over particles of
-d/dt (p_i psi(q_i)) equals the sum of the terms with v. Only the values and slopes of psi at the particles matter. They
-are those of random polynomials that vanish on the circle with their normal derivatives.
+The particle ansatz m = sum_i p_i delta(x - q_i) is checked as a weak solution of the Euler-Poincare equations (thesis,
+B.2), m_t + v . grad m + (grad v)' m + m div v = 0. For every test function psi, the sum over particles of d/dt (p_i
+psi(q_i)) must equal the sum of the terms with v. Only the values and slopes of psi at the particles matter. Test
+functions are random polynomials that vanish on the circle with their normal derivatives.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def general_forms(store: Store, problem: Path, variants: Sequence[Variant], exte
     if (store.get(SURVEYS, problem.stem) or {}).get("form") == PARTICLES:
         return []
     shown = [(v, store.get(MODULES, v.case) or {}) for v in _shown(store, variants)]
-    return [replace(v, general=True) for v, made in shown if _operations(made, 1) <= extent.general_operations]
+    return [replace(v, general=True) for v, plain in shown if _operations(plain, 1) <= extent.general_operations]
 
 
 def _shown(store: Store, variants: Sequence[Variant]) -> list[Variant]:
@@ -127,14 +127,14 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
     """The omissions of modules with their reasons, and a table of the two forms of each module that has both."""
     survey, tables, answers = store.get(SURVEYS, problem.stem) or {}, list[Table](), list[str]()
     for variant in _shown(store, variants):
-        made, general = store.get(MODULES, variant.case) or {}, replace(variant, general=True)
-        rows = tuple((part, reason) for part, _, reason in (line.partition(": ") for line in made["left out"]))
+        plain, general = store.get(MODULES, variant.case) or {}, replace(variant, general=True)
+        rows = tuple((part, reason) for part, _, reason in (line.partition(": ") for line in plain["left out"]))
         caption = f"Left out of {variant.label}, because the problem does not need it."
         tables.append(Table(caption, ("what", "why"), rows, "words"))
         other, run = store.get(MODULES, general.case), store.get(section_of(problem, "general form"), general.label)
         if other is None or other["status"] != "built" or run is None:
             continue
-        tables.append(_forms_table(variant, made, other, run))
+        tables.append(_forms_table(variant, plain, other, run))
         if run.get("difference") is None:
             reason = run.get("general status") or run.get("message")
             answers.append(f"That of {variant.label} does not give the answer: {reason}.")
@@ -159,13 +159,13 @@ def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: s
     return [Section(title, (text,), tuple(tables))]
 
 
-def _forms_table(variant: Variant, made: Values, other: Values, run: Values) -> Table:
+def _forms_table(variant: Variant, plain: Values, other: Values, run: Values) -> Table:
     quantities: list[tuple[Any, ...]] = [
-        ("lines", made["lines"], other["lines"], str),
-        ("of these kernels", made["kernel lines"], other["kernel lines"], str),
-        ("operations of all kernels", _operations(made, 1), _operations(other, 1), str),
+        ("lines", plain["lines"], other["lines"], str),
+        ("of these kernels", plain["kernel lines"], other["kernel lines"], str),
+        ("operations of all kernels", _operations(plain, 1), _operations(other, 1), str),
         ("derive", *(other.get(f"{form} derivation processor seconds") for form in ("plain", "general")), seconds),
-        ("compile", *(m.get("compile processor seconds") for m in (made, other)), seconds),
+        ("compile", *(m.get("compile processor seconds") for m in (plain, other)), seconds),
         (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
     ]
     rows = []

@@ -14,8 +14,8 @@ Hairer, Norsett and Wanner (1993), section II.9. Where errors vary with the grid
 Mesh sequences. Each grid starts from the optimum on a coarser grid, so that all grids follow one optimum. From a
 problem's own guess every grid may end in another local optimum, and long problems need finer grids than a guess leads
 to. A mesh sequence starts from a coarse grid and doubles it. Where bounds become active or inactive within the motion,
-grids of other numbers of intervals are added, since the error then varies with the position of these times in their
-intervals.
+the error varies with the position of these times in their intervals. Grids with other numbers of intervals are then
+added.
 """
 
 from __future__ import annotations

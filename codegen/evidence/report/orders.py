@@ -18,11 +18,11 @@ from codegen.evidence.report.page import number, slope
 from codegen.evidence.report.store import Values
 
 LEAST_POINTS, LEAST_RANGE = 3, 2.0
-"""The least-squares fit has so many successive points at least, over such a factor in N."""
+"""The least number of successive points of the least-squares fit, and the least factor in N."""
 ABOVE, ABOVE_REFERENCE = 100.0, 30.0
 """A point counts if its error exceeds the plateau by the first factor and the reference's error by the second."""
 LEAST_FIT, ABOVE_REFERENCE_FIT = 8, 5.0
-"""A fit to varying errors has so many grids at least; their errors exceed the reference's by the second factor."""
+"""The least number of grids of a fit to varying errors, and the factor by which these exceed the reference's error."""
 SHRINKING = 0.75
 """Rounding is taken to have begun where an error is more than this multiple of the error with half as many steps."""
 SMALL = 1e-6

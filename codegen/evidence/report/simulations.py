@@ -44,7 +44,7 @@ TIGHT, LOOSE = 3e-14, 1e-13
 CHECKPOINTS = 20
 """Intervals between the times at which trajectories are compared."""
 BELOW = 1
-"""The coarsest number of steps is the problem's own, halved so often."""
+"""How often the problem's own number of steps is halved for the coarsest grid."""
 ORDER_CHECKPOINTS = 4
 """Intervals between the times at which errors for orders are taken; their root mean square varies smoothly with h."""
 SPANS = (2.0, 4.0, 8.0, 1.0)
@@ -53,7 +53,7 @@ MOST_STEPS = 40_000
 RUNGS = sorted({n for k in range(100) if (n := ORDER_CHECKPOINTS * round(2.0 * 2.0 ** (k / 3.0))) <= MOST_STEPS})
 """Numbers of steps for orders: multiples of the number of checkpoints that grow by a third of a doubling."""
 ENOUGH, LEAST_RUNGS = 0.01, 12
-"""No more steps are taken once local orders differ by no more than the first, after so many rungs."""
+"""The number of steps grows no further once local orders differ by no more than the first, after LEAST_RUNGS rungs."""
 _STATES = 3
 _QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
 

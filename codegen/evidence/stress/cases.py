@@ -140,69 +140,69 @@ SIGN = 0.01
 """A relative change of energy from which on the summary of a simulation reports that a step is too long."""
 
 
-def classify(case: Case, seen: Measurement) -> Row:
+def classify(case: Case, run: Measurement) -> Row:
     """The row of a case."""
-    outcome, text = _outcome(case, seen)
+    outcome, text = _outcome(case, run)
     passed = outcome in case.expected
     if not passed and outcome in OUTCOMES:
         text = f"{outcome}, expected {' or '.join(case.expected)}: {text}"
         outcome = "unexpected"
-    return Row(case, seen, outcome, passed, text)
+    return Row(case, run, outcome, passed, text)
 
 
-def _outcome(case: Case, seen: Measurement) -> tuple[str, str]:
-    if seen.hung:
-        return "hang", seen.message or f"no answer within {case.seconds:g} s"
-    if seen.exception:
-        return "untyped error", seen.exception
-    if seen.refusal:
-        return "refused", seen.refusal
-    if seen.status not in STATUSES:
-        return "untyped error", f"the status {seen.status!r} is not documented"
-    if seen.status != "solved":
-        if not seen.message:
-            return "untyped error", f"the status {seen.status!r} comes without a message"
-        if case.h_omega > seen.stable_below:
-            return "unsuitable", f"unsuitable, {_stability(case, seen)}: {seen.message}"
-        return "refused", seen.message
-    if not seen.finite:
+def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
+    if run.hung:
+        return "hang", run.message or f"no answer within {case.seconds:g} s"
+    if run.exception:
+        return "untyped error", run.exception
+    if run.refusal:
+        return "refused", run.refusal
+    if run.status not in STATUSES:
+        return "untyped error", f"the status {run.status!r} is not documented"
+    if run.status != "solved":
+        if not run.message:
+            return "untyped error", f"the status {run.status!r} comes without a message"
+        if case.h_omega > run.stable_below:
+            return "unsuitable", f"unsuitable, {_stability(case, run)}: {run.message}"
+        return "refused", run.message
+    if not run.finite:
         return "not a number", "solved, with results that are infinite or no numbers"
-    if not seen.residual <= seen.tolerance:
-        return "false solved", f"the equations have residual {seen.residual:.1e}, beyond {seen.tolerance:.1e}"
-    if seen.textbook > TEXTBOOK:
-        return "false solved", f"the textbook's equations are off by {seen.textbook:.1e} rounding errors"
+    if not run.residual <= run.tolerance:
+        return "false solved", f"the equations have residual {run.residual:.1e}, beyond {run.tolerance:.1e}"
+    if run.textbook > TEXTBOOK:
+        return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
-        return _outcome_by_error(case, seen)
+        return _outcome_by_error(case, run)
     # No comparison with NaN holds, so a drift that was not measured (first-order systems) is no bounded energy.
-    if seen.drift <= case.drift:
+    if run.drift <= case.drift:
         coarse = f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})" if case.h_omega > 0.5 else ""
-        limit = f", stable below {seen.stable_below:.3f}" if math.isfinite(seen.stable_below) else ""
-        return "bounded", f"energy within {seen.drift:.1e}{coarse}{limit}"
-    if math.isnan(seen.drift) and math.isnan(case.drift):
-        return "bounded", f"the equations hold to {seen.residual:.1e}"
-    stability = "unsuitable at this step" if math.isnan(seen.stable_below) else f"unsuitable, {_stability(case, seen)}"
-    return "unsuitable", f"{stability}: energy changes by {seen.drift:.1e} of itself"
+        limit = f", stable below {run.stable_below:.3f}" if math.isfinite(run.stable_below) else ""
+        return "bounded", f"energy within {run.drift:.1e}{coarse}{limit}"
+    if math.isnan(run.drift) and math.isnan(case.drift):
+        return "bounded", f"the equations hold to {run.residual:.1e}"
+    stability = "unsuitable at this step" if math.isnan(run.stable_below) else f"unsuitable, {_stability(case, run)}"
+    return "unsuitable", f"{stability}: energy changes by {run.drift:.1e} of itself"
 
 
-def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
-    if seen.error <= case.bound:
-        limit = f"; {_stability(case, seen)}" if math.isnan(case.h_omega) and not math.isnan(seen.stable_below) else ""
-        return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}{limit}"
-    doubled = seen.announced > 0.1 * min(seen.error, 1.0)
-    if seen.drift > SIGN or doubled:
-        estimate = seen.announced if doubled else seen.drift
-        return "unsuitable", f"error {seen.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
-    return "false solved", f"error {seen.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
+def _outcome_by_error(case: Case, run: Measurement) -> tuple[str, str]:
+    if run.error <= case.bound:
+        limit = f"; {_stability(case, run)}" if math.isnan(case.h_omega) and not math.isnan(run.stable_below) else ""
+        return "accurate", f"error {run.error:.1e}, promised {case.bound:.1e}{limit}"
+    doubled = run.announced > 0.1 * min(run.error, 1.0)
+    if run.drift > SIGN or doubled:
+        estimate = run.announced if doubled else run.drift
+        return "unsuitable", f"error {run.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
+    return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
 
 
-def _stability(case: Case, seen: Measurement) -> str:
-    if seen.stable_below == 0.0:
+def _stability(case: Case, run: Measurement) -> str:
+    if run.stable_below == 0.0:
         return "stable at no step (measured)"
-    if math.isinf(seen.stable_below):
+    if math.isinf(run.stable_below):
         return "stable at every step (measured)"
-    if case.h_omega < seen.stable_below:
-        return f"though small motions are stable below h omega = {seen.stable_below:.3f} (measured)"
-    return f"stable below h omega = {seen.stable_below:.3f} (measured)"
+    if case.h_omega < run.stable_below:
+        return f"though small motions are stable below h omega = {run.stable_below:.3f} (measured)"
+    return f"stable below h omega = {run.stable_below:.3f} (measured)"
 
 
 @dataclass(frozen=True)

@@ -163,10 +163,10 @@ def particle_cases() -> Iterator[Case]:
 
 def turned(count: int, radius: float, angle: float) -> Rows:
     """Points on a circle that turn by an angle."""
-    places = [2.0 * math.pi * i / count for i in range(count)]
+    angles = [2.0 * math.pi * i / count for i in range(count)]
     return tuple(
         (radius * math.cos(a), radius * math.sin(a), radius * math.cos(a + angle), radius * math.sin(a + angle))
-        for a in places
+        for a in angles
     )
 
 
@@ -282,8 +282,8 @@ BODY_SCHEMES = ("rk4", "butcher-6", "yoshida-4", "kahan-li-8")
 def higher_order_cases() -> Iterator[Case]:
     """Problems on which a higher order changes the answer.
 
-    These are the oscillator, whose stability limits follow from the tables of the schemes; ellipses, where an order
-    counts only once the closest approach is resolved; a stiff spring with a swing; a million steps; and bodies and
+    The stability limits of the oscillator follow from the tables of the schemes. On ellipses, an order counts only once
+    the closest approach is resolved. Further cases are a stiff spring with a swing, a million steps, and bodies and
     landmarks that come close.
     """
     for scheme in motions.of_order(3):

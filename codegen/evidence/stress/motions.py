@@ -55,10 +55,10 @@ def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:
 def promised(scheme: SchemeOf, h_omega: float, phase: float) -> float:
     """The error that a scheme of order p promises after a phase omega t, for h omega < 1/2; NaN where it is too large.
 
-    Over the phase omega t the Eulers change amplitudes by exp(+-h omega omega t/2) or shift them by h omega/2, and the
+    Over the phase omega t the Eulers change amplitudes by exp(+-h omega omega t/2) or shift them by h omega/2. The
     schemes of order 2 shift phases by (h omega)^2/12 omega t at most (Hairer, Lubich and Wanner 2006, IX.1). Twice and
-    three times these are allowed, for the nonlinear terms. For schemes of higher order the constants are below 0.03 on
-    the oscillator (`codegen.evidence.stress.systems`), and less than one is allowed.
+    three times these errors are allowed, for the nonlinear terms. For schemes of higher order the constants are below
+    0.03 on the oscillator (`codegen.evidence.stress.systems`), and less than one is allowed.
     """
     order = registered(scheme).order
     error = h_omega**order * (1.0 + phase) / (4.0 if order == 2 else 1.0)

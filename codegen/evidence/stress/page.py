@@ -62,15 +62,15 @@ def _number(value: float) -> str:
 
 
 def _line(row: Row) -> Line:
-    case, seen = row.case, row.measurement
+    case, run = row.case, row.measurement
     scheme = case.setup.label if DRIVERS[case.driver].generated else f"{case.setup.label}, {case.driver}"
-    limit = seen.stable_below
+    limit = run.stable_below
     stable = "any" if math.isinf(limit) else "none" if limit == 0.0 else _number(limit)
     cells = (
-        case.name, scheme, _number(case.h_omega), _number(seen.error), _number(case.bound), _number(seen.drift),
-        stable, str(seen.failures or ""), row.outcome,
+        case.name, scheme, _number(case.h_omega), _number(run.error), _number(case.bound), _number(run.drift),
+        stable, str(run.failures or ""), row.outcome,
     )  # fmt: skip
-    figure = stable if case.reference == "stable_step" else _number(seen.error) or _number(seen.drift)
+    figure = stable if case.reference == "stable_step" else _number(run.error) or _number(run.drift)
     text = row.text if row.text.startswith(row.outcome) else f"{row.outcome}: {row.text}"
     return Line(cells, figure or "–", text, case.reason, row.outcome, row.passed)
 
@@ -123,14 +123,14 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
     """Write every number of every row."""
     records = []
     for row in rows:
-        case, seen, setup = row.case, row.measurement, row.case.setup
+        case, run, setup = row.case, row.measurement, row.case.setup
         records.append({
             "family": case.family, "case": case.name, "problem": setup.file.stem, "method": setup.method or "",
             "scheme": setup.scheme or "", "driver": case.driver, "steps": case.steps, "h_omega": case.h_omega,
-            "error": seen.error, "promised": case.bound, "announced_error": seen.announced, "residual": seen.residual,
-            "tolerance": seen.tolerance, "textbook_rounding_errors": seen.textbook, "energy_drift": seen.drift,
-            "stable_below": seen.stable_below, "failures": seen.failures, "iterations": seen.iterations,
-            "seconds": seen.seconds, "status": seen.status, "outcome": row.outcome,
+            "error": run.error, "promised": case.bound, "announced_error": run.announced, "residual": run.residual,
+            "tolerance": run.tolerance, "textbook_rounding_errors": run.textbook, "energy_drift": run.drift,
+            "stable_below": run.stable_below, "failures": run.failures, "iterations": run.iterations,
+            "seconds": run.seconds, "status": run.status, "outcome": row.outcome,
             "expected": " or ".join(case.expected), "passed": row.passed, "finding": row.text, "reason": case.reason,
         })  # fmt: skip
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
