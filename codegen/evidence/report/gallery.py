@@ -54,21 +54,23 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Extra:
-    """An experiment of the thesis: further modules, cases and sections."""
+    """An experiment of the thesis: rows (method, scheme, order, arguments) of modules, cases and sections."""
 
-    variants: Callable[[Path], list[Variant]]
-    cases: Callable[[Path, Workshop, Extent], Iterator[Case]]
+    rows: Sequence[tuple[Any, ...]]
+    cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
     sections: Callable[[Store, Path], list[Section]]
 
+    def variants(self, problem: Path) -> list[Variant]:
+        """The modules of the experiment."""
+        return [Variant(problem, *row) for row in self.rows]
 
-EXTRAS = {  # landmark registration has no variants, since its study builds its modules itself
-    "pendulum": Extra(thesis.pendulum_variants, thesis.pendulum_cases, thesis.pendulum_sections),
-    "linear_pendulum": Extra(
-        thesis.linear_pendulum_variants, thesis.linear_pendulum_cases, thesis.linear_pendulum_sections
-    ),
-    "orbital_transfer": Extra(thesis.orbit_variants, thesis.orbit_cases, thesis.orbit_sections),
-    "image_registration": Extra(lambda _: [], thesis.landmark_cases, thesis.landmark_sections),
-    "hovercraft": Extra(thesis.hovercraft_variants, thesis.hovercraft_cases, thesis.hovercraft_sections),
+
+EXTRAS = {
+    "pendulum": Extra(thesis.PENDULUM_ROWS, thesis.pendulum_cases, thesis.pendulum_sections),
+    "linear_pendulum": Extra(thesis.LINEAR_ROWS, thesis.linear_pendulum_cases, thesis.linear_pendulum_sections),
+    "orbital_transfer": Extra(thesis.ORBIT_ROWS, thesis.orbit_cases, thesis.orbit_sections),
+    "image_registration": Extra((), thesis.landmark_cases, thesis.landmark_sections),  # the study builds its modules
+    "hovercraft": Extra(thesis.HOVERCRAFT_ROWS, thesis.hovercraft_cases, thesis.hovercraft_sections),
 }
 """Experiments by the names of problem files."""
 
@@ -169,7 +171,7 @@ def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]
             yield from drift.cases(chosen.problem, chosen.variants, workshop, extent)
         yield from modules.cases(chosen.problem, chosen.variants, workshop, extent)
     if chosen.extra:
-        yield from chosen.extra.cases(chosen.problem, workshop, extent)
+        yield from chosen.extra.cases(chosen.problem, chosen.extra.variants(chosen.problem), workshop, extent)
 
 
 def _sections(chosen: Chosen, store: Store) -> list[Section]:

@@ -39,7 +39,6 @@ SCHEMES = ("explicit-euler", "symplectic-euler", "midpoint", "stormer-verlet", "
 
 def accuracy_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """References, the rows of Table 5.2, the sweep of tolerances, and error against time of every scheme."""
-    del store
     for count in (*settings.counts, 40):
         yield Case(REFERENCES, f"nc {count}", partial(_reference, settings, count))
         if count != 40:
@@ -90,7 +89,6 @@ WEAK_SOLUTION_SECTION = "weak solution"
 
 def weak_solution_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """Random test functions on every set of landmarks along their motion."""
-    del store
     for count in (*settings.counts, 40):
         yield Case(WEAK_SOLUTION_SECTION, f"nc {count}", partial(_defects, settings, count))
 
@@ -162,7 +160,6 @@ numerically singular."""
 
 def dimension_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """Explicit Euler steps, N = 10, with the Gaussian and the plate's kernel in the plane and in space."""
-    del store
     for kernel, dimension in (("plate", 2),) if settings.quick else KERNELS:
         for count in COUNTS[:4] if settings.quick else COUNTS:
             name = f"{kernel} {dimension}-D; nc {count}"
@@ -204,7 +201,6 @@ MIDPOINT_SECTION = "midpoint effort"
 
 def midpoint_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """The nested solve on few landmarks, the generated solve on these and on forty."""
-    del store
     if settings.quick:
         return
     for count in (*settings.counts, 40):
@@ -267,7 +263,6 @@ _REPEAT = 5
 
 def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """For every scheme and target, the fewest steps or the loosest tolerance that meets it."""
-    del store
     if settings.quick:
         return
 

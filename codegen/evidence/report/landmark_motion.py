@@ -166,7 +166,6 @@ PATHS_STEPS = 20
 
 def path_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """Every guess on few landmarks, on the trilobites, and on a hundred random landmarks."""
-    del store
     if settings.quick:
         return
     sets = {f"nc {n}": settings.points(n) for n in (*settings.counts, 40)} | {"nc 100, smooth": smooth_pair(100)}
@@ -224,7 +223,6 @@ _FINE, _ROWS = 640, 31
 
 def smoothness_cases(settings: Settings, store: Store) -> Iterator[Case]:
     """Explicit Euler warps of growing amplitude with ever more steps."""
-    del store
     if settings.quick:
         return
     for amplitude in AMPLITUDES:

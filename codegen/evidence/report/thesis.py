@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,17 +40,13 @@ def _control(workshop: Workshop, variant: Variant) -> ControlModule:
 
 HOVERCRAFT_SECTION = "hovercraft: figures A.1 to A.5"
 CRAFT = (3, 5)
+HOVERCRAFT_ROWS = tuple(("variational", "midpoint", 2, (("craft", str(count)),)) for count in CRAFT)
 HOVERCRAFT_STEPS = 20
 
 
-def hovercraft_variants(problem: Path) -> list[Variant]:
-    """A module for three craft, and one for five."""
-    return [Variant(problem, "variational", "midpoint", 2, (("craft", str(count)),)) for count in CRAFT]
-
-
-def hovercraft_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
+def hovercraft_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """A case for each number of craft."""
-    for variant, count in zip(hovercraft_variants(problem), CRAFT, strict=True):
+    for variant, count in zip(variants, CRAFT, strict=True):
         yield Case(HOVERCRAFT_SECTION, f"{count} craft", partial(_formation, workshop, variant, extent.repeat))
 
 
@@ -66,7 +62,6 @@ def _formation(workshop: Workshop, variant: Variant, repeat: int) -> Values:
 
 def hovercraft_sections(store: Store, problem: Path) -> list[Section]:
     """A table and the paths."""
-    del problem
     runs = {n: values for n in CRAFT if (values := store.get(HOVERCRAFT_SECTION, f"{n} craft")) is not None}
     if not runs:
         return []
@@ -108,9 +103,8 @@ def _paths(runs: dict[int, Values]) -> Figure:
 # ---- Landmarks ----
 
 
-def landmark_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
+def landmark_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """The quick form of the study for every extent: the complete study takes longer than all other cases."""
-    del extent
     for _, part in landmark_study.PARTS:
         yield from part(quick_settings(problem), workshop.store)
 
@@ -131,20 +125,18 @@ LINEAR_METHODS = (
     ("Ham. Eq'ns", "hamiltonian", "midpoint", 2, GREEN, "--"),
 )
 """The thesis's name, method, scheme, order, colour and style of the line."""
+LINEAR_ROWS = tuple(row[1:4] for row in LINEAR_METHODS)
 
 
-def linear_pendulum_variants(problem: Path) -> list[Variant]:
-    """The modules of the three transcriptions."""
-    return [Variant(problem, method, scheme, order) for _, method, scheme, order, _, _ in LINEAR_METHODS]
-
-
-def linear_pendulum_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
+def linear_pendulum_cases(
+    problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent
+) -> Iterator[Case]:
     """N = 10:5:200 for each transcription, every fourth of these in the quick form."""
 
     def measure(variant: Variant, steps: int) -> Values:
         return solved(_control(workshop, variant), steps, extent.repeat)
 
-    for variant, (label, *_) in zip(linear_pendulum_variants(problem), LINEAR_METHODS, strict=True):
+    for variant, (label, *_) in zip(variants, LINEAR_METHODS, strict=True):
         for steps in LINEAR_STEPS[::4] if extent.quick else LINEAR_STEPS:
             yield Case(LINEAR_SECTION, f"{label}; N {steps}", partial(measure, variant, steps))
 
@@ -207,20 +199,16 @@ def _linear_figure(store: Store, exact: float) -> Figure:
 
 ORBIT_SECTION = "orbital_transfer: figures 3.3 to 3.9"
 ORBIT_METHODS = (("Mid.", "variational", "midpoint", 2, BLUE), ("Euler", "hamiltonian", "explicit-euler", 1, RED))
+ORBIT_ROWS = tuple(row[1:4] for row in ORBIT_METHODS)
 SWEEPS = {1: tuple(range(10, 51, 5)), 2: tuple(range(10, 101, 10))}
 FORCES = {1: (50, 100, 150), 2: (100, 200, 300)}
 """Numbers of steps by revolutions: of Figures 3.3 and 3.4, and of Figures 3.7 to 3.9."""
 TOLERANCE = 1e-11
 
 
-def orbit_variants(problem: Path) -> list[Variant]:
-    """The modules of both discretisations."""
-    return [Variant(problem, method, scheme, order) for _, method, scheme, order, _ in ORBIT_METHODS]
-
-
-def orbit_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
+def orbit_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """Both methods for one and two revolutions; the motions of the largest N are kept."""
-    for variant, (label, *_) in zip(orbit_variants(problem), ORBIT_METHODS, strict=True):
+    for variant, (label, *_) in zip(variants, ORBIT_METHODS, strict=True):
         for revolutions, sweep in SWEEPS.items():
             wanted = sorted({*(sweep[::3] if extent.quick else sweep), *FORCES[revolutions]})
             for steps in wanted:
@@ -279,7 +267,6 @@ def _sweep(store: Store, label: str, revolutions: int) -> list[Values]:
 
 def orbit_sections(store: Store, problem: Path) -> list[Section]:
     """Costs, times, orbits, forces and the miss of R-K."""
-    del problem
     if not _sweep(store, "Mid.", 1):
         return []
     text = (
@@ -397,19 +384,14 @@ PORTRAITS = (
     ("midpoint", 0.3, ((0.0, 0.7), (0.0, 1.4), (0.0, 2.1)), 200),
 )
 """Scheme, step, initial states and number of steps, which the thesis does not give."""
+PENDULUM_ROWS = tuple(("hamiltonian", scheme, 2 if scheme == "midpoint" else 1) for scheme, *_ in PORTRAITS)
 LONG = 100_000
 """Steps after which the drift of energy is measured again."""
 
 
-def pendulum_variants(problem: Path) -> list[Variant]:
-    """The modules that the portraits need."""
-    return [Variant(problem, "hamiltonian", scheme, 2 if scheme == "midpoint" else 1) for scheme, *_ in PORTRAITS]
-
-
-def pendulum_cases(problem: Path, workshop: Workshop, extent: Extent) -> Iterator[Case]:
+def pendulum_cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
     """A case for every method and initial state."""
-    del extent
-    for variant, (scheme, h, starts, steps) in zip(pendulum_variants(problem), PORTRAITS, strict=True):
+    for variant, (scheme, h, starts, steps) in zip(variants, PORTRAITS, strict=True):
         for start in starts:
             yield Case(PENDULUM_SECTION, f"{scheme}; {start}", partial(_portrait, workshop, variant, h, start, steps))
 
@@ -433,7 +415,6 @@ def _portrait(workshop: Workshop, variant: Variant, h: float, start: tuple[float
 
 def pendulum_sections(store: Store, problem: Path) -> list[Section]:
     """The portraits, and the drift numbers."""
-    del problem
     rows = []
     for scheme, h, starts, steps in PORTRAITS:
         for start in starts:
