@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -132,11 +132,9 @@ def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | 
             gather(pool, store, SURVEYS, surveys, lambda name: report_progress(0, f"reading {name}"))
             selection = [choose(problem, store, extent) for problem in problems]
             plain = [v for c in selection for v in (*c.variants, *(c.extra.variants(c.problem) if c.extra else ()))]
-            # Omissions of the plain modules decide on the general forms.
-            for variants in (
-                plain,
-                (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent)),
-            ):
+            general = (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent))
+            groups: tuple[Iterable[Variant], ...] = (plain, general)  # sizes of plain modules decide on general forms
+            for variants in groups:
                 builds = {v.case: partial(build_one, v, workshop.folder) for v in variants}
                 gather(pool, store, MODULES, builds, lambda name: report_progress(1, f"building {name}"))
         for done, chosen in enumerate(selection):

@@ -292,13 +292,13 @@ def fastest_cases(settings: Settings, store: Store) -> Iterator[Case]:
             steps = max(steps + 1, math.floor(steps * min(caution * growth, 4.0)))
         return {"reached": False, "steps": _MOST_STEPS, "error": error, "seconds": math.inf}
 
-    def loosest_tolerance(code: str, target: float) -> Values:
+    def loosest_tolerance(scheme: str, target: float) -> Values:
         """The search tries four tolerances a decade."""
         for quarter in range(4, 53):
             tolerance = 10.0 ** (-quarter / 4)
-            _, error = solve(code, tolerance=tolerance)
+            _, error = solve(scheme, tolerance=tolerance)
             if error <= target:
-                result, _ = solve(code, tolerance=tolerance, repeat=_REPEAT)
+                result, _ = solve(scheme, tolerance=tolerance, repeat=_REPEAT)
                 return {"reached": True, "steps": result.steps, "error": error, "seconds": result.seconds_solve,
                         "tolerance": tolerance}  # fmt: skip
         return {"reached": False, "steps": 0, "error": math.inf, "seconds": math.inf}
