@@ -29,8 +29,8 @@ from golden import GALLERY, ROOT
 
 import codegen
 from codegen.emit.naming import module_name
-from codegen.evidence.report import records
-from codegen.evidence.report.settings import few_landmarks, smooth_pair
+from codegen.evidence.report import gallery
+from codegen.evidence.report.store import few_landmarks, smooth_pair
 from codegen.machine import machine
 from codegen.solving import api
 from codegen.solving.compiler import build
@@ -91,21 +91,21 @@ def main() -> int:
     rows = measured(arguments.problems)
     if arguments.update:
         FOLDER.mkdir(exist_ok=True)
-        RECORD.write_text(as_json(records.Record(machine(), tuple(with_errors(rows, ())))))
+        RECORD.write_text(as_json(gallery.Record(machine(), tuple(with_errors(rows, ())))))
         return 0
     on_record = sorted(FOLDER.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")])
     if not on_record:
         sys.exit("no figures are on record; --update puts them there")
-    before = records.read(RECORD if RECORD in on_record else on_record[-1])
-    worse = records.regressions(before.cases, with_errors(rows, before.cases))
+    before = gallery.read_record(RECORD if RECORD in on_record else on_record[-1])
+    worse = gallery.regressions(before.cases, with_errors(rows, before.cases))
     told = console()
     told.print(f"{len(rows)} modules of the gallery, compared with those on record: {len(worse)} figures are worse")
     if worse:
-        told.print(records.table_of(worse))
+        told.print(gallery.table_of(worse))
     return int(any(row.decides for row in worse))
 
 
-def as_json(record: records.Record) -> str:
+def as_json(record: gallery.Record) -> str:
     """One line for each case, so that a change shows."""
     plain = record.plain()
     lines = ",\n".join("  " + json.dumps(case) for case in plain["cases"])

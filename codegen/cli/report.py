@@ -26,7 +26,7 @@ def report(
 ) -> None:
     """Measure everything about problems and write one page; what DIR holds already is not measured again."""
     from codegen.evidence import report as reports
-    from codegen.evidence.report.records import table_of
+    from codegen.evidence.report.gallery import table_of
     from codegen.solving.results import output
     from codegen.terminal import console
 

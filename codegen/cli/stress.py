@@ -21,7 +21,7 @@ def stress(
 ) -> None:
     """Solve stiff and extreme cases; exit status 1 if one ends in a wrong answer, a NaN, a hang or an untyped error."""
     from codegen.evidence import stress as stressing
-    from codegen.evidence.stress import families, generic, page
+    from codegen.evidence.stress import families, page
     from codegen.solving.results import output
 
     if (problem is None) != (all_ or quick):
@@ -31,7 +31,7 @@ def stress(
         from codegen.problem.sources import parse_arguments
 
         with working("Deriving"):
-            cases = generic.cases_of(problem, parse_arguments(set_, problem))
+            cases = families.cases_of(problem, parse_arguments(set_, problem))
     else:
         cases = families.quick_cases() if quick else families.all_cases()
     with progress("Stressing", len(cases)) as moved:

@@ -11,9 +11,9 @@ from stress_cases import PLAIN, every_case
 from codegen.emit.naming import Choices
 from codegen.errors import NumericsError
 from codegen.evidence.stress.cases import classify
-from codegen.evidence.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.evidence.stress.families.common import VERLET, oscillation
 from codegen.evidence.stress.measure import measure
+from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
+from codegen.evidence.stress.motions import VERLET, oscillation
 from codegen.evidence.stress.systems import FORCES, frequency, plate_gradient, spectral_radius
 from codegen.solving.compiler import generate
 

@@ -16,13 +16,11 @@ from codegen.evidence.report.optima import (
     convergence_of,
     fitted_limit,
     limit_of,
-    orders_of,
-    references_of,
     sequence,
     switching,
 )
 from codegen.evidence.report.orders import fitted_order, verdict
-from codegen.evidence.report.store import Case, Store
+from codegen.evidence.report.store import Case, Store, section_of
 from codegen.solving import api
 from codegen.solving.compiler import generate
 
@@ -93,12 +91,12 @@ def test_a_mesh_sequence_has_the_optima_of_its_grids(tmp_path):
     for n, cost in zip(*all_grids(values), strict=True):
         assert cost == pytest.approx(12.0 * n**2 / (n**2 - 1.0), rel=1e-11)
     store, problem, variant = Store(tmp_path / "s.jsonl"), Path("effort.py"), Variant(Path("effort.py"), "m", "s", 2)
-    store.measured(Case(orders_of(problem), variant.label, lambda: values))
+    store.measured(Case(section_of(problem, "mesh sequences"), variant.label, lambda: values))
     found = convergence_of(store, problem, variant, 2)
     assert found.order is not None
     assert found.order.value == pytest.approx(2.0, abs=0.02)
-    assert (found.said, found.remark) == ("", "")
-    store.measured(Case(references_of(problem), "cost", lambda: {"cost": 15.0, "error": 1e-9}))
+    assert (found.verdict, found.remark) == ("", "")
+    store.measured(Case(section_of(problem, "reference"), "cost", lambda: {"cost": 15.0, "error": 1e-9}))
     elsewhere = convergence_of(store, problem, variant, 2)
     assert elsewhere.remark == "another local optimum, whose cost tends to 12"
     assert elsewhere.order == found.order

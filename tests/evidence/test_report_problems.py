@@ -16,15 +16,12 @@ from made_records import control_record
 
 from codegen.cli import main
 from codegen.errors import ArgumentError
-from codegen.evidence.report import building, gallery, kinds, records, thesis
-from codegen.evidence.report import control_sections as sections_control
-from codegen.evidence.report import simulation_sections as sections_simulation
+from codegen.evidence.report import building, gallery, optima, simulations, thesis
 from codegen.evidence.report.building import Variant, Workshop
+from codegen.evidence.report.gallery import regressions
 from codegen.evidence.report.orders import is_exhausted, measured_order, verdict
-from codegen.evidence.report.records import regressions
-from codegen.evidence.report.settings import Extent
 from codegen.evidence.report.simulations import conserved, reference_motion
-from codegen.evidence.report.store import Case, Store
+from codegen.evidence.report.store import Case, Extent, Store
 from codegen.solving import api
 
 OSCILLATOR = '''"""Let a unit mass swing on a spring."""
@@ -243,20 +240,20 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
     assert "All problems at a glance" in text
     store = Store(out / "quick.jsonl")
     orders = {
-        ("oscillator", v.scheme): (v.order, sections_simulation.order_of(store, problems[1], v))
-        for v in kinds.choose(problems[1], store, TINY).variants
+        ("oscillator", v.scheme): (v.order, simulations.measured(store, problems[1], v).order)
+        for v in gallery.choose(problems[1], store, TINY).variants
     }
     assert len(orders) == 3
     for stated, order in orders.values():
         assert order is not None
         assert abs(order.value - stated) < (0.1 if stated < 6 else 0.3)
-    control = kinds.choose(problems[0], store, TINY)
-    assert control.left
+    control = gallery.choose(problems[0], store, TINY)
+    assert control.omitted
     for variant in control.variants:  # controls are constant on intervals, so that order 2 is all there is
-        assert sections_control.expected_order(store, problems[0], variant) == min(variant.order, 2)
+        assert optima.measured(store, problems[0], variant).expected == min(variant.order, 2)
     assert store.get(building.SURVEYS, "effort")["exact cost"] == pytest.approx(12.0, rel=1e-15)
-    rows = sections_control.rows_of(store, problems[0], control.variants[0])
-    for values, error in zip(rows, sections_control.errors(store, problems[0], control.variants[0]), strict=True):
+    measured = optima.measured(store, problems[0], control.variants[0])
+    for values, error in zip(measured.rows, measured.errors, strict=True):
         assert error == pytest.approx(
             1.0 / (values["steps"] ** 2 - 1), rel=1e-6
         )  # 12 N^2/(N^2 - 1) is the discrete cost
@@ -281,7 +278,7 @@ def test_two_problems_from_end_to_end(tmp_path, inline, monkeypatch):
     assert "nothing is worse" in again.page.read_text()
     assert (out / "quick.jsonl").read_bytes() == before
 
-    better = json.loads((out / records.NAME).read_text())
+    better = json.loads((out / gallery.NAME).read_text())
     for case in better["cases"]:
         if case.get("error"):
             case["error"] /= 3.0
@@ -309,7 +306,7 @@ def test_a_problem_that_cannot_be_read_is_said_on_the_page(tmp_path, inline):
 
 def test_comparison_wants_a_report(tmp_path):
     with pytest.raises(ArgumentError, match="no report is there"):
-        records.read(tmp_path)
+        gallery.read_record(tmp_path)
 
 
 @pytest.mark.parametrize("words", [[], ["absent.py"], ["absent", "--all"]])
@@ -322,9 +319,9 @@ def test_the_command_refuses_in_one_line(tmp_path, capsys, words):
 
 
 def test_reports_of_different_problems_are_not_compared():
-    one, other = (records.Record({}, ({"problem": name, "case": "c"},)) for name in "ab")
+    one, other = (gallery.Record({}, ({"problem": name, "case": "c"},)) for name in "ab")
     with pytest.raises(ArgumentError, match="no case in common"):
-        records.compared(one, other)
+        gallery.compared(one, other)
 
 
 def test_a_satellite_without_thrust_comes_back():

@@ -8,8 +8,8 @@ from stress_cases import every_case
 
 from codegen.discretise.schemes import METHODS
 from codegen.emit.naming import Choices
-from codegen.evidence.stress.families.common import MECHANICAL, SYMPLECTIC_EULER, VERLET, registered
-from codegen.evidence.stress.families.common import PROBLEMS as OWN_PROBLEMS
+from codegen.evidence.stress.motions import MECHANICAL, SYMPLECTIC_EULER, VERLET, registered
+from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
 from codegen.evidence.stress.systems import GROWTH, growth, limit, spectral_radius, stable_limit, swing, turn
 from codegen.solving.compiler import generate
 

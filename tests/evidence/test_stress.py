@@ -17,9 +17,9 @@ from codegen.cli import main
 from codegen.evidence.stress import page, pool
 from codegen.evidence.stress.cases import DEFECTS, EXPECTATIONS, OUTCOMES, Setup, classify
 from codegen.evidence.stress.families import FAMILIES, QUICK, quick_cases
-from codegen.evidence.stress.families.common import PROBLEMS as OWN_PROBLEMS
-from codegen.evidence.stress.families.common import SYMPLECTIC_EULER, VERLET, promised
 from codegen.evidence.stress.measure import REFERENCES
+from codegen.evidence.stress.motions import PROBLEMS as OWN_PROBLEMS
+from codegen.evidence.stress.motions import SYMPLECTIC_EULER, VERLET, promised
 from codegen.solving.tasks import TASKS
 
 # ---- The registry ----
@@ -162,10 +162,10 @@ def test_the_command_wants_one_thing(words, tmp_path):
 
 
 def test_generic_cases_vary_one_parameter_at_a_time():
-    from codegen.evidence.stress.generic import FACTORS, STEPS, _cases
+    from codegen.evidence.stress.families import FACTORS, STEPS, varied_cases
 
     metadata = control_record(steps=50, parameters={"m": 2.0, "zero": 0.0})
-    cases = _cases(Setup(OWN_PROBLEMS / "arm.py"), metadata, ())
+    cases = varied_cases(Setup(OWN_PROBLEMS / "arm.py"), metadata, ())
     varied = [case.values for case in cases if case.values]
     assert varied == [(("m", 2.0 * factor),) for factor in FACTORS]
     assert {case.steps for case in cases} == {50, 500, *STEPS}

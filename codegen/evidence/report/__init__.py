@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,26 +12,7 @@ if TYPE_CHECKING:
     from codegen.evidence.report.gallery import Report
 
 STUDIES = ("image_registration",)
-"""Problem files, by their names, that have a study of their own."""
-
-
-def report(problem: Path, folder: Path, quick: bool = False, limit: float | None = None) -> Path:
-    """The study of landmark registration: measure what `folder` lacks, write page, CSV and JSON; return the page.
-
-    A route is taken no further once a single solve takes more than `limit` seconds. Raises ArgumentError for a problem
-    that has no study, ProblemFileError if there is no such file.
-    """
-    if not problem.is_file():
-        raise ProblemFileError(f"{problem}: no such file", "give the path of a problem file")
-    if problem.stem not in STUDIES:
-        raise ArgumentError(f"{problem} has no study", f"there is one for problems/{STUDIES[0]}.py only")
-    from dataclasses import replace
-
-    from codegen.evidence.report.landmark_study import run
-    from codegen.evidence.report.settings import Settings, quick_settings
-
-    settings = quick_settings(problem) if quick else Settings(problem)
-    return run(settings if limit is None else replace(settings, limit=limit), folder)
+"""The names of problem files that have a study of their own."""
 
 
 def problems_report(
@@ -42,37 +24,53 @@ def problems_report(
     limit: float | None = None,
     earlier: Path | None = None,
 ) -> Report:
-    """Report on one problem, or on all of a folder (default: ./problems); compare with an earlier report if given.
+    """Measure the cases that `folder` lacks and write page, CSV and JSON.
 
-    Raises ArgumentError for an unusable choice, ProblemFileError if there is no such file.
+    Parameters
+    ----------
+    problem
+        The problem file; with `everything` a folder of them, by default ./problems.
+    folder
+        The folder of the page and of the measurements.
+    everything
+        Report on all problems of a folder.
+    quick
+        Measure a few cases only.
+    limit
+        No finer grids or further steps after a solve of more than `limit` seconds.
+    earlier
+        An earlier report for a comparison, by its JSON or its folder.
+
+    Raises
+    ------
+    ArgumentError
+        The choice of problems cannot be used, or there is no earlier report.
+    ProblemFileError
+        There is no such problem file.
     """
-    from codegen.evidence.report.gallery import Report, run
+    if not everything:
+        if problem is None:
+            raise ArgumentError("no problem was given", "give the path of a problem file, or --all")
+        if not problem.is_file():
+            raise ProblemFileError(f"{problem}: no such file", "give the path of a problem file")
+    from codegen.evidence.report import gallery, store
 
     if not everything and problem is not None and problem.stem in STUDIES:
         if earlier is not None:
             raise ArgumentError("the study of landmarks is not compared", "leave --compare out")
-        return Report(report(problem, folder, quick, limit))
-    from dataclasses import replace
+        from codegen.evidence.report import landmark_study
 
-    from codegen.evidence.report.settings import FULL, GALLERY, QUICK, QUICK_PROBLEMS
-
-    extent = QUICK if quick else GALLERY if everything else FULL
-    chosen = [_one(problem)] if not everything else _all(Path("problems") if problem is None else problem)
-    if everything and quick:
-        chosen = [path for path in chosen if path.stem in QUICK_PROBLEMS] or chosen[:3]
-    return run(chosen, folder, extent if limit is None else replace(extent, limit=limit), earlier)
-
-
-def _one(problem: Path | None) -> Path:
-    if problem is None:
-        raise ArgumentError("no problem was given", "give the path of a problem file, or --all")
-    if not problem.is_file():
-        raise ProblemFileError(f"{problem}: no such file", "give the path of a problem file")
-    return problem
-
-
-def _all(folder: Path) -> list[Path]:
-    found = sorted(path for path in folder.glob("*.py") if not path.name.startswith("_"))
-    if not found:
-        raise ArgumentError(f"{folder} holds no problem files", "give a folder that does, or none for ./problems")
-    return found
+        settings = store.quick_settings(problem) if quick else store.Settings(problem)
+        settings = settings if limit is None else replace(settings, limit=limit)
+        return gallery.Report(landmark_study.run(settings, folder))
+    extent = store.QUICK if quick else store.GALLERY if everything else store.FULL
+    extent = extent if limit is None else replace(extent, limit=limit)
+    problems = [] if problem is None else [problem]
+    if everything:
+        source = Path("problems") if problem is None else problem
+        problems = sorted(path for path in source.glob("*.py") if not path.name.startswith("_"))
+        if not problems:
+            raise ArgumentError(f"{source} holds no problem files", "give a folder that does, or none for ./problems")
+        if quick:
+            problems = [path for path in problems if path.stem in store.QUICK_PROBLEMS] or problems[:3]
+    return gallery.run(problems, folder, extent, earlier)

@@ -1,13 +1,16 @@
-"""Modules for a report: derived and compiled by two worker processes at once, into a folder beside the page."""
+"""Modules for a report: two worker processes derive and compile them into a folder beside the page.
+
+A survey of a problem file lists the methods and schemes that may apply, and the optimal cost where the problem has a
+closed form. Surveys and builds need sympy, so that they run in the workers only.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
-import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +18,9 @@ from typing import Any
 
 from codegen.errors import CodegenError
 from codegen.evidence.report.store import Case, Store, Values
-from codegen.solving.loading import GeneratedModule, few_steps, is_control, is_simulation, load, machine_code_counts
+from codegen.evidence.stress.pool import end_with_parent
+from codegen.solving.loading import GeneratedModule, few_steps, is_control, is_simulation
+from codegen.solving.loading import load, machine_code_counts
 
 WORKERS = 2
 MODULES, SURVEYS = "modules", "surveys"
@@ -24,7 +29,10 @@ MODULES, SURVEYS = "modules", "surveys"
 
 @dataclass(frozen=True)
 class Variant:
-    """A problem with a method and a scheme of a stated order, arguments of problem(), and its form."""
+    """A problem with a method, a scheme of a stated order and arguments of problem().
+
+    `general` asks for the general form of the module, which leaves nothing out.
+    """
 
     problem: Path
     method: str
@@ -32,7 +40,6 @@ class Variant:
     order: int
     arguments: tuple[tuple[str, str], ...] = ()
     general: bool = False
-    """Whether nothing is left out."""
 
     @property
     def label(self) -> str:
@@ -42,20 +49,29 @@ class Variant:
 
     @property
     def case(self) -> str:
-        """Its name in the store."""
+        """The name of the variant in the store."""
         return f"{self.problem.stem}; {self.label}"
+
+    def run(self, steps: int) -> str:
+        """The name of a solve with a number of steps in the store."""
+        return f"{self.label}; N {steps}"
+
+    def rows(self, store: Store, section: str) -> list[Values]:
+        """The solves of the variant in a section of the store, by growing number of steps."""
+        rows = [values for name, values in store.rows(section) if name.startswith(f"{self.label}; N ")]
+        return sorted(rows, key=lambda values: values["steps"])
 
 
 class Workshop:
-    """Builds variants and hands out their modules; what was built before is not built again."""
+    """Builds variants and returns their modules; a module that was built before is not built again."""
 
     def __init__(self, folder: Path, store: Store) -> None:
-        """Modules go to `folder`; how long they took, and what was refused, to the store."""
+        """Modules are written to `folder`; build times and refusals go to the store."""
         self.folder, self.store = folder, store
         self._paths: dict[Variant, Path] = {}
 
     def module(self, variant: Variant) -> GeneratedModule:
-        """The module of a variant that was built; raises CodegenError for one that was refused."""
+        """The module of a variant that was built; raises CodegenError for a variant that was refused."""
         if variant not in self._paths:
             values = self.store.get(MODULES, variant.case)
             path = self.folder / values["file"] if values is not None and values.get("file") else None
@@ -63,85 +79,102 @@ class Workshop:
         return load(self._paths[variant])
 
     def built(self, variants: Iterable[Variant]) -> list[Variant]:
-        """Those variants that have a module."""
+        """The variants that have a module."""
         return [v for v in variants if (self.store.get(MODULES, v.case) or {}).get("status") == "built"]
 
 
 @contextmanager
 def workers() -> Iterator[ProcessPoolExecutor]:
-    """Processes of their own, so that neither sympy nor a compilation disturbs what is measured."""
-    pool = ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn"), _get_ready)
+    """Worker processes, so that neither sympy nor a compilation disturbs the measurements."""
+    pool = ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn"), _prepare_worker)
     try:
         yield pool
     finally:
-        pool.shutdown(cancel_futures=True)  # whoever interrupts a report does not wait for what is still to be built
+        pool.shutdown(cancel_futures=True)  # an interrupted report does not wait for builds that have not begun
 
 
-def surveyed(
-    pool: ProcessPoolExecutor, store: Store, problems: Iterable[Path], report_progress: Callable[[str], None]
+def gather(
+    pool: ProcessPoolExecutor,
+    store: Store,
+    section: str,
+    jobs: Mapping[str, Callable[[], Values]],
+    report_progress: Callable[[str], None],
 ) -> None:
-    """Find out what every problem offers; a file that cannot be read is recorded as refused."""
-    _gather(store, SURVEYS, {p.stem: (survey_of, (p,)) for p in problems}, pool, report_progress)
-
-
-def build_all(
-    pool: ProcessPoolExecutor, workshop: Workshop, variants: Iterable[Variant], report_progress: Callable[[str], None]
-) -> None:
-    """Derive and compile variants that the store does not know yet."""
-    jobs: dict[str, Any] = {v.case: (build_one, (v, workshop.folder)) for v in variants}
-    _gather(workshop.store, MODULES, jobs, pool, report_progress)
-
-
-def _gather(
-    store: Store, section: str, jobs: dict[str, Any], pool: ProcessPoolExecutor, report_progress: Callable[[str], None]
-) -> None:
-    pending: dict[str, Future[Values]] = {
-        name: pool.submit(function, *arguments)
-        for name, (function, arguments) in jobs.items()
-        if store.get(section, name) is None
-    }
+    """Let the workers do the jobs of a section that the store does not contain yet."""
+    pending = {name: pool.submit(job) for name, job in jobs.items() if store.get(section, name) is None}
     for name, future in pending.items():
         report_progress(name)
         store.measured(Case(section, name, future.result))
 
 
-def _get_ready() -> None:
-    """Import what is slow, and let numba compile something, so that no module's times contain it."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+def _prepare_worker() -> None:
+    """Import slow libraries and let numba compile a function, so that no build time contains these."""
+    threading.Thread(target=end_with_parent, daemon=True).start()
     from numba import njit
 
-    import codegen.evidence.report.survey
     import codegen.solving.compiler
 
     assert codegen.solving.compiler
-    assert codegen.evidence.report.survey
-    njit(_nothing)(0.0)
+    njit(_identity)(0.0)
 
 
-def _end_with_parent() -> None:
-    """Do not wait for ever where whoever gave the work was killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _nothing(x: Any) -> Any:
+def _identity(x: Any) -> Any:
     return x
 
 
 def survey_of(problem: Path) -> dict[str, Any]:
-    """What a problem offers, with its optimal cost where that has a closed form; runs in a worker."""
-    from codegen.evidence.report.survey import exact_cost, survey
+    """The survey of a problem with its optimal cost, or the reason of a refusal; runs in a worker.
+
+    A file that cannot be read is recorded as refused.
+    """
+    from codegen.discretise.model.from_problem import load_problem
 
     try:
-        return {"status": "read", **survey(problem), "exact cost": exact_cost(problem)}
+        model = load_problem(problem, {})
+        return {"status": "read", **_survey(model), "exact cost": _exact_cost(model)}
     except CodegenError as error:
         return {"status": "refused", "message": str(error)}
 
 
+def _survey(model: Any) -> dict[str, Any]:
+    """Task, form, number of phases, and the methods and schemes that may apply, as plain values for JSON.
+
+    A scheme is a row (method, name, order, True if it is symplectic). The default of the problem comes first. Only the
+    build tells whether a scheme applies.
+    """
+    from codegen.discretise import schemes
+    from codegen.discretise.model.definitions import Model
+    from codegen.discretise.particles import PARTICLE_SCHEMES
+    from codegen.discretise.transcribe import methods_for
+
+    rows: list[tuple[str, schemes.Scheme]]
+    if isinstance(model, Model):
+        form, phases, methods = model.form, len(model.phases), methods_for(model)
+        rows = [(method, scheme) for method in methods for scheme in schemes.of_method(method)]
+    else:
+        form, phases, methods = "particles", 0, ("stepping",) if model.connects else ("hamiltonian",)
+        rows = [(method, scheme) for method in methods for scheme in PARTICLE_SCHEMES.values() if not scheme.adaptive]
+    rows.sort(key=lambda row: (row[0] != methods[0], row[1].name != "midpoint"))
+    listed = [[method, scheme.name, scheme.order, scheme.symplectic] for method, scheme in rows]
+    return {"task": model.task, "schemes": listed, "form": form, "phases": phases}
+
+
+def _exact_cost(model: Any) -> float | None:
+    """The optimal cost of a control problem whose maximum principle has a closed-form solution, else None."""
+    from codegen.discretise.model.definitions import Model
+    from codegen.evidence.analysis.maximum_principle import exact_optimum
+
+    if not isinstance(model, Model) or model.task != "control":
+        return None
+    try:
+        optimum = exact_optimum(model)
+    except CodegenError:  # such as bounds, or controls that the maximum principle does not determine
+        return None
+    return None if optimum is None else optimum.cost_at()
+
+
 def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
-    """Derive, write and compile; times of each, size of the text, and what was left out. Runs in a worker."""
+    """Derive, write and compile a module; return times, sizes and omissions. Runs in a worker."""
     from codegen.solving import api
     from codegen.solving.machine_code.compilation import compile_all
 
@@ -162,7 +195,7 @@ def build_one(variant: Variant, folder: Path) -> dict[str, Any]:
         steps = few_steps(module, min(10, module.metadata.steps))
         api.solve(module, steps=steps)  # compiles what scipy's optimisers call
     is_new = bool(machine_code_counts(module)[0])  # else the machine code was read from disk
-    # Lines and bytes of a module, and lines of its kernels, that is of what is special about the problem.
+    # Kernel lines are the first part of the module, which is special to the problem.
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("# ---- ")]
@@ -193,13 +226,13 @@ def _derived(variant: Variant, folder: Path) -> Path:
 
 
 def _derivations(variant: Variant) -> dict[str, float]:
-    """Processor seconds of deriving a module in both forms, when sympy has met the problem already."""
+    """Processor seconds that the derivation of either form takes once sympy's caches know the problem."""
     from codegen.emit.naming import Choices
     from codegen.solving.compiler import generate
 
-    found = {}
+    times = {}
     for name, general in (("plain", False), ("general", True)):
         begin = time.process_time()
         generate(variant.problem, dict(variant.arguments), Choices(variant.scheme, variant.method, general=general))
-        found[f"{name} derivation processor seconds"] = time.process_time() - begin
-    return found
+        times[f"{name} derivation processor seconds"] = time.process_time() - begin
+    return times

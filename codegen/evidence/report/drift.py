@@ -1,9 +1,9 @@
 """A long motion of every scheme: the symplecticity of one emitted step, and the trend of the energy's error in time.
 
-The derivative S of a step is found by central differences of order ten of the emitted step itself, in double
-precision, so that |S'JS - J| is known down to about 1e-13. Whether the energy drifts is a statistical question: its
-error swings, and rounding makes it a random walk. A straight line is fitted to the means over blocks of time; the
-standard error of its slope comes from the residuals, made larger where neighbours are correlated (Priestley 1981,
+The derivative S of a step is computed by central differences of order ten of the emitted step itself. In double
+precision |S'JS - J| is then accurate to about 1e-13. A drift of the energy is a statistical question, because its error
+oscillates, and rounding makes the error a random walk. A straight line is fitted to the means over blocks of time. The
+standard error of its slope comes from the residuals, and is larger where neighbours are correlated (Priestley 1981,
 Spectral analysis and time series, section 5.3).
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,48 +20,59 @@ import numpy as np
 from codegen.errors import CodegenError
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
 from codegen.evidence.report.page import Section, Table, number
-from codegen.evidence.report.settings import Extent
-from codegen.evidence.report.store import Case, Store, Values
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving import api
 from codegen.solving.loading import SimulateModule, Vector, is_simulation
 
 STORED, BLOCKS = 2000, 50
 """Stored states of a long motion, and blocks over which they are averaged."""
 SIGNIFICANT, BY_ROUNDING = 3.0, 10.0
-"""A slope with a t value below the first is not told from zero; a trend below so many random walks is rounding."""
+"""The least significant t value of a slope, and the least ratio of a rise to the random walk of rounding."""
 GROWN = 2.0
-"""An error that swings by more than so many times what it does in the problem's own duration has grown."""
+"""An error has grown if its range is larger than GROWN times the range in the problem's own duration."""
 _OFFSETS = np.array([-5, -4, -3, -2, -1, 1, 2, 3, 4, 5])
 _WEIGHTS = np.array([-2, 25, -150, 600, -2100, 2100, -600, 150, -25, 2]) / 2520.0
 _DISTANCE = 0.02
 _MOST_FREEDOM = 8
-"""Only with so many coordinates is the derivative of a step found."""
+"""The largest number of coordinates for which the derivative of a step is computed."""
 
 
-@dataclass(frozen=True)
-class Trend:
-    """What a straight line through means over blocks rises in the whole time, and its standard error."""
+def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
+    """One case for each scheme, if the extent asks for a long motion."""
 
-    rise: float
-    error: float
+    def measure(variant: Variant) -> Values:
+        module = workshop.module(variant)
+        assert is_simulation(module)
+        api.solve(module, steps=1)  # compiles
+        return drift_values(module, extent.drift_steps)
 
-    @property
-    def t(self) -> float:
-        """The rise in standard errors."""
-        return self.rise / self.error if self.error else 0.0
+    for variant in workshop.built(variants) if extent.drift_steps else []:
+        yield Case(section_of(problem, "long motion"), variant.label, partial(measure, variant))
 
 
-def trend_of(times: Vector, values: Vector, blocks: int = BLOCKS) -> Trend:
-    """The rise of values that may swing, by block means; residuals of lag one correct the standard error."""
-    size = len(values) // blocks
-    x, y = (np.reshape(column[: blocks * size], (blocks, size)).mean(axis=1) for column in (times, values))
-    x = (x - x.mean()) / (times[-1] - times[0])
-    slope = float(x @ (y - y.mean()) / (x @ x))
-    left = y - y.mean() - slope * x
-    square = float(left @ left)
-    correlation = max(0.0, float(left[1:] @ left[:-1]) / square) if square else 0.0
-    error = np.sqrt(square / (blocks - 2) / float(x @ x) * (1.0 + correlation) / (1.0 - correlation))
-    return Trend(slope, float(error))
+def drift_values(module: SimulateModule, steps: int) -> Values:
+    """Trend, oscillation and rounding over `steps` steps of the problem's own length, and the defect of a step."""
+    grid = module.make_grid(int(module.metadata.steps))
+    try:
+        defect = (
+            symplecticity_defect(module, grid.h, np.ravel(grid.start)) if grid.start.size <= _MOST_FREEDOM else None
+        )
+        first: Any = module.solve(grid.steps, duration=grid.h * grid.steps)
+        solution: Any = module.solve(steps, duration=grid.h * steps, every=max(1, steps // STORED))
+    except (CodegenError, ValueError) as error:
+        return {"status": f"refused: {error}"}
+    if solution.status != "solved":
+        return {"status": solution.status, "defect": defect}
+    shape = (len(solution.t), -1)
+    states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
+    error = solution.energy - solution.energy[0]
+    trend = trend_of(solution.t, error)
+    return {
+        "status": "solved", "steps": steps, "h": grid.h, "defect": defect, "energy": float(solution.energy[0]),
+        "oscillation": float(np.ptp(error)), "first": float(np.ptp(first.energy)),
+        "rise": trend.rise, "standard error": trend.error, "t": trend.t,
+        "rounding": _random_walk(module, states[:: max(1, len(states) // 20)], steps),
+    }  # fmt: skip
 
 
 def symplecticity_defect(module: SimulateModule, h: float, state: Vector) -> float:
@@ -80,72 +92,64 @@ def symplecticity_defect(module: SimulateModule, h: float, state: Vector) -> flo
     return float(np.abs(derivative.T @ form @ derivative - form).max())
 
 
-def random_walk(module: SimulateModule, states: Any, steps: int) -> float:
-    """The energy's error by rounding alone: half a unit in the last place of every state, in each of so many steps."""
+@dataclass(frozen=True)
+class Trend:
+    """The rise of a straight line through block means over the whole time, and its standard error."""
+
+    rise: float
+    error: float
+
+    @property
+    def t(self) -> float:
+        """The rise in standard errors."""
+        return self.rise / self.error if self.error else 0.0
+
+
+def trend_of(times: Vector, values: Vector) -> Trend:
+    """The rise of oscillating values, by block means; the lag-one correlation of residuals corrects its error."""
+    size = len(values) // BLOCKS
+    x, y = (np.reshape(column[: BLOCKS * size], (BLOCKS, size)).mean(axis=1) for column in (times, values))
+    x = (x - x.mean()) / (times[-1] - times[0])
+    slope = float(x @ (y - y.mean()) / (x @ x))
+    residuals = y - y.mean() - slope * x
+    square = float(residuals @ residuals)
+    correlation = max(0.0, float(residuals[1:] @ residuals[:-1]) / square) if square else 0.0
+    error = np.sqrt(square / (BLOCKS - 2) / float(x @ x) * (1.0 + correlation) / (1.0 - correlation))
+    return Trend(slope, float(error))
+
+
+def _random_walk(module: SimulateModule, states: Any, steps: int) -> float:
+    """The energy's error by rounding alone: half a unit in the last place of every state, in each of `steps` steps."""
     parameters, change = module.make_grid(1).parameters, []
     for z in states:
         slopes = []
         for i in range(z.size):
-            moved = z.copy()
-            moved[i] += 1e-6 * max(1.0, abs(z[i]))
-            rise = module.energy(moved, 0.0, parameters) - module.energy(z, 0.0, parameters)
-            slopes.append(rise / (moved[i] - z[i]) * z[i])
+            shifted = z.copy()
+            shifted[i] += 1e-6 * max(1.0, abs(z[i]))
+            rise = module.energy(shifted, 0.0, parameters) - module.energy(z, 0.0, parameters)
+            slopes.append(rise / (shifted[i] - z[i]) * z[i])
         change.append(float(np.sum(np.square(slopes))))
     return float(2.0**-53 * np.sqrt(np.mean(change)) * np.sqrt(steps))
 
 
-def drift_values(module: SimulateModule, steps: int) -> Values:
-    """Over so many steps of the problem's own length: trend, oscillation, rounding, and the defect of a step."""
-    grid = module.make_grid(int(module.metadata.steps))
-    try:
-        defect = (
-            symplecticity_defect(module, grid.h, np.ravel(grid.start)) if grid.start.size <= _MOST_FREEDOM else None
-        )
-        first: Any = module.solve(grid.steps, duration=grid.h * grid.steps)
-        solution: Any = module.solve(steps, duration=grid.h * steps, every=max(1, steps // STORED))
-    except (CodegenError, ValueError) as error:
-        return {"status": f"refused: {error}"}
-    if solution.status != "solved":
-        return {"status": solution.status, "defect": defect}
-    shape = (len(solution.t), -1)
-    states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
-    wrong = solution.energy - solution.energy[0]
-    found = trend_of(solution.t, wrong)
-    return {
-        "status": "solved", "steps": steps, "h": grid.h, "defect": defect, "energy": float(solution.energy[0]),
-        "oscillation": float(np.ptp(wrong)), "first": float(np.ptp(first.energy)),
-        "rise": found.rise, "standard error": found.error, "t": found.t,
-        "rounding": random_walk(module, states[:: max(1, len(states) // 20)], steps),
-    }  # fmt: skip
-
-
-def drifts_of(problem: Path) -> str:
-    """The section of the store that holds long motions."""
-    return f"{problem.stem}: long motion"
-
-
-def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """One for each scheme, where the extent asks for it."""
-    for variant in workshop.built(variants) if extent.drift_steps else []:
-        yield Case(drifts_of(problem), variant.label, lambda v=variant: _long(workshop, v, extent.drift_steps))  # type: ignore[misc]
-
-
-def _long(workshop: Workshop, variant: Variant, steps: int) -> Values:
-    module = workshop.module(variant)
-    assert is_simulation(module)
-    api.solve(module, steps=1)  # compiles
-    return drift_values(module, steps)
-
-
 def section(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
-    """A table of all schemes; none if nothing was measured."""
-    found = [(v, values) for v in variants if (values := store.get(drifts_of(problem), v.label)) is not None]
-    if not found:
+    """A table of all schemes; an empty list if nothing was measured."""
+    measured = {
+        v: values for v in variants if (values := store.get(section_of(problem, "long motion"), v.label)) is not None
+    }
+    if not measured:
         return []
     symplectic = {(m, s) for m, s, _, claimed in (store.get(SURVEYS, problem.stem) or {})["schemes"] if claimed}
-    rows = tuple((v.label, *row(values, (v.method, v.scheme) in symplectic)) for v, values in found)
-    steps = next((values["steps"] for _, values in found if values["status"] == "solved"), 0)
-    h = next((values["h"] for _, values in found if values["status"] == "solved"), 0.0)
+    rows = []
+    for variant, values in measured.items():
+        claim = "yes" if (variant.method, variant.scheme) in symplectic else "no"
+        if values["status"] == "solved":
+            keys = ("oscillation", "first", "rise", "standard error", "t", "rounding")
+            cells = (*(number(values[key], 2) for key in keys), answer(values))
+        else:
+            cells = (*["–"] * 6, values["status"])
+        rows.append((variant.label, claim, number(values.get("defect"), 2), *cells))
+    solved = next((values for values in measured.values() if values["status"] == "solved"), {"steps": 0, "h": 0.0})
     text = (
         "A straight line is fitted to the energy's error, averaged over "
         f"{BLOCKS} blocks of time; t is its rise over the whole time in standard errors. The trend is not told from "
@@ -154,27 +158,14 @@ def section(store: Store, problem: Path, variants: Sequence[Variant], title: str
         "symplecticity of the emitted step, whose derivative is known to about 10⁻¹³. An error that swings by more "
         f"than {GROWN:g} times what it does in the problem's own duration has left its first swing, whatever t is."
     )
-    caption = f"Energy over {steps:,} steps of length {number(h)}, as the problem has them."
-    return [Section(title, (text,), (Table(caption, HEAD, rows),))]
-
-
-HEAD = ("scheme", "symplectic", "|S'JS − J|", "energy swings by", "in the problem's time",
-        "rise of the trend", "its standard error", "t",
-        "random walk by rounding", "trend")  # fmt: skip
-
-
-def row(values: Values, symplectic: bool) -> tuple[str, ...]:
-    """The cells of one scheme."""
-    claim = "yes" if symplectic else "no"
-    defect = number(values.get("defect"), 2)
-    if values["status"] != "solved":
-        return (claim, defect, *["–"] * 6, values["status"])
-    keys = ("oscillation", "first", "rise", "standard error", "t", "rounding")
-    return (claim, defect, *(number(values[key], 2) for key in keys), answer(values))
+    head = ("scheme", "symplectic", "|S'JS − J|", "energy swings by", "in the problem's time", "rise of the trend",
+            "its standard error", "t", "random walk by rounding", "trend")  # fmt: skip
+    caption = f"Energy over {solved['steps']:,} steps of length {number(solved['h'])}, as the problem has them."
+    return [Section(title, (text,), (Table(caption, head, tuple(rows)),))]
 
 
 def answer(values: Values) -> str:
-    """In words whether the energy drifts."""
+    """In words, if and why the energy drifts."""
     walk = BY_ROUNDING * values["rounding"]
     if values["oscillation"] > GROWN * values["first"] + walk:
         return "leaves its first swing"

@@ -1,30 +1,205 @@
-"""Reports of problems: survey, build, measure what is missing, then write page, CSV and JSON."""
+"""Reports of problems: survey, build, measure missing cases, then write page, CSV and JSON; comparison of reports.
+
+The registries KINDS and EXTRAS list the measurements of a task and the experiments of the thesis on single problems.
+The JSON of a report holds the environment, the seeds, and a flat record for every case. A later report is compared with
+these records.
+"""
 
 from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from codegen.evidence.report import drift, leaving_out, records
-from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop, build_all, surveyed, workers
-from codegen.evidence.report.kinds import EXTRAS, KINDS, Chosen, choose
-from codegen.evidence.report.page import Section, Table, listed, number, page, seconds
-from codegen.evidence.report.records import Record, Regression, shared
-from codegen.evidence.report.settings import Extent
-from codegen.evidence.report.store import Store
+from codegen.errors import ArgumentError
+from codegen.evidence.report import drift, modules, optima, simulations, thesis
+from codegen.evidence.report.building import (
+    MODULES,
+    SURVEYS,
+    Variant,
+    Workshop,
+    build_one,
+    gather,
+    survey_of,
+    workers,
+)
+from codegen.evidence.report.orders import Measured
+from codegen.evidence.report.page import Section, Table, number, page, seconds
+from codegen.evidence.report.store import Case, Extent, Store
 from codegen.files import write_text
 from codegen.machine import machine
 from codegen.terminal import progress
 
-_LOAD = "load of the machine when the page was made"
+
+@dataclass(frozen=True)
+class Kind:
+    """The measurements of a task: cases, sections of the page, results of a scheme, and the kind of its errors."""
+
+    cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
+    sections: Callable[[Store, Path, Sequence[Variant], str], list[Section]]
+    measured: Callable[[Store, Path, Variant], Measured]
+    error: str
+
+
+KINDS = {
+    "simulate": Kind(simulations.cases, simulations.sections, simulations.measured, "trajectory"),
+    "control": Kind(optima.cases, optima.sections, optima.measured, "cost"),
+}
+"""Kinds of problems by task; landmark registration is one of the extras."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An experiment of the thesis: rows (method, scheme, order, arguments) of modules, cases and sections."""
+
+    rows: Sequence[tuple[Any, ...]]
+    cases: Callable[[Path, Sequence[Variant], Workshop, Extent], Iterator[Case]]
+    sections: Callable[[Store, Path], list[Section]]
+
+    def variants(self, problem: Path) -> list[Variant]:
+        """The modules of the experiment."""
+        return [Variant(problem, *row) for row in self.rows]
+
+
+EXTRAS = {
+    "pendulum": Extra(thesis.PENDULUM_ROWS, thesis.pendulum_cases, thesis.pendulum_sections),
+    "linear_pendulum": Extra(thesis.LINEAR_ROWS, thesis.linear_pendulum_cases, thesis.linear_pendulum_sections),
+    "orbital_transfer": Extra(thesis.ORBIT_ROWS, thesis.orbit_cases, thesis.orbit_sections),
+    "image_registration": Extra((), thesis.landmark_cases, thesis.landmark_sections),  # the study builds its modules
+    "hovercraft": Extra(thesis.HOVERCRAFT_ROWS, thesis.hovercraft_cases, thesis.hovercraft_sections),
+}
+"""Experiments by the names of problem files."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A problem with the variants that are measured, and the names of the schemes that are omitted."""
+
+    problem: Path
+    task: str
+    variants: tuple[Variant, ...]
+    omitted: tuple[str, ...]
+
+    @property
+    def extra(self) -> Extra | None:
+        """The experiment of the thesis on the problem."""
+        return EXTRAS.get(self.problem.stem)
+
+    def measured(self, store: Store) -> dict[Variant, Measured]:
+        """The results of every variant."""
+        return {v: KINDS[self.task].measured(store, self.problem, v) for v in self.variants}
+
+
+def choose(problem: Path, store: Store, extent: Extent) -> Chosen:
+    """The schemes to be measured: the default, those of highest and lowest order, then others up to the limit."""
+    survey = store.get(SURVEYS, problem.stem) or {}
+    task = survey.get("task", "")
+    if task not in KINDS:
+        return Chosen(problem, task, (), ())
+    rows = [Variant(problem, method, scheme, order) for method, scheme, order, _ in survey["schemes"]]
+    most = extent.most_simulated if task == "simulate" else extent.most_schemes
+    if survey["phases"] and extent.only_default_of_phases:
+        most = 1
+    usable = [v for v in rows if task == "simulate" or v.order <= extent.most_order]
+    lowest = min(usable, key=lambda v: (v.order, v.scheme != "explicit-euler"))
+    first = [rows[0], max(usable, key=lambda v: (v.order, v.method == rows[0].method)), lowest]
+    kept = list(dict.fromkeys([*first, *usable]))[:most]
+    omitted = tuple(v.label for v in rows if v not in kept)
+    return Chosen(problem, task, tuple(v for v in rows if v in kept), omitted)
+
+
+@dataclass(frozen=True)
+class Report:
+    """The page, and the regressions against an earlier report."""
+
+    page: Path
+    regressions: tuple[Regression, ...] = ()
+
+
+def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | None = None) -> Report:
+    """Measure every case that `folder` does not hold yet, and write the report; compare with an earlier report."""
+    before = None if earlier is None else read_record(earlier)
+    folder.mkdir(parents=True, exist_ok=True)
+    store = Store(folder / ("quick.jsonl" if extent.quick else "measurements.jsonl"))
+    workshop = Workshop(folder / "modules", store)
+    with progress("", len(problems) + 2) as report_progress:
+        with workers() as pool:
+            surveys = {problem.stem: partial(survey_of, problem) for problem in problems}
+            gather(pool, store, SURVEYS, surveys, lambda name: report_progress(0, f"reading {name}"))
+            selection = [choose(problem, store, extent) for problem in problems]
+            plain = [v for c in selection for v in (*c.variants, *(c.extra.variants(c.problem) if c.extra else ()))]
+            general = (v for c in selection for v in modules.general_forms(store, c.problem, c.variants, extent))
+            groups: tuple[Iterable[Variant], ...] = (plain, general)  # sizes of plain modules decide on general forms
+            for variants in groups:
+                builds = {v.case: partial(build_one, v, workshop.folder) for v in variants}
+                gather(pool, store, MODULES, builds, lambda name: report_progress(1, f"building {name}"))
+        for done, chosen in enumerate(selection):
+            for case in _cases(chosen, workshop, extent):
+                report_progress(done + 2, f"{chosen.problem.stem}: {case.name}")
+                store.measured(case)
+    record = record_of(selection, store, {**machine(), "quick": extent.quick})
+    worse = () if before is None else compared(before, record)
+    sections = [] if before is None else [comparison(worse, before, record)]
+    if len(selection) > 1:
+        sections.append(summary(selection, store))
+    for chosen in selection:
+        sections += _sections(chosen, store)
+    title = "Problems, measured" if len(selection) > 1 else _title_of(selection[0].problem)
+    introduction = (
+        "Every number was measured by the run that module this page; all of them are in measurements.csv beside it. "
+        "A scheme has one colour in all figures. Run times are of one solve with warm machine code, the least of a few."
+    )
+    if extent.quick:
+        introduction += " This is the quick form: few schemes, short ladders."
+    path = folder / "index.html"
+    write_text(folder / "measurements.csv", store.table())
+    write_text(folder / NAME, json.dumps(record.plain(), indent=1) + "\n")
+    write_text(path, page(title, introduction, sections, record.environment))
+    return Report(path, tuple(worse))
+
+
+def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Iterator[Case]:
+    if chosen.task in KINDS:
+        yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
+        if chosen.task == "simulate":
+            yield from drift.cases(chosen.problem, chosen.variants, workshop, extent)
+        yield from modules.cases(chosen.problem, chosen.variants, workshop, extent)
+    if chosen.extra:
+        yield from chosen.extra.cases(chosen.problem, chosen.extra.variants(chosen.problem), workshop, extent)
+
+
+def _sections(chosen: Chosen, store: Store) -> list[Section]:
+    problem, name = chosen.problem, chosen.problem.stem
+    survey = store.get(SURVEYS, name) or {}
+    if chosen.task not in KINDS:
+        if survey.get("status") == "refused" or chosen.extra is None:
+            reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
+            return [Section(f"{name}: not measured here", (reason,))]
+        return chosen.extra.sections(store, problem)
+    return [
+        *KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {_title_of(problem)}"),
+        *drift.section(store, problem, chosen.variants, f"{name}: energy in the long run"),
+        *(chosen.extra.sections(store, problem) if chosen.extra else []),
+        modules.modules(store, chosen.variants, f"{name}: modules", chosen.omitted),
+        *modules.omissions(store, problem, chosen.variants, f"{name}: what is left out"),
+    ]
+
+
+def _title_of(problem: Path) -> str:
+    """The first paragraph of a problem file."""
+    text = ast.get_docstring(ast.parse(problem.read_bytes())) or problem.stem
+    return text.split("\n\n")[0].replace("\n", " ").rstrip(".")
+
+
+# ---- Summary of all problems ----
 
 
 def summary(selection: Sequence[Chosen], store: Store) -> Section:
-    """One row for every problem."""
+    """One row for every problem, and the number of schemes with each verdict on their orders."""
     rows = tuple(_row(chosen, store) for chosen in selection)
     head = ("problem", "task", "schemes", "best order measured", "default N", "error at default N", "solve time there",
             "status there", "lines", "parts left out")  # fmt: skip
@@ -33,214 +208,191 @@ def summary(selection: Sequence[Chosen], store: Store) -> Section:
         "ladder's number of steps that is next to the problem's own; error, time, status and lines are of the default "
         "scheme."
     )
-    tables = (Table("", head, rows), _orders(selection, store))
-    return Section("All problems at a glance", (text,), tables)
-
-
-def _orders(selection: Sequence[Chosen], store: Store) -> Table:
-    """How many pairs of a problem and a scheme have the expected order, and which do not."""
-    rows = []
-    for task, kind in KINDS.items():
-        said: dict[str, list[str]] = {}
+    orders = []
+    for task in KINDS:
+        verdicts: dict[str, list[str]] = {}
         for chosen in (c for c in selection if c.task == task):
-            for variant in chosen.variants:
-                if kind.rows(store, chosen.problem, variant):
-                    verdict = kind.verdict(store, chosen.problem, variant) or "as expected"
-                    said.setdefault(verdict, []).append(f"{chosen.problem.stem} by {variant.label}")
-        for verdict, names in sorted(said.items(), key=lambda item: -len(item[1])):
-            rows.append((task, verdict, str(len(names)), "" if verdict == "as expected" else "; ".join(names)))
+            for variant, measured in chosen.measured(store).items():
+                if measured.rows:
+                    name = f"{chosen.problem.stem} by {variant.label}"
+                    verdicts.setdefault(measured.verdict or "as expected", []).append(name)
+        for verdict, names in sorted(verdicts.items(), key=lambda item: -len(item[1])):
+            orders.append((task, verdict, str(len(names)), "" if verdict == "as expected" else "; ".join(names)))
     caption = "Measured orders of every problem and scheme, beside those that are expected."
-    return Table(caption, ("task", "order", "number", "which"), tuple(rows), "words")
+    tables = (Table("", head, rows), Table(caption, ("task", "order", "number", "which"), tuple(orders), "words"))
+    return Section("All problems at a glance", (text,), tables)
 
 
 def _row(chosen: Chosen, store: Store) -> tuple[str, ...]:
     name = chosen.problem.stem
     if chosen.task not in KINDS:
-        status = (store.get(SURVEYS, name) or {}).get("status")
-        return (
-            name,
-            chosen.task or "–",
-            *["–"] * 5,
-            "refused" if status == "refused" else "see its study below",
-            "–",
-            "–",
-        )
-    kind = KINDS[chosen.task]
-    orders = [(kind.order(store, chosen.problem, v), v) for v in chosen.variants]
-    known = [(order.value, v) for order, v in orders if order is not None]
-    best = max(known, key=lambda pair: pair[0], default=None)
+        refused = (store.get(SURVEYS, name) or {}).get("status") == "refused"
+        return (name, chosen.task or "–", *["–"] * 5, "refused" if refused else "see its study below", "–", "–")
+    measured = chosen.measured(store)
+    orders = [(m.order.value, v.scheme) for v, m in measured.items() if m.order is not None]
+    best = max(orders, key=lambda pair: pair[0], default=None)
     default = chosen.variants[0]
-    made: Any = store.get(MODULES, default.case) or {}
-    rows = kind.rows(store, chosen.problem, default)
-    errors = kind.errors(store, chosen.problem, default)
-    index = _next_to(made.get("steps"), [v["steps"] for v in rows])
+    module: Any = store.get(MODULES, default.case) or {}
+    count, lines = str(sum(bool(m.rows) for m in measured.values())), str(module.get("lines", "–"))
+    best_order, omissions = f"{number(best[0])} ({best[1]})" if best else "–", str(len(module.get("left out", ())))
+    rows = measured[default].rows
+    if not rows:
+        return (name, chosen.task, count, best_order, *["–"] * 3, module.get("status", "–"), lines, omissions)
+    steps = module.get("steps") or 0
+    row, error = min(zip(rows, measured[default].errors, strict=True), key=lambda pair: abs(pair[0]["steps"] - steps))
     return (
-        name,
-        chosen.task,
-        str(sum(bool(kind.rows(store, chosen.problem, v)) for v in chosen.variants)),
-        f"{number(best[0])} ({best[1].scheme})" if best else "–",
-        str(rows[index]["steps"]) if rows else "–",
-        number(errors[index], 2) if rows else "–",
-        seconds(rows[index]["seconds"]) if rows else "–",
-        rows[index]["status"] if rows else made.get("status", "–"),
-        str(made.get("lines", "–")),
-        str(len(made.get("left out", ()))),
-    )
-
-
-def _next_to(own: int | None, steps: Sequence[int]) -> int:
-    return min(range(len(steps)), key=lambda i: abs(steps[i] - (own or 0)), default=0)
-
-
-def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Section:
-    """Regressions, or that there are none."""
-    text = (
-        f"A case is worse if its error grew by more than a factor {records.ERROR_FACTOR:g} (and exceeds "
-        f"{records.LEAST_ERROR:g}), its time by more than {records.TIME_FACTOR:g} (and exceeds "
-        f"{1e3 * records.LEAST_SECONDS:g} ms), its order fell by more than {records.ORDER_LOSS:g}, its iterations or "
-        f"the lines of its module grew by more than {records.MORE_ITERATIONS:g}, or it is no longer solved. Times "
-        f"inform, the rest decides. {shared(before, after)} cases are in both reports."
-    )
-    machines = [f"{r.environment.get('processor')}, load {r.environment.get(_LOAD)}" for r in (before, after)]
-    machine = f"Times were measured on {machines[0]} then, on {machines[1]} now; times of a busy machine prove little."
-    rows = tuple((r.problem, r.case, r.what, _value(r.before), _value(r.after)) for r in worse)
-    head = ("problem", "case", "what is worse", "before", "now")
-    tables = (Table(f"{len(rows)} regressions.", head, rows),) if rows else ()
-    return Section(
-        "Compared with the earlier report: " + ("regressions" if rows else "nothing is worse"), (text, machine), tables
-    )
-
-
-def _value(value: Any) -> str:
-    return number(float(value)) if isinstance(value, (int, float)) else str(value or "none")
-
-
-def modules(store: Store, variants: Sequence[Variant], title: str, left: Sequence[str] = ()) -> Section:
-    """Times and sizes of every module, operations of its kernels, and refusals."""
-    rows, refused = [], []
-    for variant in variants:
-        values = store.get(MODULES, variant.case)
-        if values is None:
-            continue
-        if values["status"] != "built":
-            refused.append(f"{variant.label} ({values['message']})")
-            continue
-        before, after = (sum(pair[i] for pair in values["operations"].values()) for i in (0, 1))
-        rows.append((
-            variant.label, number(values["derivation seconds"]),
-            number(values.get("compile processor seconds")), number(values["load seconds"]),
-            str(values["lines"]), str(values["kernel lines"]), f"{values['bytes'] / 1024:.1f}",
-            f"{before} → {after}", str(len(values["left out"])),
-        ))  # fmt: skip
-    head = ("module", "derive [s]", "compile [s]", "load [s]", "lines", "of these kernels", "KiB",
-            "operations, before → after sharing", "parts left out")  # fmt: skip
-    texts = []
-    if refused:
-        texts.append("Schemes that do not apply: " + "; ".join(refused) + ".")
-    if left:
-        texts.append(f"Not measured, to keep the report short: {_by_method(left)}.")
-    table = Table(
-        "Modules. Operations are those of one evaluation of every kernel. Two modules are made at a time, and what "
-        "the build cache holds is not derived again; compiling is processor time.", head, tuple(rows),
+        name, chosen.task, count, best_order, str(row["steps"]), number(error, 2), seconds(row["seconds"]),
+        row["status"], lines, omissions,
     )  # fmt: skip
-    return Section(title, tuple(texts), (table,) if rows else ())
 
 
-def _by_method(labels: Sequence[str]) -> str:
-    """Schemes after the name of their method."""
-    groups: dict[str, list[str]] = {}
-    for label in labels:
-        method, scheme = label.split(" ", 1)
-        groups.setdefault(method, []).append(scheme)
-    return "; ".join(f"{method} {listed(schemes)}" for method, schemes in groups.items())
+# ---- Records, and their comparison ----
 
-
-_INTRODUCTION = (
-    "Every number was measured by the run that made this page; all of them are in measurements.csv beside it. "
-    "A scheme has one colour in all figures. Run times are of one solve with warm machine code, the least of a few."
-)
+NAME = "report.json"
+SEEDS = {"states at which conserved momenta are sought": "numpy default_rng(0)"}
+ERROR_FACTOR, LEAST_ERROR = 2.0, 1e-11
+"""An error is worse if it grew by more than this factor, and is larger than rounding explains."""
+TIME_FACTOR, LEAST_SECONDS = 2.0, 2e-3
+"""A time is worse if it grew by more than this factor, and is longer than a busy machine explains."""
+ORDER_LOSS = 0.3
+"""An order is worse if it fell by more than this."""
+MORE_ITERATIONS, MORE_LINES = 1.1, 1.1
+"""Iterations and lines are worse if they grew by more than these factors; one more iteration does not count."""
+_LOAD = "load of the machine when the page was module"
 
 
 @dataclass(frozen=True)
-class Report:
-    """The page, and what became worse since an earlier report."""
+class Record:
+    """The environment of a report and a flat record for every case."""
 
-    page: Path
-    regressions: tuple[Regression, ...] = ()
+    environment: Mapping[str, Any]
+    cases: tuple[Mapping[str, Any], ...]
 
-
-def run(problems: Sequence[Path], folder: Path, extent: Extent, earlier: Path | None = None) -> Report:
-    """Measure every case that `folder` does not hold yet; compare with an earlier report if there is one."""
-    before = None if earlier is None else records.read(earlier)
-    folder.mkdir(parents=True, exist_ok=True)
-    store = Store(folder / ("quick.jsonl" if extent.quick else "measurements.jsonl"))
-    workshop = Workshop(folder / "modules", store)
-    with progress("", len(problems) + 2) as report_progress:
-        with workers() as pool:
-            surveyed(pool, store, problems, lambda name: report_progress(0, f"reading {name}"))
-            selection = [choose(problem, store, extent) for problem in problems]
-            wanted = {v.case: v for chosen in selection for v in (*chosen.variants, *_extra_variants(chosen.problem))}
-            build_all(pool, workshop, wanted.values(), lambda name: report_progress(1, f"building {name}"))
-            forms = [v for c in selection for v in leaving_out.wanted(store, c.problem, c.variants, extent)]
-            build_all(pool, workshop, forms, lambda name: report_progress(1, f"building {name}"))
-        for done, chosen in enumerate(selection):
-            for case in _cases(chosen, workshop, extent):
-                report_progress(done + 2, f"{chosen.problem.stem}: {case.name}")
-                store.measured(case)
-    return _written(selection, store, folder, extent, before)
+    def plain(self) -> dict[str, Any]:
+        """The record as plain values for JSON."""
+        return {"environment": dict(self.environment), "cases": [dict(case) for case in self.cases]}
 
 
-def _extra_variants(problem: Path) -> list[Variant]:
-    return EXTRAS[problem.stem].variants(problem) if problem.stem in EXTRAS else []
+def record_of(selection: Sequence[Chosen], store: Store, environment: Mapping[str, Any]) -> Record:
+    """Every run with its status, error and seconds, every scheme with its order and the size of its module."""
+    cases: list[Mapping[str, Any]] = []
+    for chosen in (c for c in selection if c.task in KINDS):
+        name = chosen.problem.stem
+        for variant, measured in chosen.measured(store).items():
+            module = store.get(MODULES, variant.case) or {}
+            cases.append({
+                "problem": name, "case": variant.label, "status": module.get("status"), "lines": module.get("lines"),
+                "order": measured.order and measured.order.value, "stated order": variant.order,
+                "expected order": measured.expected,
+                "order verdict": measured.verdict if module.get("status") == "built" else "",
+            })  # fmt: skip
+            for values, error in zip(measured.rows, measured.errors, strict=True):
+                cases.append({
+                    "problem": name, "case": variant.run(values["steps"]), "status": values["status"],
+                    "error": error, "error of": KINDS[chosen.task].error, "seconds": values["seconds"],
+                    "iterations": values.get("iterations"),
+                })  # fmt: skip
+    return Record({**environment, "seeds": SEEDS}, tuple(cases))
 
 
-def _cases(chosen: Chosen, workshop: Workshop, extent: Extent) -> Any:
-    if chosen.task in KINDS:
-        yield from KINDS[chosen.task].cases(chosen.problem, chosen.variants, workshop, extent)
-        if chosen.task == "simulate":
-            yield from drift.cases(chosen.problem, chosen.variants, workshop, extent)
-        yield from leaving_out.cases(chosen.problem, chosen.variants, workshop, extent)
-    if chosen.problem.stem in EXTRAS:
-        yield from EXTRAS[chosen.problem.stem].cases(chosen.problem, workshop, extent)
+def read_record(path: Path) -> Record:
+    """An earlier report, by its JSON or its folder; ArgumentError if there is no report."""
+    file = path / NAME if path.is_dir() else path
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        cases = tuple({**row, "problem": row["problem"], "case": row["case"]} for row in content["cases"])
+        return Record(content["environment"], cases)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ArgumentError(f"--compare {path}: no report is there", f"give a folder that holds {NAME}") from error
 
 
-def _written(
-    selection: Sequence[Chosen], store: Store, folder: Path, extent: Extent, before: records.Record | None
-) -> Report:
-    """Page, CSV and JSON."""
-    record = records.record(selection, store, {**machine(), "quick": extent.quick})
-    worse = () if before is None else records.compared(before, record)
-    sections = [] if before is None else [comparison(worse, before, record)]
-    if len(selection) > 1:
-        sections.append(summary(selection, store))
-    for chosen in selection:
-        sections += _sections(chosen, store)
-    title = "Problems, measured" if len(selection) > 1 else title_of(selection[0].problem)
-    introduction = _INTRODUCTION + (" This is the quick form: few schemes, short ladders." if extent.quick else "")
-    path = folder / "index.html"
-    write_text(folder / "measurements.csv", store.table())
-    write_text(folder / "report.json", json.dumps(record.plain(), indent=1) + "\n")
-    write_text(path, page(title, introduction, sections, record.environment))
-    return Report(path, tuple(worse))
+@dataclass(frozen=True)
+class Regression:
+    """A case that became worse: the quantity, and its values in both reports."""
+
+    problem: str
+    case: str
+    what: str
+    before: Any
+    after: Any
+
+    @property
+    def decides(self) -> bool:
+        """Return True if this is a failure; times depend on the load of the machine and are for information only."""
+        return self.what != "seconds"
 
 
-def _sections(chosen: Chosen, store: Store) -> list[Section]:
-    problem, name = chosen.problem, chosen.problem.stem
-    survey = store.get(SURVEYS, name) or {}
-    if chosen.task not in KINDS:
-        if survey.get("status") == "refused" or name not in EXTRAS:
-            reason = survey.get("message") or f"problems with the task {chosen.task} are not measured"
-            return [Section(f"{name}: not measured here", (reason,))]
-        return EXTRAS[name].sections(store, problem)
-    found = KINDS[chosen.task].sections(store, problem, chosen.variants, f"{name}: {title_of(problem)}")
-    found += drift.section(store, problem, chosen.variants, f"{name}: energy in the long run")
-    if name in EXTRAS:
-        found += EXTRAS[name].sections(store, problem)
-    found.append(modules(store, chosen.variants, f"{name}: modules", chosen.left))
-    return found + leaving_out.section(store, problem, chosen.variants, f"{name}: what is left out")
+def compared(before: Record, after: Record) -> list[Regression]:
+    """The regressions between two reports; ArgumentError if these have no case in common."""
+    if not _shared(before, after):
+        raise ArgumentError("the two reports have no case in common", "compare reports of the same problems")
+    return regressions(before.cases, after.cases)
 
 
-def title_of(problem: Path) -> str:
-    """The first sentence of a problem file."""
-    text = ast.get_docstring(ast.parse(problem.read_bytes())) or problem.stem
-    return text.split("\n\n")[0].replace("\n", " ").rstrip(".")
+def _shared(before: Record, after: Record) -> int:
+    """The number of cases that both reports have."""
+    keys = [{(row["problem"], row["case"]) for row in record.cases} for record in (before, after)]
+    return len(keys[0] & keys[1])
+
+
+def regressions(before: Sequence[Mapping[str, Any]], after: Sequence[Mapping[str, Any]]) -> list[Regression]:
+    """The quantities that are worse in `after`, for the cases that both sequences of flat records have."""
+    earlier = {(row["problem"], row["case"]): row for row in before}
+    worse: list[Regression] = []
+    for row in after:
+        old = earlier.get((row["problem"], row["case"]))
+        if old is not None:
+            worse += [Regression(row["problem"], row["case"], *change) for change in _worse(old, row)]
+    return worse
+
+
+def _worse(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    if old.get("status") in ("solved", "built") and new.get("status") != old["status"]:
+        yield "status", old["status"], new.get("status")
+        return
+    iterations, lines = old.get("iterations"), old.get("lines")
+    for key, factor, least in (
+        ("error", ERROR_FACTOR, LEAST_ERROR), ("seconds", TIME_FACTOR, LEAST_SECONDS),
+        ("iterations", MORE_ITERATIONS, (iterations or 0) + 1), ("lines", MORE_LINES, lines or 0),
+    ):  # fmt: skip
+        one, other = old.get(key), new.get(key)
+        if one is not None and other is not None and other > max(factor * one, least):
+            yield key, one, other
+    one, other = old.get("order"), new.get("order")
+    if one is not None and (other is None or other < one - ORDER_LOSS):
+        yield "order", one, other
+
+
+def comparison(worse: Sequence[Regression], before: Record, after: Record) -> Section:
+    """The section on regressions against the earlier report."""
+    text = (
+        f"A case is worse if its error grew by more than a factor {ERROR_FACTOR:g} (and exceeds "
+        f"{LEAST_ERROR:g}), its time by more than {TIME_FACTOR:g} (and exceeds "
+        f"{1e3 * LEAST_SECONDS:g} ms), its order fell by more than {ORDER_LOSS:g}, its iterations or "
+        f"the lines of its module grew by more than {MORE_ITERATIONS:g}, or it is no longer solved. Times "
+        f"inform, the rest decides. {_shared(before, after)} cases are in both reports."
+    )
+    machines = [f"{r.environment.get('processor')}, load {r.environment.get(_LOAD)}" for r in (before, after)]
+    times = f"Times were measured on {machines[0]} then, on {machines[1]} now; times of a busy machine prove little."
+
+    def cell(value: Any) -> str:
+        return number(float(value)) if isinstance(value, (int, float)) else str(value or "none")
+
+    rows = tuple((r.problem, r.case, r.what, cell(r.before), cell(r.after)) for r in worse)
+    head = ("problem", "case", "what is worse", "before", "now")
+    tables = (Table(f"{len(rows)} regressions.", head, rows),) if rows else ()
+    title = "Compared with the earlier report: " + ("regressions" if rows else "nothing is worse")
+    return Section(title, (text, times), tables)
+
+
+def table_of(worse: Sequence[Regression]) -> Any:
+    """The regressions as a table of rich for a terminal; rich takes long to import."""
+    from rich.table import Table as TerminalTable
+
+    table = TerminalTable(title="Worse than on record (times inform, the rest decides)", title_justify="left")
+    for name in ("problem", "case", "what", "before", "now"):
+        table.add_column(name, justify="right" if name in ("before", "now") else "left")
+    for row in worse:
+        values = (f"{v:.4g}" if isinstance(v, (int, float)) else str(v or "none") for v in (row.before, row.after))
+        table.add_row(row.problem, row.case, row.what, *values)
+    return table

@@ -1,21 +1,20 @@
-"""The figures of chapter 5 redone: landmarks, cost and time of every route, paths, adaptive codes."""
+"""The figures of the study of landmark registration, and the selections of measured values that they show.
+
+The first part redoes the figures of chapter 5: landmarks, cost and time of every route, paths, adaptive codes. The
+second part belongs to the open questions of chapter 6.
+"""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from codegen.evidence.report import landmark_effort, landmark_motion
-from codegen.evidence.report.problem_figures import colour_of
-from codegen.evidence.report.settings import Settings, few_landmarks
-from codegen.evidence.report.store import Store, Values
-from codegen.show.figures.picture import STYLE
+from codegen.evidence.report.page import colour_of
+from codegen.evidence.report.store import Settings, Store, Values, few_landmarks
 from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 from codegen.solving.drivers import DRIVERS
 
@@ -29,35 +28,46 @@ COLOURS = {
     "action, trust-constr": "#7A5230",
     "action, slsqp": RED,
 }
+STEPPING = "stepping, newton"
+"""The route of the thesis's stepping method, by the generated Newton's method."""
+
+Rows = list[tuple[int, Values]]
+"""Numbers of steps, or of landmarks, and the values that were measured with them."""
 
 
-def svg(draw: Callable[[], Figure]) -> str:
-    """A figure as text that can stand inside a page."""
-    with matplotlib.rc_context({**STYLE, "savefig.transparent": True}):
-        figure, text = draw(), io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    found = text.getvalue()
-    return found[found.index("<svg") :]
+def reference_cost(store: Store, count: int) -> Any:
+    """The cost of the reference of a set of landmarks, None if it was not measured."""
+    return (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
+
+
+def by_route(settings: Settings, store: Store, scheme: str, route: str, count: int) -> Rows:
+    """The solves of a scheme by a route."""
+    names = ((n, landmark_effort.case_name(scheme, route, count, n)) for n in settings.steps)
+    rows = ((n, store.get(landmark_effort.ROUTES_SECTION, name)) for n, name in names)
+    return [(n, values) for n, values in rows if values is not None and values["seconds"] is not None]
+
+
+# ---- Chapter 5 ----
 
 
 def landmarks(settings: Settings) -> Figure:
-    """Figure 5.1: where landmarks start and end, and the curved paths from which the iterations start."""
+    """Figure 5.1: initial and final landmarks, and the curved paths from which the iterations start."""
     figure = Figure(figsize=(3.1 * len(settings.counts), 3.2), layout="constrained")
-    for axes, count in zip(_row(figure, len(settings.counts)), settings.counts, strict=True):
+    panels = figure.subplots(1, len(settings.counts), squeeze=False)[0]
+    for axes, count in zip(panels, settings.counts, strict=True):
         points, module = few_landmarks(count), settings.module("explicit-euler")
         case = module.make_case(points.start, points.target, 40)
-        states = module.guessed_path(case, 40)
-        draw_paths(axes, states[:, 0], f"$n_c = {count}$")
+        _draw_paths(axes, module.guessed_path(case, 40)[:, 0], f"$n_c = {count}$")
     return figure
 
 
-def draw_paths(axes: Any, places: Any, title: str) -> None:
+def _draw_paths(axes: Any, path: Any, title: str) -> None:
     """Paths of points in the unit disc, array of shape (N + 1, n, 2)."""
-    places = np.asarray(places, dtype=float)
+    path = np.asarray(path, dtype=float)
     axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=GREY, linewidth=0.8))
-    axes.plot(places[:, :, 0], places[:, :, 1], color=BLUE, linewidth=1.0)
-    axes.plot(*places[0].T, "x", color=DARK, markersize=4.5)
-    axes.plot(*places[-1].T, "o", color=AMBER, markersize=3.5)
+    axes.plot(path[:, :, 0], path[:, :, 1], color=BLUE, linewidth=1.0)
+    axes.plot(*path[0].T, "x", color=DARK, markersize=4.5)
+    axes.plot(*path[-1].T, "o", color=AMBER, markersize=3.5)
     axes.set(aspect="equal", xlim=(-1.04, 1.04), ylim=(-1.04, 1.04), xticks=[], yticks=[], title=title)
     axes.grid(False)
     for side in axes.spines.values():
@@ -65,95 +75,60 @@ def draw_paths(axes: Any, places: Any, title: str) -> None:
 
 
 def routes(settings: Settings, store: Store, scheme: str) -> Figure:
-    """Figures 5.2 to 5.4 and 5.8 to 5.10: distance of the cost from the exact one, and seconds, against N."""
+    """Figures 5.2 to 5.4 and 5.8 to 5.10: distance of the cost from the exact cost, and seconds, against N."""
     counts = settings.counts
     figure = Figure(figsize=(3.3 * len(counts) + 0.2, 5.6), layout="constrained")
-    above = _row(figure, len(counts), 2)
-    for column, count in enumerate(counts):
-        cost_axes, time_axes = above[column], above[len(counts) + column]
-        exact = (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
+    above, below = figure.subplots(2, len(counts), squeeze=False)
+    for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
+        exact = reference_cost(store, count)
         for route in landmark_effort.ROUTES:
-            rows = of_route(settings, store, scheme, route.label, count)
+            rows = by_route(settings, store, scheme, route.label, count)
             solved = [(n, v) for n, v in rows if v["status"] == "solved"]
             failed = [(n, v) for n, v in rows if v["status"] != "solved"]
-            colour, width = COLOURS[route.label], 2.6 if route.label == "stepping, newton" else 1.2
-            style = "-" if DRIVERS[route.driver].generated else "--"
+            colour, width = COLOURS[route.label], 2.6 if route.label == STEPPING else 1.2
+            look = {
+                "linestyle": "-" if DRIVERS[route.driver].generated else "--",
+                "color": colour,
+                "linewidth": width,
+            }
+            steps = [n for n, _ in solved]
             if exact is not None:
-                cost_axes.semilogy(
-                    [n for n, _ in solved],
-                    [abs(v["cost"] - exact) for _, v in solved],
-                    style,
-                    color=colour,
-                    linewidth=width,
-                    alpha=0.9,
-                )
-            time_axes.semilogy(
-                [n for n, _ in solved],
-                [v["seconds"] for _, v in solved],
-                style,
-                color=colour,
-                linewidth=width,
-                label=route.label,
-            )
+                cost_axes.semilogy(steps, [abs(v["cost"] - exact) for _, v in solved], alpha=0.9, **look)
+            time_axes.semilogy(steps, [v["seconds"] for _, v in solved], label=route.label, **look)
             if failed and not solved:
                 time_axes.plot([], [], "x", color=colour, label=route.label)
-            time_axes.semilogy(
-                [n for n, _ in failed], [v["seconds"] for _, v in failed], "x", color=colour, markersize=4
-            )
+            steps, times = [n for n, _ in failed], [v["seconds"] for _, v in failed]
+            time_axes.semilogy(steps, times, "x", color=colour, markersize=4)
         cost_axes.set(title=f"$n_c = {count}$")
         time_axes.set(xlabel="steps $N$")
     above[0].set_ylabel("|cost − exact|")
-    above[len(counts)].set_ylabel("seconds")
-    handles, labels = above[len(counts)].get_legend_handles_labels()
+    below[0].set_ylabel("seconds")
+    handles, labels = below[0].get_legend_handles_labels()
     last = dict(zip(labels, handles, strict=True))  # a route that always failed has a second, empty line
     figure.legend(last.values(), last.keys(), loc="outside lower center", ncols=4)
     return figure
 
 
-def of_route(settings: Settings, store: Store, scheme: str, route: str, count: int) -> list[tuple[int, Values]]:
-    """Numbers of steps and what was measured with them."""
-    found = [
-        (n, store.get(landmark_effort.ROUTES_SECTION, landmark_effort.case_name(scheme, route, count, n)))
-        for n in settings.steps
-    ]
-    return [(n, values) for n, values in found if values is not None and values["seconds"] is not None]
-
-
 def route_paths(settings: Settings, store: Store, scheme: str) -> Figure:
-    """Figures 5.5 to 5.7 and 5.11 to 5.13: the paths that every route finds."""
-    names = [route.label for route in landmark_effort.ROUTES if scheme in route.schemes]
-    found = {
-        (count, name): (
-            store.get(
-                landmark_effort.ROUTES_SECTION, landmark_effort.case_name(scheme, name, count, landmark_effort.DRAWN)
-            )
-            or {}
-        )
-        for count in settings.counts
-        for name in names
-    }
-    names = [name for name in names if any(found[count, name].get("path") for count in settings.counts)]
-    figure = Figure(figsize=(1.6 * max(len(names), 1), 1.75 * len(settings.counts)), layout="constrained")
+    """Figures 5.5 to 5.7 and 5.11 to 5.13: the paths of every route."""
+    counts, paths = settings.counts, {}
+    for route in landmark_effort.routes_of(scheme):
+        for count in counts:
+            name = landmark_effort.case_name(scheme, route.label, count, landmark_effort.DRAWN)
+            paths[count, route.label] = (store.get(landmark_effort.ROUTES_SECTION, name) or {}).get("path")
+    names = list(dict.fromkeys(name for (_, name), path in paths.items() if path))
+    figure = Figure(figsize=(1.6 * max(len(names), 1), 1.75 * len(counts)), layout="constrained")
     if not names:
         return figure
-    axes = figure.subplots(len(settings.counts), len(names), squeeze=False)
-    for row, count in zip(axes, settings.counts, strict=True):
-        for place, name in zip(row, names, strict=True):
-            values = found[count, name]
-            if values.get("path"):
-                draw_paths(place, values["path"], name if count == settings.counts[0] else "")
+    rows = figure.subplots(len(counts), len(names), squeeze=False)
+    for row, count in zip(rows, counts, strict=True):
+        for axes, name in zip(row, names, strict=True):
+            if paths[count, name]:
+                _draw_paths(axes, paths[count, name], name if count == counts[0] else "")
             else:
-                place.axis("off")
-                place.text(
-                    0.5,
-                    0.5,
-                    "not measured",
-                    ha="center",
-                    va="center",
-                    fontsize=8,
-                    color=GREY,
-                    transform=place.transAxes,
-                )
+                axes.axis("off")
+                axes.text(0.5, 0.5, "not measured", ha="center", va="center", fontsize=8, color=GREY,
+                          transform=axes.transAxes)  # fmt: skip
         row[0].text(-0.06, 0.5, f"$n_c = {count}$", transform=row[0].transAxes, rotation=90, va="center", ha="right")
     return figure
 
@@ -162,59 +137,51 @@ def best_of_each(settings: Settings, store: Store) -> Figure:
     """Figures 5.14 to 5.16: stepping by explicit Euler, by the midpoint rule, and by an adaptive code."""
     counts = settings.counts
     figure = Figure(figsize=(3.3 * len(counts) + 0.2, 5.2), layout="constrained")
-    axes = _row(figure, len(counts), 2)
-    for column, count in enumerate(counts):
-        above, below = axes[column], axes[len(counts) + column]
+    above, below = figure.subplots(2, len(counts), squeeze=False)
+    for cost_axes, time_axes, count in zip(above, below, counts, strict=True):
         for scheme, colour in (("explicit-euler", BLUE), ("midpoint", GREEN)):
-            rows = of_route(settings, store, scheme, "stepping, newton", count)
-            above.plot([n for n, _ in rows], [v["cost"] for _, v in rows], color=colour, label=f"{scheme}")
-            below.semilogy([n for n, _ in rows], [v["seconds"] for _, v in rows], color=colour)
+            rows = by_route(settings, store, scheme, STEPPING, count)
+            cost_axes.plot([n for n, _ in rows], [v["cost"] for _, v in rows], color=colour, label=scheme)
+            time_axes.semilogy([n for n, _ in rows], [v["seconds"] for _, v in rows], color=colour)
         row = store.get(landmark_effort.TABLE, f"lsoda 1e-06; nc {count}")
         if row is not None:
-            above.axhline(row["cost"], color=RED, linestyle="--", linewidth=1.1, label="lsoda, tolerance $10^{-6}$")
-            below.axhline(row["seconds"], color=RED, linestyle="--", linewidth=1.1)
-        above.set_title(f"$n_c = {count}$")
-        below.set_xlabel("steps $N$")
-    axes[0].set_ylabel("cost")
-    axes[len(counts)].set_ylabel("seconds")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+            look = {"color": RED, "linestyle": "--", "linewidth": 1.1}
+            cost_axes.axhline(row["cost"], label="lsoda, tolerance $10^{-6}$", **look)
+            time_axes.axhline(row["seconds"], **look)
+        cost_axes.set_title(f"$n_c = {count}$")
+        time_axes.set_xlabel("steps $N$")
+    above[0].set_ylabel("cost")
+    below[0].set_ylabel("seconds")
+    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
 def eulers(settings: Settings, store: Store) -> Figure:
-    """The symplectic and implicit Euler methods, whose figures the thesis omits, beside the explicit one."""
+    """The symplectic and implicit Euler methods, whose figures the thesis omits, and the explicit one."""
     counts = settings.counts
     figure = Figure(figsize=(3.3 * len(counts) + 0.2, 3.1), layout="constrained")
-    axes = _row(figure, len(counts))
-    for place, count in zip(axes, counts, strict=True):
-        exact = (store.get(landmark_effort.REFERENCES, f"nc {count}") or {}).get("cost")
-        for scheme, colour in (
-            ("explicit-euler", BLUE),
-            ("implicit-euler", RED),
-            ("symplectic-euler", GREEN),
-            ("midpoint", DARK),
-        ):
-            rows = of_route(settings, store, scheme, "stepping, newton", count)
+    panels = figure.subplots(1, len(counts), squeeze=False)[0]
+    colours = {"explicit-euler": BLUE, "implicit-euler": RED, "symplectic-euler": GREEN, "midpoint": DARK}
+    for axes, count in zip(panels, counts, strict=True):
+        exact = reference_cost(store, count)
+        for scheme, colour in colours.items():
+            rows = by_route(settings, store, scheme, STEPPING, count)
             if exact is not None:
                 errors = [abs(v["cost"] - exact) for _, v in rows]
-                place.loglog([n for n, _ in rows], errors, color=colour, label=scheme)
-        place.set(
-            title=f"$n_c = {count}$",
-            xlabel="steps $N$",
-            xticks=[10, 20, 50, 100],
-            xticklabels=["10", "20", "50", "100"],
-        )
-        place.xaxis.minorticks_off()
-    axes[0].set_ylabel("|cost − exact|")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+                axes.loglog([n for n, _ in rows], errors, color=colour, label=scheme)
+        ticks = [10, 20, 50, 100]
+        axes.set(title=f"$n_c = {count}$", xlabel="steps $N$", xticks=ticks, xticklabels=[str(n) for n in ticks])
+        axes.xaxis.minorticks_off()
+    panels[0].set_ylabel("|cost − exact|")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
 def tolerance_sweep(store: Store) -> Figure:
     """Figure 5.17: error in cost and seconds against the tolerance of the adaptive codes."""
-    exact = (store.get(landmark_effort.REFERENCES, "nc 40") or {})["cost"]
+    exact = reference_cost(store, 40)
     figure = Figure(figsize=(8.0, 3.1), layout="constrained")
-    first, second = _row(figure, 2)
+    first, second = figure.subplots(1, 2)
     for code, colour in (("lsoda", RED), ("dop853", BLUE)):
         rows = sorted(
             (v["tolerance"], abs(v["cost"] - exact), v["seconds"], v["status"])
@@ -222,12 +189,11 @@ def tolerance_sweep(store: Store) -> Figure:
             if name.startswith(code) and v["cost"] is not None
         )
         if rows:
-            first.loglog(
-                [r[0] for r in rows], [max(r[1], 1e-16) for r in rows], "o-", color=colour, markersize=3, label=code
-            )
-            second.semilogx([r[0] for r in rows], [r[2] for r in rows], "o-", color=colour, markersize=3)
-            bad = [r for r in rows if r[3] != "solved"]
-            first.loglog([r[0] for r in bad], [r[1] for r in bad], "kx", markersize=6)
+            tolerances, look = [r[0] for r in rows], {"color": colour, "markersize": 3}
+            first.loglog(tolerances, [max(r[1], 1e-16) for r in rows], "o-", label=code, **look)
+            second.semilogx(tolerances, [r[2] for r in rows], "o-", **look)
+            failed = [r for r in rows if r[3] != "solved"]
+            first.loglog([r[0] for r in failed], [r[1] for r in failed], "kx", markersize=6)
     first.set(xlabel="tolerance", ylabel="|cost − exact|")
     second.set(xlabel="tolerance", ylabel="seconds")
     second.set_ylim(bottom=0.0)
@@ -239,70 +205,62 @@ def forty(store: Store) -> Figure:
     """Figure 5.18: the paths of the forty landmarks, magnified."""
     figure = Figure(figsize=(5.2, 5.0), layout="constrained")
     axes = figure.subplots()
-    draw_paths(axes, (store.get(landmark_effort.REFERENCES, "nc 40") or {})["path"], "")
+    _draw_paths(axes, (store.get(landmark_effort.REFERENCES, "nc 40") or {})["path"], "")
     axes.set(xlim=(-0.75, 0.75), ylim=(-0.75, 0.75))
     return figure
 
 
-def _row(figure: Figure, columns: int, rows: int = 1) -> Sequence[Any]:
-    found: Sequence[Any] = list(np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel())
-    return found
+# ---- Open questions ----
 
 
 def jump_figure(settings: Settings, store: Store) -> Figure:
     """Error of the optimiser's cost against Newton's on the same discrete problem, and its seconds, against N."""
     counts = settings.counts[:2]
     figure = Figure(figsize=(4.6 * len(counts), 5.8), layout="constrained")
-    axes = figure.subplots(2, len(counts), squeeze=False)
-    for column, count in enumerate(counts):
-        for place, path, tolerance in landmark_motion.VARIANTS:
-            rows = of_variant(settings, store, place, path, tolerance, count)
-            colour = RED if place == "nodes" else BLUE
-            style = (
-                ("-" if path == "curved" else ":")
-                if tolerance == landmark_motion.LOOSE
-                else ("--" if path == "curved" else "-.")
-            )
-            label = f"momenta on {place}, {path}, {tolerance:.0e}"
-            at = [n for n, _ in rows]
-            errors = [max(v["error"], 1e-16) for _, v in rows]
-            axes[0, column].semilogy(at, errors, style, color=colour, linewidth=1.3, label=label)
-            axes[1, column].semilogy(at, [v["seconds"] for _, v in rows], style, color=colour, linewidth=1.3)
-        axes[0, column].set_title(f"$n_c = {count}$")
-        axes[1, column].set_xlabel("steps $N$")
-    axes[0, 0].set_ylabel("|cost − minimum|")
-    axes[1, 0].set_ylabel("seconds")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    above, below = figure.subplots(2, len(counts), squeeze=False)
+    styles = {
+        ("curved", landmark_motion.LOOSE): "-", ("straight", landmark_motion.LOOSE): ":",
+        ("curved", landmark_motion.TIGHT): "--", ("straight", landmark_motion.TIGHT): "-.",
+    }  # fmt: skip
+    for error_axes, time_axes, count in zip(above, below, counts, strict=True):
+        for variant in landmark_motion.VARIANTS:
+            rows = by_variant(settings, store, variant, count)
+            look = {
+                "linestyle": styles[variant.path, variant.tolerance], "linewidth": 1.3,
+                "color": RED if variant.momenta == "nodes" else BLUE,
+            }  # fmt: skip
+            label = f"momenta on {variant.momenta}, {variant.path}, {variant.tolerance:.0e}"
+            steps = [n for n, _ in rows]
+            error_axes.semilogy(steps, [max(v["error"], 1e-16) for _, v in rows], label=label, **look)
+            time_axes.semilogy(steps, [v["seconds"] for _, v in rows], **look)
+        error_axes.set_title(f"$n_c = {count}$")
+        time_axes.set_xlabel("steps $N$")
+    above[0].set_ylabel("|cost − minimum|")
+    below[0].set_ylabel("seconds")
+    figure.legend(*above[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def of_variant(
-    settings: Settings, store: Store, place: str, path: str, tolerance: float, count: int
-) -> list[tuple[int, Values]]:
-    """Numbers of steps and what was measured with them."""
-    found = [
-        (n, store.get(landmark_motion.JUMPS_SECTION, landmark_motion.case_name(place, path, tolerance, count, n)))
-        for n in settings.steps
-    ]
-    return [(n, values) for n, values in found if values is not None and values["error"] is not None]
+def by_variant(settings: Settings, store: Store, variant: landmark_motion.Minimisation, count: int) -> Rows:
+    """The minimisations of a variant."""
+    rows = ((n, store.get(landmark_motion.JUMPS_SECTION, variant.case(count, n))) for n in settings.steps)
+    return [(n, values) for n, values in rows if values is not None and values["error"] is not None]
 
 
 def work_and_precision(store: Store) -> Figure:
     """Error in cost against seconds on forty landmarks."""
-    exact = (store.get(landmark_effort.REFERENCES, "nc 40") or {})["cost"]
+    exact = reference_cost(store, 40)
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     axes = figure.subplots()
     lines: dict[str, list[tuple[float, float]]] = {}
-    for name, values in store.rows(landmark_effort.WORK):
-        if values["status"] == "solved":
-            lines.setdefault(name.split(";")[0], []).append((values["seconds"], abs(values["cost"] - exact)))
-    for name, values in store.rows(landmark_effort.TOLERANCES):
-        if values["status"] == "solved":
-            lines.setdefault(name.split()[0], []).append((values["seconds"], abs(values["cost"] - exact)))
+    for section, separator in ((landmark_effort.WORK, ";"), (landmark_effort.TOLERANCES, " ")):
+        for name, values in store.rows(section):
+            if values["status"] == "solved":
+                point = values["seconds"], abs(values["cost"] - exact)
+                lines.setdefault(name.split(separator)[0], []).append(point)
     for scheme, points in lines.items():
         x, y = np.array(sorted(points)).T
-        adaptive = scheme in ("lsoda", "dop853")
-        style = "x" if adaptive else "o-"
+        style = "x" if scheme in landmark_effort.ADAPTIVE else "o-"
         colour = colour_of(scheme)
         axes.loglog(x, np.maximum(y, 1e-16), style, color=colour, markersize=4.0, linewidth=1.3, label=scheme)
     axes.set(xlabel="seconds of a solve", ylabel="|cost − exact|")
@@ -311,41 +269,40 @@ def work_and_precision(store: Store) -> Figure:
 
 
 def dimension_figure(store: Store) -> Figure:
-    """Seconds of one trajectory and of a whole solve against the number of landmarks."""
+    """Seconds of one trajectory and of a solve against the number of landmarks."""
     figure = Figure(figsize=(8.2, 3.4), layout="constrained")
-    axes = figure.subplots(1, 2)
-    lines = by_kernel(store)
-    for (name, rows), colour in zip(lines.items(), (AMBER, RED, BLUE, DARK), strict=False):
-        for place, key in zip(axes, ("seconds of a trajectory", "seconds"), strict=True):
-            place.loglog(
-                [n for n, _ in rows], [v[key] for _, v in rows], "o-", color=colour, markersize=3.5, label=name
-            )
-    axes[0].set(xlabel="landmarks", ylabel="seconds of a trajectory, $N = 10$")
-    axes[1].set(xlabel="landmarks", ylabel="seconds of a solve")
-    axes[0].legend()
+    panels = figure.subplots(1, 2)
+    for (name, rows), colour in zip(by_kernel(store).items(), (AMBER, RED, BLUE, DARK), strict=False):
+        for axes, key in zip(panels, ("seconds of a trajectory", "seconds"), strict=True):
+            counts, times = [n for n, _ in rows], [v[key] for _, v in rows]
+            axes.loglog(counts, times, "o-", color=colour, markersize=3.5, label=name)
+    panels[0].set(xlabel="landmarks", ylabel="seconds of a trajectory, $N = 10$")
+    panels[1].set(xlabel="landmarks", ylabel="seconds of a solve")
+    panels[0].legend()
     return figure
 
 
-def by_kernel(store: Store) -> dict[str, list[tuple[int, Values]]]:
-    """Numbers of landmarks and what was measured with them, for every kernel and dimension."""
-    found: dict[str, list[tuple[int, Values]]] = {}
+def by_kernel(store: Store) -> dict[str, Rows]:
+    """Numbers of landmarks and the values measured with them, for every kernel and dimension."""
+    lines: dict[str, Rows] = {}
     for name, values in store.rows(landmark_effort.DIMENSION_SECTION):
         kernel, _, count = name.partition("; nc ")
-        found.setdefault(kernel, []).append((int(count), values))
-    return found
+        lines.setdefault(kernel, []).append((int(count), values))
+    return lines
 
 
 def smoothness_figure(store: Store) -> Figure:
-    """Error of the warp of the whole disc, and the least and greatest change of area, against N."""
+    """Error of the warp of the whole disc, and the least change of area, against N."""
     figure = Figure(figsize=(8.2, 3.4), layout="constrained")
     first, second = figure.subplots(1, 2)
     for amplitude, colour in zip(landmark_motion.AMPLITUDES, (BLUE, GREEN, RED), strict=True):
         rows = warps(store, amplitude)
         if not rows:
             continue
-        at, label = [v["steps"] for v in rows], f"displacements × {amplitude:g}"
-        first.loglog(at, [v["error"] for v in rows], "o-", color=colour, markersize=3.5, label=label)
-        second.semilogx(at, [v["least area"] for v in rows], "o-", color=colour, markersize=3.5, label=label)
+        steps, look = [v["steps"] for v in rows], {"color": colour, "markersize": 3.5}
+        label = f"displacements × {amplitude:g}"
+        first.loglog(steps, [v["error"] for v in rows], "o-", label=label, **look)
+        second.semilogx(steps, [v["least area"] for v in rows], "o-", label=label, **look)
         second.axhline(rows[0]["exact least area"], color=colour, linestyle=":", linewidth=1.0)
     second.axhline(0.0, color="black", linewidth=0.8)
     first.set(xlabel="steps $N$", ylabel="largest error of a warped place")
@@ -355,17 +312,14 @@ def smoothness_figure(store: Store) -> Figure:
 
 
 def warps(store: Store, amplitude: float) -> list[dict[str, Any]]:
-    """What was measured at an amplitude, with errors against the finest warp, in the order of N; empty without it."""
-    found = [
-        dict(v)
-        for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION)
-        if name.startswith(f"amplitude {amplitude:g};")
-    ]
-    found = sorted((v for v in found if v["status"] == "solved"), key=lambda v: int(v["steps"]))
-    if len(found) < 2:
+    """The warps of an amplitude by growing N, with errors against the finest warp; empty without that warp."""
+    prefix = f"amplitude {amplitude:g};"
+    rows = [dict(v) for name, v in store.rows(landmark_motion.SMOOTHNESS_SECTION) if name.startswith(prefix)]
+    rows = sorted((v for v in rows if v["status"] == "solved"), key=lambda v: int(v["steps"]))
+    if len(rows) < 2:
         return []
-    exact = np.array(found[-1]["places"])
-    for values in found:
-        values["error"] = float(np.abs(np.array(values["places"]) - exact).max())
-        values["exact least area"] = found[-1]["least area"]
-    return found[:-1]
+    *rows, finest = rows
+    for values in rows:
+        values["error"] = float(np.abs(np.array(values["places"]) - np.array(finest["places"])).max())
+        values["exact least area"] = finest["least area"]
+    return rows

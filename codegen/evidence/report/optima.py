@@ -1,21 +1,21 @@
-"""What is measured of an optimal-control problem: cost errors of every scheme, and drivers beside each other.
+"""Optimal control: cost errors of every scheme, orders by mesh sequences, drivers, and the sections of the page.
 
-Orders at which costs of optima converge, with what is expected of them and what is to be said beside them. Expected is
-the scheme's order, but 2 at most where controls are constant on intervals. Sources: Hager, Runge-Kutta methods in
-optimal control and the transformed adjoint system, Numer. Math. 87 (2000), for smooth optima; Dontchev, Hager and
-Veliov, Second-order Runge-Kutta approximations in control constrained optimal control, SIAM J. Numer. Anal. 38 (2000),
-and Dontchev and Hager, The Euler approximation in state constrained optimal control, Math. Comp. 70 (2001), where
-bounds become active; Alt, Baier, Gerdts and Lempio, Error bounds for Euler approximation of linear-quadratic control
-problems with bang-bang solutions, Numer. Algebra Control Optim. 2 (2012), for controls that switch.
+Orders. The cost is expected to converge with the order of the scheme, but with order 2 at most where controls are
+constant on intervals. Sources: Hager, Runge-Kutta methods in optimal control and the transformed adjoint system, Numer.
+Math. 87 (2000), for smooth optima; Dontchev, Hager and Veliov, Second-order Runge-Kutta approximations in control
+constrained optimal control, SIAM J. Numer. Anal. 38 (2000), and Dontchev and Hager, The Euler approximation in state
+constrained optimal control, Math. Comp. 70 (2001), where bounds become active; Alt, Baier, Gerdts and Lempio, Error
+bounds for Euler approximation of linear-quadratic control problems with bang-bang solutions, Numer. Algebra Control
+Optim. 2 (2012), for controls that switch.
 
-Where costs on ever finer grids tend to: extrapolation of smooth sequences, a fit where errors vary with the grid.
-Source of the extrapolation: Richardson (1911); Romberg's scheme as in Hairer, Norsett and Wanner (1993), section II.9.
+Limits of costs on ever finer grids. Smooth sequences are extrapolated: Richardson (1911); Romberg's scheme as in
+Hairer, Norsett and Wanner (1993), section II.9. Where errors vary with the grid, the limit is fitted.
 
-Costs of optima on ever finer grids, each found from the optimum on a coarser grid, so that all follow one optimum. From
-a problem's own guess every grid may end in another local optimum, and long problems need finer grids than a guess leads
-to. A mesh sequence starts from a coarse grid and doubles it; where bounds become active or inactive within the motion,
-grids of other numbers of intervals are added, since the error then varies with the place of these times in their
-intervals.
+Mesh sequences. Each grid starts from the optimum on a coarser grid, so that all grids follow one optimum. From a
+problem's own guess every grid may end in another local optimum, and long problems need finer grids than a guess leads
+to. A mesh sequence starts from a coarse grid and doubles it. Where bounds become active or inactive within the motion,
+the error varies with the position of these times in their intervals. Grids with other numbers of intervals are then
+added.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -32,24 +33,136 @@ import numpy as np
 
 from codegen.errors import CodegenError
 from codegen.evidence.report.building import SURVEYS, Variant, Workshop
-from codegen.evidence.report.orders import LARGE, Order, fitted_order, measured_order, verdict
-from codegen.evidence.report.page import SUPERSCRIPTS, listed
-from codegen.evidence.report.settings import Extent
-from codegen.evidence.report.store import Case, Store, Values
+from codegen.evidence.report.orders import (
+    ABOVE_REFERENCE,
+    LARGE,
+    SETTLED,
+    Measured,
+    Order,
+    fitted_order,
+    measured_order,
+    order_text,
+    verdict,
+)
+from codegen.evidence.report.page import (
+    SUPERSCRIPTS,
+    Line,
+    Picture,
+    Section,
+    Table,
+    listed,
+    number,
+    seconds,
+    svg,
+    times_of_drivers,
+    work_precision,
+)
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.runtime.search import point
-from codegen.solving import api, drivers
-from codegen.solving.arcs import order_of_optima
+from codegen.solving import api
+from codegen.solving.drivers import DRIVERS as REGISTERED
 from codegen.solving.loading import ControlModule, GeneratedModule, Vector, is_control
 from codegen.solving.results.control import bound_distances
 from codegen.solving.results.result import Result
+from codegen.solving.arcs import order_of_optima
+
+DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
+MOST_STEPS = 20_000
+"""The largest number of steps from which the first grid is derived."""
+QUICKLY = 0.01
+"""Seconds of a solve below which more repetitions are timed."""
+NEAR = 0.01
+"""The reference's error is drawn where it is more than this part of the least error."""
+OTHER_OPTIMUM = 0.1
+"""A relative error of the finest cost from which on a remark names the possible reasons."""
+
+
+def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
+    """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
+    store, modules = workshop.store, {v: _control(workshop, v) for v in workshop.built(variants)}
+    for variant, module in modules.items():
+        first = _first_steps(module)
+        for steps in (first * 2**k for k in range(extent.control_doublings + 1)):
+            yield Case(section_of(problem, "optima"), variant.run(steps), partial(solved, module, steps, extent.repeat))
+            values = store.get(section_of(problem, "optima"), variant.run(steps)) or {}
+            if (values.get("seconds") or 0.0) > extent.limit:
+                break
+        yield Case(
+            section_of(problem, "mesh sequences"),
+            variant.label,
+            partial(sequence, module, first, extent.sequence_seconds),
+        )
+    if not modules:
+        return
+    # Optima of all schemes of order 2 and more converge alike, so that the problem's own scheme comes first.
+    default = next(iter(modules))
+    trusted = sorted(modules, key=lambda v: (-min(v.order, 2), v != default))
+    exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
+    yield Case(section_of(problem, "reference"), "cost", partial(_reference, store, problem, trusted, exact))
+    module = modules[default]
+    steps = _first_steps(module)
+    if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
+        return
+    for driver in DRIVERS:
+        repeat = extent.repeat if REGISTERED[driver].generated else 1
+        yield Case(section_of(problem, "drivers"), driver, partial(solved, module, steps, repeat, driver))
+
+
+def _control(workshop: Workshop, variant: Variant) -> ControlModule:
+    module = workshop.module(variant)
+    assert is_control(module)
+    return module
+
+
+def _first_steps(module: ControlModule) -> int:
+    """The coarsest grid: a quarter of the problem's own number of steps, at least 5."""
+    return max(5, min(MOST_STEPS, module.metadata.steps) // 4)
+
+
+def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton") -> Values:
+    """Status, cost, times and residuals of a solution from the problem's own guess."""
+    try:
+        result = well_timed(module, driver, repeat, steps=steps)
+    except CodegenError as error:  # such as too little memory, or a driver that does not apply
+        keys = ("cost", "seconds", "iterations", "residual", "stationarity", "order", "expected order", "load seconds")
+        return {**dict.fromkeys(keys), "status": "refused", "message": str(error), "steps": steps}
+    return {
+        "status": result.status, "steps": steps, "cost": result.cost, "seconds": result.seconds_solve,
+        "iterations": result.iterations, "residual": result.residual, "stationarity": result.stationarity,
+        "order": module.metadata.order, "expected order": order_of_optima(module),
+        "load seconds": result.seconds_code,
+    }  # fmt: skip
+
+
+def well_timed(module: GeneratedModule, driver: str, repeat: int, **options: Any) -> Result:
+    """A result whose time is the least of `repeat` solves, of ten times as many where a solve takes milliseconds."""
+    result = api.solve(module, driver, repeat=1, **options)
+    if repeat > 1 and result.seconds_solve < 1.0:
+        return api.solve(module, driver, repeat=10 * repeat if result.seconds_solve < QUICKLY else repeat, **options)
+    return result
+
+
+def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: float | None) -> Values:
+    """The closed form, else the limit of the mesh sequence of the first scheme that has a limit."""
+    if exact is not None:
+        return {"cost": exact, "error": 1e-15 * abs(exact), "how": "closed form of the maximum principle"}
+    for variant in trusted:
+        values = store.get(section_of(problem, "mesh sequences"), variant.label)
+        if values is not None and (limit := _limit(values)) is not None:
+            how = f"{variant.label} on {values['steps'][0]} to {values['steps'][-1]} intervals, {limit.how}"
+            return {"cost": limit.value, "error": limit.error, "how": how, "scheme": variant.label}
+    return {"cost": None, "error": None, "how": "no scheme has optima on three successive grids"}
+
+
+# ---- Limits of costs ----
 
 FAR = 0.2
-"""Costs that differ by more than this part belong to optima that have nothing in common."""
+"""Costs that differ by more than this part belong to unrelated optima."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """An extrapolated value, by how much it may be wrong, and how."""
+    """An extrapolated value, its error, and the method."""
 
     value: float
     error: float
@@ -59,13 +172,19 @@ class Limit:
 def limit_of(costs: Sequence[float], order: int) -> Limit:
     """The limit of costs on N, 2N, 4N, ... intervals, for errors h^p + h^(p+1) + ..., or h^p + h^(p+2) + ...
 
-    Symmetric schemes have the second form. Each eliminated power gives a column; the column is taken whose last two
-    entries agree best, and their distance is the error.
+    Symmetric schemes have the second form. The elimination of a power gives a column. The result is from the column
+    whose last two entries agree best; their distance is the error.
     """
-    found = [_column(costs, [order + step * k for k in range(len(costs) - 1)]) for step in (1, 2)]
-    error, value, powers = min(found)
-    eliminated = listed([_power(p) for p in powers])
-    how = f"extrapolated such that {eliminated} cancel" if powers else "not extrapolated"
+    error, value, eliminated = math.inf, costs[-1], tuple[int, ...]()
+    for step in (1, 2):
+        column, powers = list(costs), tuple(order + step * k for k in range(len(costs) - 1))
+        for k, power in enumerate(powers):
+            column = [b + (b - a) / (2.0**power - 1.0) for a, b in pairwise(column)]
+            if len(column) > 1:
+                entry = abs(column[-1] - column[-2]), column[-1], powers[: k + 1]
+                error, value, eliminated = min((error, value, eliminated), entry)
+    names = listed([_power(p) for p in eliminated])
+    how = f"extrapolated such that {names} cancel" if eliminated else "not extrapolated"
     return Limit(value, max(error, 1e-15 * abs(value)), how)
 
 
@@ -73,22 +192,11 @@ def _power(exponent: int) -> str:
     return "h" if exponent == 1 else "h" + str(exponent).translate(SUPERSCRIPTS)
 
 
-def _column(costs: Sequence[float], powers: Sequence[int]) -> tuple[float, float, tuple[int, ...]]:
-    column = list(costs)
-    best: tuple[float, float, tuple[int, ...]] = (math.inf, costs[-1], ())
-    for k, power in enumerate(powers):
-        column = [b + (b - a) / (2.0**power - 1.0) for a, b in pairwise(column)]
-        if len(column) < 2:
-            break
-        best = min(best, (abs(column[-1] - column[-2]), column[-1], tuple(powers[: k + 1])))
-    return best
-
-
 def fitted_limit(steps: Sequence[int], costs: Sequence[float], order: int) -> Limit:
-    """J in J + c N^-p by least squares over the finest quarter of a range of N; its error is two standard errors.
+    """J in J + c N^-p by least squares over the finest quarter of a range of N; the error is two standard errors.
 
-    Coarse grids count only down to the first whose cost is far from the finest one, that of another optimum. Residuals
-    are taken to be of the size of the error itself, so that a row counts in proportion to N^p.
+    Coarse grids are used down to the first whose cost is far from the finest cost and so belongs to another optimum.
+    Residuals are assumed to be proportional to the error itself, so that the weight of a row is N^p.
     """
     rows = [(n, cost) for n, cost in zip(steps, costs, strict=True) if 4 * n >= max(steps)]
     far = [i for i, (_, cost) in enumerate(rows) if abs(cost - rows[-1][1]) > FAR * abs(rows[-1][1])]
@@ -99,34 +207,46 @@ def fitted_limit(steps: Sequence[int], costs: Sequence[float], order: int) -> Li
     weight = (n / n.max()) ** order
     matrix = np.column_stack([weight, weight * (n / n.max()) ** -order])
     (value, slope), *_ = np.linalg.lstsq(matrix, weight * values, rcond=None)
-    left = weight * values - matrix @ [value, slope]
-    variance = float(left @ left) / max(1, len(rows) - 2) * np.linalg.inv(matrix.T @ matrix)[0, 0]
+    residuals = weight * values - matrix @ [value, slope]
+    variance = float(residuals @ residuals) / max(1, len(rows) - 2) * np.linalg.inv(matrix.T @ matrix)[0, 0]
     return Limit(float(value), max(2.0 * math.sqrt(variance), 1e-15 * abs(value)),
                  f"fitted to {len(rows)} grids by J + c {_power(order)}")  # fmt: skip
 
 
+def _limit(values: Values) -> Limit | None:
+    """The limit of the costs of a mesh sequence; None for fewer than three grids."""
+    if len(values["steps"]) < 3:
+        return None
+    if values["switching"]:
+        return fitted_limit(*all_grids(values), values["expected order"])
+    return limit_of(values["costs"], values["expected order"])
+
+
+# ---- Mesh sequences ----
+
 MOST_INTERVALS = 1_500_000
 FINEST_SMOOTH, FINEST_SWITCHING, FINE = 1024, 128, 2000
-"""How much finer than the first grid the last is at most where the optimum is smooth, and is where bounds become
-active; there it has so many intervals at least."""
+"""Largest ratio of the last grid to the first for smooth optima. Ratio where bounds become active, and the least number
+of intervals of the last grid there."""
 COLD = 16
-"""The first grid may be so much finer than asked for, where coarser ones have no optimum."""
+"""The first grid may be so much finer than requested, where coarser grids have no optimum."""
 PARTS = 6
 """Grids per doubling where bounds become active."""
 ENOUGH, ACCURATE = 0.005, 1e-10
-"""Local orders that differ by no more are good enough, and so are limits with this relative error."""
+"""Local orders have settled if they differ by no more than the first; limits if their relative error is below the
+second."""
 NO_MORE = 1e-11
 """Relative differences of costs below which rounding is near."""
 
 
 @dataclass
 class _Sequence:
-    """Optima by growing number of intervals, and the seconds of processor time that are left."""
+    """Optima by growing number of intervals, and the remaining seconds of processor time."""
 
     module: ControlModule
     seconds: float
     failure: str = ""
-    """What became of the last solve that failed."""
+    """The message of the last solve that failed."""
     steps: list[int] = field(default_factory=list)
     results: list[Result] = field(default_factory=list)
 
@@ -135,9 +255,9 @@ class _Sequence:
         return [float(result.cost or 0.0) for result in self.results]
 
     def solve(self, steps: int, warm: Vector | None) -> Result | None:
-        """From an optimum on a coarser grid, at once or by way of one in between, else from the problem's own guess.
+        """An optimum from a coarser one, directly or through a grid in between, else from the problem's own guess.
 
-        None where nothing leads to an optimum.
+        None if all of these fail.
         """
         begin = time.process_time()
         try:
@@ -158,38 +278,58 @@ class _Sequence:
         self.failure = f"N = {steps}: {result.message}"
         return None
 
+    def has_settled(self) -> bool:
+        """Return True if local orders of differences agree and the limit is accurate, or if rounding is near."""
+        costs, order = self.costs, order_of_optima(self.module)
+        scale = max(abs(costs[-1]), 1e-300)
+        differences = [abs(b - a) / scale for a, b in pairwise(costs)]
+        if len(costs) > 3 and all(difference < NO_MORE for difference in differences[-2:]):
+            return True
+        settled = measured_order(self.steps[:-1], differences)
+        if settled is None or settled.spread > ENOUGH or settled.finest < self.steps[-2]:
+            return False
+        return order < 2 or limit_of(costs, order).error < ACCURATE * scale
+
 
 def sequence(module: ControlModule, first: int, seconds: float) -> Values:
-    """Numbers of intervals and costs of a mesh sequence, unknowns whose bounds become active or inactive.
+    """Numbers of intervals and costs of a mesh sequence, and the unknowns whose bounds become active or inactive.
 
-    No grid is begun after so many seconds of processor time, of which a busy machine does not take more.
+    No grid is begun after `seconds` of processor time, which does not depend on the load of the machine.
     """
-    found = _Sequence(module, seconds)
+    grids = _Sequence(module, seconds)
     steps, changes = first, list[str]()
-    while steps <= MOST_INTERVALS and found.seconds > 0.0:
-        result = found.solve(steps, found.results[-1].unknowns if found.results else None)
-        if result is None and (found.results or steps >= COLD * first):
+    while steps <= MOST_INTERVALS and grids.seconds > 0.0:
+        result = grids.solve(steps, grids.results[-1].unknowns if grids.results else None)
+        if result is None and (grids.results or steps >= COLD * first):
             break
         if result is not None:
-            found.steps.append(steps)
-            found.results.append(result)
+            grids.steps.append(steps)
+            grids.results.append(result)
             changes = switching(module, result)
-            if _is_finished(found, first, changes):
+            if changes and steps >= max(FINEST_SWITCHING * first, FINE):
+                break
+            if not changes and (steps >= FINEST_SMOOTH * first or grids.has_settled()):
                 break
         steps *= 2
-    between = _between(found) if changes and len(found.steps) > 2 else []
+    between: list[tuple[int, float]] = []  # grids whose numbers of intervals are between those of the sequence
+    if changes and len(grids.steps) > 2:
+        for (coarse, fine), result in zip(pairwise(grids.steps), grids.results, strict=False):
+            for part in range(1, PARTS):
+                n = round(coarse * 2.0 ** (part / PARTS))
+                if coarse < n < fine and (optimum := grids.solve(n, result.unknowns)) is not None:
+                    between.append((n, float(optimum.cost or 0.0)))
     return {
-        "order": module.metadata.order, "expected order": order_of_optima(module), "steps": found.steps,
-        "costs": found.costs, "switching": changes, "more steps": [n for n, _ in between],
-        "more costs": [cost for _, cost in between], "failure": found.failure, "seconds": seconds - found.seconds,
+        "order": module.metadata.order, "expected order": order_of_optima(module), "steps": grids.steps,
+        "costs": grids.costs, "switching": changes, "more steps": [n for n, _ in between],
+        "more costs": [cost for _, cost in between], "failure": grids.failure, "seconds": seconds - grids.seconds,
     }  # fmt: skip
 
 
 def switching(module: ControlModule, result: Result) -> list[str]:
     """The unknowns of which a bound becomes active or inactive between two neighbouring nodes or intervals.
 
-    A bound is active where its multiplier, the slope of the Lagrangian, exceeds the distance from it. Inequalities
-    of the path have unknowns of their own, which are bounded.
+    A bound is active where its multiplier, the slope of the Lagrangian, exceeds the distance from the bound.
+    Inequality path constraints have slack unknowns, which are bounded.
     """
     if not module.metadata.inequalities:
         return []
@@ -201,42 +341,10 @@ def switching(module: ControlModule, result: Result) -> list[str]:
     nodes, intervals = module.views(grid, active)
     names, phases = [*module.metadata.node, *module.metadata.interval], module.metadata.phases
     changes = np.zeros(len(names), dtype=bool)
-    for first in range(0, phases * result.steps, result.steps):  # between phases lies a node, wherever it is
+    for first in range(0, phases * result.steps, result.steps):  # without the nodes between phases
         inner = nodes[:, first + 1 : first + result.steps], intervals[:, first : first + result.steps]
         changes |= np.concatenate([np.diff(values, axis=1).any(axis=(0, 1)) for values in inner])
     return [name for name, changed in zip(names, changes, strict=True) if changed]
-
-
-def _is_finished(found: _Sequence, first: int, changes: list[str]) -> bool:
-    """Whether finer grids would tell nothing more."""
-    steps = found.steps[-1]
-    if changes:
-        return steps >= max(FINEST_SWITCHING * first, FINE)
-    return steps >= FINEST_SMOOTH * first or _has_settled(found)
-
-
-def _has_settled(found: _Sequence) -> bool:
-    """Whether local orders of differences agree and, from order 2 on, the limit is known well; or rounding is near."""
-    costs, order = found.costs, order_of_optima(found.module)
-    scale = max(abs(costs[-1]), 1e-300)
-    differences: list[float | None] = [abs(b - a) / scale for a, b in pairwise(costs)]
-    if len(costs) > 3 and all(d is not None and d < NO_MORE for d in differences[-2:]):
-        return True
-    settled = measured_order(found.steps[:-1], differences)
-    if settled is None or settled.spread > ENOUGH or settled.finest < found.steps[-2]:
-        return False
-    return order < 2 or limit_of(costs, order).error < ACCURATE * scale
-
-
-def _between(found: _Sequence) -> list[tuple[int, float]]:
-    """Further grids, whose numbers of intervals are between those of the sequence, without a common factor."""
-    added: list[tuple[int, float]] = []
-    for (coarse, result), fine in zip(zip(found.steps, found.results, strict=True), found.steps[1:], strict=False):
-        for part in range(1, PARTS):
-            steps = round(coarse * 2.0 ** (part / PARTS))
-            if coarse < steps < fine and (more := found.solve(steps, result.unknowns)) is not None:
-                added.append((steps, float(more.cost or 0.0)))
-    return added
 
 
 def all_grids(values: Values) -> tuple[list[int], list[float]]:
@@ -248,146 +356,12 @@ def all_grids(values: Values) -> tuple[list[int], list[float]]:
     return [n for n, _ in pairs], [cost for _, cost in pairs]
 
 
-DRIVERS = ("newton", "slsqp", "trust-constr", "fsolve")
-MOST_STEPS = 20_000
-"""No ladder starts with more."""
-QUICKLY = 0.01
-"""Seconds of a solve that is timed more often."""
-
-
-def errors_of(problem: Path) -> str:
-    """The section of the store that holds costs of all schemes."""
-    return f"{problem.stem}: optima"
-
-
-def orders_of(problem: Path) -> str:
-    """The section of the store that holds the mesh sequences of all schemes."""
-    return f"{problem.stem}: mesh sequences"
-
-
-def references_of(problem: Path) -> str:
-    """The section of the store that holds the reference cost."""
-    return f"{problem.stem}: reference"
-
-
-def drivers_of(problem: Path) -> str:
-    """The section of the store that compares drivers."""
-    return f"{problem.stem}: drivers"
-
-
-def case_name(variant: Variant, steps: int) -> str:
-    """The name of a case."""
-    return f"{variant.label}; N {steps}"
-
-
-def ladder(own_steps: int, doublings: int) -> list[int]:
-    """A quarter of the problem's own number of steps, at least 5, doubled so often."""
-    first = max(5, min(MOST_STEPS, own_steps) // 4)
-    return [first * 2**k for k in range(doublings + 1)]
-
-
-def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """Every scheme on ever finer grids, mesh sequences, the reference, then the drivers on the coarsest grid."""
-    store, built = workshop.store, workshop.built(variants)
-    for variant in built:
-        own = _module(workshop, variant).metadata.steps
-        for steps in ladder(own, extent.control_doublings):
-            name = case_name(variant, steps)
-            yield Case(
-                errors_of(problem),
-                name,
-                lambda v=variant, n=steps: solved(_module(workshop, v), n, extent.repeat),  # type: ignore[misc]
-            )
-            values = store.get(errors_of(problem), name)
-            if values is not None and (values["seconds"] or 0.0) > extent.limit:
-                break
-        yield Case(orders_of(problem), variant.label, lambda v=variant: _sequence(workshop, v, extent))  # type: ignore[misc]
-    if not built:
-        return
-    # Optima of all schemes of order 2 and more converge alike, so that the problem's own scheme is asked first.
-    trusted = sorted(built, key=lambda v: (-min(v.order, 2), v != built[0]))
-    exact = (store.get(SURVEYS, problem.stem) or {}).get("exact cost")
-    yield Case(references_of(problem), "cost", lambda: _reference(store, problem, trusted, exact))
-    module = _module(workshop, built[0])
-    steps = ladder(module.metadata.steps, 0)[0]
-    if module.initial_guess(module.make_grid(steps)).size > extent.driver_unknowns:
-        return
-    for driver in DRIVERS:
-        yield Case(
-            drivers_of(problem),
-            driver,
-            lambda d=driver: _by_driver(module, d, steps, extent.repeat),  # type: ignore[misc]
-        )
-
-
-def _sequence(workshop: Workshop, variant: Variant, extent: Extent) -> Values:
-    module = _module(workshop, variant)
-    return sequence(module, ladder(module.metadata.steps, 0)[0], extent.sequence_seconds)
-
-
-def _module(workshop: Workshop, variant: Variant) -> ControlModule:
-    module = workshop.module(variant)
-    assert is_control(module)
-    return module
-
-
-_KEYS = ("cost", "seconds", "iterations", "residual", "stationarity", "order", "expected order", "load seconds")
-
-
-def solved(module: ControlModule, steps: int, repeat: int, driver: str = "newton", **options: Any) -> Values:
-    """Status, cost, times and residuals of a solution from the problem's own guess."""
-    try:
-        result = well_timed(module, driver, repeat, steps=steps, **options)
-    except CodegenError as error:  # such as too little memory
-        return {**dict.fromkeys(_KEYS), "status": "refused", "message": str(error), "steps": steps}
-    return {
-        "status": result.status, "steps": steps, "cost": result.cost, "seconds": result.seconds_solve,
-        "iterations": result.iterations, "residual": result.residual, "stationarity": result.stationarity,
-        "order": module.metadata.order, "expected order": order_of_optima(module),
-        "load seconds": result.seconds_code,
-    }  # fmt: skip
-
-
-def well_timed(module: GeneratedModule, driver: str, repeat: int, **options: Any) -> Result:
-    """A result whose time is the least of `repeat` solves, of ten times as many where these take milliseconds."""
-    result = api.solve(module, driver, repeat=1, **options)
-    if repeat > 1 and result.seconds_solve < 1.0:
-        return api.solve(module, driver, repeat=10 * repeat if result.seconds_solve < QUICKLY else repeat, **options)
-    return result
-
-
-def _reference(store: Store, problem: Path, trusted: Sequence[Variant], exact: float | None) -> Values:
-    """The closed form, else the limit of the mesh sequence of the first scheme that has one."""
-    if exact is not None:
-        return {"cost": exact, "error": 1e-15 * abs(exact), "how": "closed form of the maximum principle"}
-    for variant in trusted:
-        values = store.get(orders_of(problem), variant.label)
-        if values is not None and (found := limit(values)) is not None:
-            how = f"{variant.label} on {values['steps'][0]} to {values['steps'][-1]} intervals, {found.how}"
-            return {"cost": found.value, "error": found.error, "how": how, "scheme": variant.label}
-    return {"cost": None, "error": None, "how": "no scheme has optima on three successive grids"}
-
-
-def limit(values: Values) -> Limit | None:
-    """Where the costs of a mesh sequence tend to; None for fewer than three grids."""
-    if len(values["steps"]) < 3:
-        return None
-    if values["switching"]:
-        return fitted_limit(*all_grids(values), values["expected order"])
-    return limit_of(values["costs"], values["expected order"])
-
-
-def _by_driver(module: ControlModule, driver: str, steps: int, repeat: int) -> Values:
-    """A solution by one of scipy's methods; what does not apply is recorded with its reason."""
-    return solved(module, steps, repeat if drivers.DRIVERS[driver].generated else 1, driver)
-
-
 ELSEWHERE = 1e-3
 """Limits that differ by more than this part, and by ten times their errors, belong to different local optima."""
 EXACT = 1e-9
-"""Where no relative error is larger, there is nothing to converge."""
+"""Where no relative error is larger, no order can be measured."""
 OCTAVES = 16
-"""A fit is over so large a range of the number of intervals."""
+"""The ratio of the largest to the least number of intervals of a fit."""
 
 
 @dataclass(frozen=True)
@@ -395,7 +369,7 @@ class Convergence:
     """A measured order with its verdict, unknowns whose bounds become active within the motion, finest N, remarks."""
 
     order: Order | None
-    said: str
+    verdict: str
     switching: tuple[str, ...] = ()
     finest: int | None = None
     error: float | None = None
@@ -403,20 +377,20 @@ class Convergence:
 
 
 def convergence_of(store: Store, problem: Path, variant: Variant, expected: int) -> Convergence:
-    """What the mesh sequence of a scheme shows."""
-    values = store.get(orders_of(problem), variant.label)
-    own = None if values is None else limit(values)
-    if values is None or own is None:
+    """The convergence of the mesh sequence of a scheme."""
+    values = store.get(section_of(problem, "mesh sequences"), variant.label)
+    limit = None if values is None else _limit(values)
+    if values is None or limit is None:
         failure = "" if values is None else values["failure"]
         return Convergence(None, "no optimum on three successive grids", remark=failure)
-    reference = store.get(references_of(problem), "cost") or {}
-    switching, target, floor, remark = tuple(values["switching"]), own.value, own.error, ""
+    reference = store.get(section_of(problem, "reference"), "cost") or {}
+    switching, target, floor, remark = tuple(values["switching"]), limit.value, limit.error, ""
     if reference.get("cost") is not None:
-        cost, known_to = float(reference["cost"]), float(reference["error"])
-        if abs(own.value - cost) <= ELSEWHERE * (abs(cost) or 1.0) + 10.0 * (own.error + known_to):
-            target, floor = cost, known_to
+        cost, error = float(reference["cost"]), float(reference["error"])
+        if abs(limit.value - cost) <= ELSEWHERE * (abs(cost) or 1.0) + 10.0 * (limit.error + error):
+            target, floor = cost, error
         else:
-            remark = f"another local optimum, whose cost tends to {own.value:.6g}"
+            remark = f"another local optimum, whose cost tends to {limit.value:.6g}"
     scale = abs(target) or 1.0
     steps, costs = all_grids(values)
     errors = [abs(cost - target) / scale for cost in costs]
@@ -424,7 +398,13 @@ def convergence_of(store: Store, problem: Path, variant: Variant, expected: int)
     if max(errors) < EXACT:
         return Convergence(None, "exact on every grid", **last)
     if switching:
-        order = _fitted(steps, errors, floor / scale, variant.label == reference.get("scheme") or bool(remark))
+        # A reference that is fitted to the finest quarter of these grids allows no order there. Coarse grids are used
+        # down to the first that has an unrelated optimum.
+        is_reference = variant.label == reference.get("scheme") or bool(remark)
+        top = steps[-1] // 4 if is_reference else steps[-1]
+        rows = [(n, error) for n, error in zip(steps, errors, strict=True) if top <= OCTAVES * n and n <= top]
+        kept = rows[max((i + 1 for i, (_, error) in enumerate(rows) if error > LARGE), default=0) :]
+        order = fitted_order([n for n, _ in kept], [error for _, error in kept], floor / scale)
     else:
         order = measured_order(steps, errors, floor / scale)
     if order is None and values["failure"]:
@@ -432,12 +412,131 @@ def convergence_of(store: Store, problem: Path, variant: Variant, expected: int)
     return Convergence(order, verdict(order, expected), **last)
 
 
-def _fitted(steps: Sequence[int], errors: Sequence[float], floor: float, is_reference: bool) -> Order | None:
-    """The order over the finest range that the reference allows, which is fitted to the finest quarter itself.
+# ---- Sections of the page ----
 
-    Coarse grids count only down to the first that has an optimum of another kind.
+_ORDERS = (
+    "Orders are measured in mesh sequences: each grid starts from the optimum on a coarser one, so that all follow one "
+    "optimum, until the orders between successive grids agree within "
+    f"{SETTLED:g} over three grids, at {ABOVE_REFERENCE:g} times the reference's error or above. A control that is "
+    "constant on each interval approximates a smooth one at order 2, and the cost at its minimum no better, whatever "
+    "the scheme of the motion (Hager 2000; Dontchev, Hager and Veliov 2000): the lesser of 2 and the scheme's order is "
+    "expected. Superconvergent are schemes whose first error cancels in the cost, as where they differ from one of "
+    "higher order by an impulse at the ends."
+)
+_SWITCHING = (
+    "This optimum is not smooth: bounds of {names} become active or inactive within the motion. The interval in which "
+    "that happens holds one mean value of the control, which moves the state by a multiple of h² that depends on the "
+    "place in the interval. The same orders are expected of the size of the error (Euler's methods: Dontchev and Hager "
+    "2001 for bounds of states, Alt, Baier, Gerdts and Lempio 2012 for controls that switch), but without a steady "
+    "factor. So they are fitted to six grids per doubling; ± is twice the standard error of the slope."
+)
+
+
+def measured(store: Store, problem: Path, variant: Variant) -> Measured:
+    """The runs of a scheme, relative errors of its cost, and the order of its mesh sequence.
+
+    Errors are None where a solve failed or there is no reference. The expected order is the scheme's, but 2 at most
+    where controls are constant on intervals.
     """
-    top = steps[-1] // 4 if is_reference else steps[-1]
-    rows = [(n, error) for n, error in zip(steps, errors, strict=True) if top <= OCTAVES * n and n <= top]
-    kept = rows[max((i + 1 for i, (_, error) in enumerate(rows) if error > LARGE), default=0) :]
-    return fitted_order([n for n, _ in kept], [error for _, error in kept], floor)
+    rows = variant.rows(store, section_of(problem, "optima"))
+    exact = (store.get(section_of(problem, "reference"), "cost") or {}).get("cost")
+    expected = next((int(order) for v in rows if (order := v.get("expected order")) is not None), variant.order)
+    convergence = convergence_of(store, problem, variant, expected)
+    return Measured(rows, [_error(v, exact) for v in rows], convergence.order, expected, convergence.verdict)
+
+
+def _error(values: Values, exact: float | None) -> float | None:
+    """|J - J*|/|J*|, absolute for J* = 0."""
+    if exact is None or values["status"] != "solved" or values["cost"] is None:
+        return None
+    return float(abs(values["cost"] - exact) / (abs(exact) or 1.0))
+
+
+def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
+    """Cost errors against steps and time, and a comparison of drivers."""
+    reference = store.get(section_of(problem, "reference"), "cost") or {}
+    exact = reference.get("cost")
+    schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
+    convergences = {v: convergence_of(store, problem, v, m.expected) for v, m in schemes.items()}
+    relative = 0.0 if exact is None else reference["error"] / (abs(exact) or 1.0)
+    if exact is None:
+        text = f"There is no reference cost: {reference.get('how', 'no scheme was built')}."
+    else:
+        accuracy = f"; which may be wrong by {number(relative, 2)} of it" if relative > 1e-14 else ""
+        text = f"Reference cost {exact:.12g}: {reference['how']}{accuracy}."
+    texts, pictures = [text, _ORDERS], []
+    names = dict.fromkeys(name for convergence in convergences.values() for name in convergence.switching)
+    if names:
+        texts.append(_SWITCHING.format(names=listed(list(names))))
+    errors = [error for m in schemes.values() for error in m.errors if error]
+    if errors:
+        lines = [
+            Line(v.scheme, v.method, v.order, [row["steps"] for row in m.rows], [row["seconds"] for row in m.rows],
+                 m.errors)
+            for v, m in schemes.items()
+        ]  # fmt: skip
+        floor = relative if relative > NEAR * min(errors) else None
+        caption = "Relative error of the cost against number of intervals and against solve time; dashed: variational."
+        pictures.append(Picture(caption, svg(lambda: work_precision([("relative error of cost", lines)], floor))))
+    tables = [_orders_table(schemes, convergences), _runs_table(schemes)]
+    by_driver = dict(store.rows(section_of(problem, "drivers")))
+    if by_driver:
+        tables.append(_drivers_table(by_driver, exact))
+        bars = [(name, v["seconds"], v["status"] == "solved") for name, v in by_driver.items() if v["seconds"]]
+        steps = next(iter(by_driver.values()))["steps"]
+        pictures.append(Picture(f"Drivers on {steps} intervals.", svg(lambda: times_of_drivers(bars))))
+    return [Section(title, tuple(texts), tuple(tables), tuple(pictures))]
+
+
+def _orders_table(schemes: dict[Variant, Measured], convergences: dict[Variant, Convergence]) -> Table:
+    rows = []
+    for variant, scheme in schemes.items():
+        convergence = convergences[variant]
+        kind = f"bounds of {', '.join(convergence.switching)}" if convergence.switching else "smooth"
+        rows.append((
+            variant.label, str(variant.order), str(scheme.expected), order_text(scheme.order, scheme.verdict),
+            scheme.order.range if scheme.order else "–", str(convergence.finest or "–"),
+            number(convergence.error, 2), kind, convergence.remark,
+        ))  # fmt: skip
+    head = ("scheme", "scheme's order", "expected of the cost", "measured", "at N", "finest N", "relative error there",
+            "optimum", "remarks")  # fmt: skip
+    return Table("The order of the cost's error, by mesh sequences.", head, tuple(rows)).without_empty_columns()
+
+
+def _runs_table(schemes: dict[Variant, Measured]) -> Table:
+    """The finest solve of each scheme from the problem's own guess."""
+    rows = []
+    for variant, scheme in schemes.items():
+        last, error = scheme.rows[-1], scheme.errors[-1]
+        remarks = [f"{v['steps']}: {v['status']}" for v in scheme.rows if v["status"] != "solved"]
+        if error is not None and error > OTHER_OPTIMUM:
+            remarks.append("far from the reference: too few intervals, or another local optimum")
+        rows.append((
+            variant.label, f"{last['steps']}", "–" if last["cost"] is None else f"{last['cost']:.9g}",
+            number(error, 2), seconds(last["seconds"]), str(last["iterations"]), number(last["residual"], 2),
+            number(last["stationarity"], 2), "; ".join(remarks),
+        ))  # fmt: skip
+    head = ("scheme", "N", "cost", "relative error", "solve time", "iterations", "residual", "stationarity",
+            "remarks")  # fmt: skip
+    caption = "The finest solve of every scheme from the problem's own guess, on the grids that the figure shows."
+    return Table(caption, head, tuple(rows)).without_empty_columns()
+
+
+def _drivers_table(by_driver: dict[str, Values], exact: float | None) -> Table:
+    newton = (by_driver.get("newton") or {}).get("seconds") or math.nan
+    rows, refused = [], list[str]()
+    for name, values in by_driver.items():
+        if values["seconds"] is None:
+            rows.append((name, values["status"], *["–"] * 6))
+            refused.append(f"{values['message'][0].upper()}{values['message'][1:]}.")
+            continue
+        rows.append((
+            name, values["status"], seconds(values["seconds"]), number(values["seconds"] / newton),
+            str(values["iterations"]), number(values["residual"], 2), number(values["stationarity"], 2),
+            number(_error(values, exact), 2),
+        ))  # fmt: skip
+    head = ("driver", "status", "solve time", "× newton", "iterations", "residual", "stationarity",
+            "relative error of cost")  # fmt: skip
+    steps = next(iter(by_driver.values()))["steps"]
+    caption = f"Drivers on {steps} intervals of the default scheme, each from the problem's own guess."
+    return Table(" ".join([caption, *refused]), head, tuple(rows))

@@ -1,10 +1,10 @@
-"""What is measured of a problem that is simulated: errors of every scheme against steps and run time.
+"""Simulations: errors of every scheme against steps and run time, measured orders, and the sections of the page.
 
-The order of a scheme in simulations, measured on a span of the motion in which the asymptotic range is reached. Over
-many periods the error is a sum of terms that grow at different rates with time, and rounding grows with it, so that
-between the coarsest useful step and the plateau no power of the step need prevail. On a span in which the state moves
-by about its own size one does. The number of steps grows by a third of a doubling at a time until local orders have
-settled; where rounding comes first, longer and shorter spans are tried.
+Orders are measured on a span of the motion in which the asymptotic range is reached. Over many periods the error is a
+sum of terms that grow with time at different rates, and rounding grows as well. Between the coarsest useful step and
+the plateau no power of the step need prevail. One power prevails on a span in which the state moves by about its own
+size. The number of steps grows by a third of a doubling at a time until local orders have settled. Where rounding comes
+first, longer and shorter spans are tried.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,19 +24,86 @@ from scipy.integrate import solve_ivp
 from codegen.errors import CodegenError
 from codegen.evidence.report.building import Variant, Workshop
 from codegen.evidence.report.optima import well_timed
-from codegen.evidence.report.orders import Order, is_exhausted, measured_order
-from codegen.evidence.report.settings import Extent
-from codegen.evidence.report.store import Case, Store, Values
+from codegen.evidence.report.orders import (
+    ABOVE_REFERENCE,
+    LEAST_RANGE,
+    SETTLED,
+    SETTLED_HIGH,
+    Measured,
+    is_exhausted,
+    measured_order,
+    order_text,
+    verdict,
+)
+from codegen.evidence.report.page import Line, Picture, Section, Table, listed, number, seconds, svg, work_precision
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
 from codegen.solving.loading import SimulateModule, Vector, is_simulation
 
 TIGHT, LOOSE = 3e-14, 1e-13
-"""Relative tolerances of the reference, and of the run that tells how far it can be trusted."""
+"""Relative tolerances of the reference, and of a second run that shows the error of the reference."""
+CHECKPOINTS = 20
+"""Intervals between the times at which trajectories are compared."""
+BELOW = 1
+"""How often the problem's own number of steps is halved for the coarsest grid."""
+ORDER_CHECKPOINTS = 4
+"""Intervals between the times at which errors for orders are taken; their root mean square varies smoothly with h."""
+SPANS = (2.0, 4.0, 8.0, 1.0)
+"""Durations of the spans in turn, in units of the time in which the state moves by its own size."""
+MOST_STEPS = 40_000
+RUNGS = sorted({n for k in range(100) if (n := ORDER_CHECKPOINTS * round(2.0 * 2.0 ** (k / 3.0))) <= MOST_STEPS})
+"""Numbers of steps for orders: multiples of the number of checkpoints that grow by a third of a doubling."""
+ENOUGH, LEAST_RUNGS = 0.01, 12
+"""The number of steps grows no further once local orders differ by no more than the first, after LEAST_RUNGS rungs."""
 _STATES = 3
+_QUANTITIES = (("trajectory", "error of trajectory"), ("energy", "error of energy"), ("momentum", "error of momentum"))
+
+
+def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
+    """The reference, then every scheme with ever more steps, until a solve is slow or rounding has taken over."""
+    store, modules = workshop.store, {v: _simulation(workshop, v) for v in workshop.built(variants)}
+    euler = next((module for v, module in modules.items() if v.scheme == "explicit-euler"), None)
+    if euler is None:
+        return
+    yield Case(section_of(problem, "reference"), "motion", partial(_reference, euler))
+    reference = store.get(section_of(problem, "reference"), "motion")
+    assert reference is not None
+    span = cache(partial(reference_motion, euler, ORDER_CHECKPOINTS))
+
+    def order(module: SimulateModule) -> Values:
+        return order_values(module, map(span, span_durations(euler, reference)), extent.limit)
+
+    for variant, module in modules.items():
+        yield Case(section_of(problem, "orders"), variant.label, partial(order, module))
+        first = CHECKPOINTS * max(1, round(int(module.metadata.steps) / 2**BELOW / CHECKPOINTS))
+        steps: list[int] = []
+        errors: list[float | None] = []
+        for doublings in range(extent.simulation_doublings + 1):
+            steps.append(first * 2**doublings)
+            name = variant.run(steps[-1])
+            yield Case(
+                section_of(problem, "errors"),
+                name,
+                partial(_errors, module, euler, reference, steps[-1], extent.repeat),
+            )
+            values = store.get(section_of(problem, "errors"), name) or {}
+            errors.append(values.get("trajectory"))
+            if (values.get("seconds") or 0.0) > extent.limit or is_exhausted(steps, errors):
+                break
+
+
+def _simulation(workshop: Workshop, variant: Variant) -> SimulateModule:
+    module = workshop.module(variant)
+    assert is_simulation(module)
+    return module
 
 
 @dataclass(frozen=True)
 class Motion:
-    """States (q, p) at M + 1 times, shape (M + 1, 2n); how far two tolerances differ, by component's size."""
+    """States (q, p) at M + 1 times, shape (M + 1, 2n).
+
+    `error` is the difference between two tolerances, relative to the sizes of the components. `energy_scale` is the
+    largest sum of |p_i dq_i/dt|, twice the kinetic energy where there is one.
+    """
 
     times: Vector
     states: Any
@@ -45,23 +112,13 @@ class Motion:
     how: str
 
 
-def field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
-    """The vector field of a problem, read off a step of its explicit Euler method: (z_1 - z_0)/h, for a long h.
-
-    The step is linear in h, so that a long one loses no digits to the subtraction.
-    """
-    h = 2.0 ** math.ceil(math.log2(duration))
-    grid: Any = module.make_grid(1, duration=h)
-    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
-
-
 def reference_motion(module: SimulateModule, checkpoints: int, duration: float | None = None) -> Motion:
     """DOP853 through the field of an explicit Euler module, restarted at every checkpoint.
 
-    Without a `duration`, over the problem's own.
+    The default duration is the problem's own.
     """
-    duration = duration_of(module) if duration is None else duration
-    field, start, times = field_of(module, duration), start_of(module), np.linspace(0.0, duration, checkpoints + 1)
+    duration = _duration_of(module) if duration is None else duration
+    field, start, times = _field_of(module, duration), _start_of(module), np.linspace(0.0, duration, checkpoints + 1)
     runs = []
     for tolerance in (LOOSE, TIGHT):
         states = [start]
@@ -72,26 +129,34 @@ def reference_motion(module: SimulateModule, checkpoints: int, duration: float |
         runs.append(np.array(states))
     error = float((np.abs(runs[1] - runs[0]) / component_sizes(runs[1])).max())
     how = f"DOP853 at relative tolerance {TIGHT:g} through the explicit Euler module's own field"
-    # The largest sum of |p_i dq_i/dt|, twice the kinetic energy where there is one, to compare errors of H with.
     half = runs[1].shape[1] // 2
     works = [np.abs(z[half:] * field(t, z)[:half]).sum() for t, z in zip(times, runs[1], strict=True)]
     return Motion(times, runs[1], error, (float(max(works)) or 1.0), how)
 
 
+def _field_of(module: SimulateModule, duration: float) -> Callable[[float, Vector], Vector]:
+    """The vector field of a problem from a step of its explicit Euler method: (z_1 - z_0)/h, for a long h.
+
+    The step is linear in h, so that a long step loses no digits to the subtraction.
+    """
+    h = 2.0 ** math.ceil(math.log2(duration))
+    grid: Any = module.make_grid(1, duration=h)
+    return lambda t, z: np.asarray((module.step(grid, z, t) - z) / h)
+
+
 def component_sizes(states: Any) -> Vector:
-    """The largest place for every place, and the largest momentum for every momentum; shape (2n,)."""
+    """The largest position for every position, and the largest momentum for every momentum; shape (2n,)."""
     size = np.abs(states).max(axis=0)
     half = size.size // 2
     return np.concatenate([np.full(half, part.max() or 1.0) for part in (size[:half], size[half:])])
 
 
-def duration_of(module: SimulateModule) -> float:
-    """The problem's own duration."""
+def _duration_of(module: SimulateModule) -> float:
     grid = module.make_grid(1)
     return float(grid.h * grid.steps)
 
 
-def start_of(module: SimulateModule) -> Vector:
+def _start_of(module: SimulateModule) -> Vector:
     """The initial state (q, p), flat."""
     return np.asarray(module.make_grid(1).start, dtype=float).ravel()
 
@@ -99,48 +164,50 @@ def start_of(module: SimulateModule) -> Vector:
 def conserved(module: SimulateModule) -> dict[str, Callable[[Any], Any]]:
     """Momenta that Noether's theorem conserves, by name, as functions of states of shape (..., 2n).
 
-    A momentum whose rate is exactly zero at several states belongs to a cyclic coordinate (and no force acts on it).
-    For particles in Cartesian axes the total momentum along an axis and angular momenta are tried in the same way,
-    up to rounding.
+    A momentum whose rate is exactly zero at several states belongs to a cyclic coordinate on which no force acts. For
+    particles in Cartesian axes, the total momentum along each axis and angular momenta are tested in the same way, up
+    to rounding.
     """
-    field, start = field_of(module, duration_of(module)), start_of(module)
+    field, start = _field_of(module, _duration_of(module)), _start_of(module)
     generator, half = np.random.default_rng(0), start.size // 2
     size = np.where(start == 0.0, 0.1 * float(np.abs(start).max() or 1.0), np.abs(start))
     states = [start + 0.2 * size * generator.uniform(-1.0, 1.0, start.size) for _ in range(_STATES)]
     rates = [field(0.0, z) for z in states]
-    found: dict[str, Callable[[Any], Any]] = {}
+    momenta: dict[str, Callable[[Any], Any]] = {}
     if not hasattr(module, "DIMENSION"):
         for i, name in enumerate(module.metadata.momenta or module.metadata.rates):
             if all(rate[half + i] == 0.0 for rate in rates):
-                found[f"momentum {name}"] = partial(_momenta, first=half + i, axes=2 * half)
-        return found
+                momenta[f"momentum {name}"] = partial(_total_momentum, first=half + i, axes=2 * half)
+        return momenta
     axes = int(module.DIMENSION)
     for a in range(axes):
         if all(_vanishes(rate[half + a :: axes]) for rate in rates):
-            found[f"total momentum along axis {a + 1}"] = partial(_momenta, first=half + a, axes=axes)
+            momenta[f"total momentum along axis {a + 1}"] = partial(_total_momentum, first=half + a, axes=axes)
     for a in range(axes):
         for b in range(a):
-            if all(_vanishes(_turning_rate(z, rate, a, b, axes)) for z, rate in zip(states, rates, strict=True)):
-                found[f"angular momentum in the plane {b + 1}, {a + 1}"] = partial(_turning, a=a, b=b, axes=axes)
-    return found
+            if all(_vanishes(_torques(z, rate, a, b, axes)) for z, rate in zip(states, rates, strict=True)):
+                name = f"angular momentum in the plane {b + 1}, {a + 1}"
+                momenta[name] = partial(_angular_momentum, a=a, b=b, axes=axes)
+    return momenta
 
 
 def _vanishes(terms: Any) -> bool:
     return bool(abs(np.sum(terms)) <= 1e-10 * np.abs(terms).sum())
 
 
-def _momenta(z: Any, first: int, axes: int) -> Any:
+def _total_momentum(z: Any, first: int, axes: int) -> Any:
     return np.asarray(z)[..., first::axes].sum(-1)
 
 
-def _turning(z: Any, a: int, b: int, axes: int) -> Any:
+def _angular_momentum(z: Any, a: int, b: int, axes: int) -> Any:
     z = np.asarray(z)
     half = z.shape[-1] // 2
     q, p = z[..., :half], z[..., half:]
     return (q[..., b::axes] * p[..., a::axes] - q[..., a::axes] * p[..., b::axes]).sum(-1)
 
 
-def _turning_rate(z: Any, rate: Any, a: int, b: int, axes: int) -> Any:
+def _torques(z: Any, rate: Any, a: int, b: int, axes: int) -> Any:
+    """The terms of the rate of an angular momentum."""
     half = z.size // 2
     q, p, dq, dp = z[:half], z[half:], rate[:half], rate[half:]
     return np.concatenate(
@@ -148,227 +215,161 @@ def _turning_rate(z: Any, rate: Any, a: int, b: int, axes: int) -> Any:
     )
 
 
-ORDER_CHECKPOINTS = 4
-"""Intervals between the times at which errors are taken; their root mean square varies smoothly with the step."""
-SPANS = (2.0, 4.0, 8.0, 1.0)
-"""Spans in turn, in units of the time in which the state moves by its own size."""
-ENOUGH = 0.01
-"""Once local orders differ by no more than this, no more steps are taken."""
-LEAST_RUNGS, MOST_STEPS = 12, 40_000
-
-
-@dataclass(frozen=True)
-class Span:
-    """A part of the motion: its duration, in words, and the reference on it."""
-
-    duration: float
-    motion: Motion
-
-
-class Spans:
-    """Spans that are computed one after the other, when an iteration first comes to them."""
-
-    def __init__(self, source: Iterator[Span]) -> None:
-        """Take them from `source`."""
-        self._source, self._known = source, list[Span]()
-
-    def __iter__(self) -> Iterator[Span]:
-        yield from self._known
-        for span in self._source:
-            self._known.append(span)
-            yield span
-
-
-def rungs() -> Iterator[int]:
-    """Numbers of steps, multiples of the number of checkpoints that grow by a third of a doubling."""
-    before = 0
-    for k in range(100):
-        steps = ORDER_CHECKPOINTS * round(2.0 * 2.0 ** (k / 3.0))
-        if steps > MOST_STEPS:
-            return
-        if steps > before:
-            yield steps
-        before = steps
-
-
-def spans_of(euler: SimulateModule, times: Sequence[float], states: Any) -> Iterator[Span]:
-    """The spans of a problem, each made when it is asked for, with the motion by an explicit Euler module's field."""
-    duration = duration_of(euler)
-    field, sizes = field_of(euler, duration), component_sizes(states)
-    speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(times, states, strict=True)]
+def span_durations(euler: SimulateModule, reference: Values) -> list[float]:
+    """Durations of the spans on which orders are measured, from the speeds along the reference motion."""
+    duration, states = _duration_of(euler), np.array(reference["states"], dtype=float)
+    field, sizes = _field_of(euler, duration), component_sizes(states)
+    speeds = [float(np.linalg.norm(field(t, z) / sizes)) for t, z in zip(reference["times"], states, strict=True)]
     unit = 1.0 / (float(np.median(speeds)) or 1.0 / duration)
-    lengths = dict.fromkeys(min(duration, factor * unit) for factor in SPANS)
-    for length in lengths:
-        yield Span(length, reference_motion(euler, ORDER_CHECKPOINTS, length))
+    return list(dict.fromkeys(min(duration, factor * unit) for factor in SPANS))
 
 
-def order_values(module: SimulateModule, spans: Iterable[Span], limit: float) -> Values:
-    """The first span on which local orders settle, with every error on it; else the last span, without an order.
+def order_values(module: SimulateModule, spans: Iterable[Motion], limit: float) -> Values:
+    """The errors on the first span where local orders settle; else on the last span.
 
-    `limit` is how many seconds a solve may take before no more steps are tried.
+    On each span the number of steps grows until orders have settled, rounding has taken over, or a solve takes more
+    than `limit` seconds. An error is the root mean square over checkpoints and components, relative to their sizes.
     """
-    found: dict[str, Any] = {}
-    for span in spans:
-        steps, errors = _ladder(module, span, limit)
-        order = measured_order(steps, errors, span.motion.error)
-        found = {"span": span.duration, "steps": steps, "errors": errors, "floor": span.motion.error}
+    values: dict[str, Any] = {}
+    for motion in spans:
+        duration, sizes = float(motion.times[-1]), component_sizes(motion.states)
+        steps: list[int] = []
+        errors: list[float | None] = []
+        for count in RUNGS:
+            begin = time.perf_counter()
+            solution: Any = module.solve(count, duration=duration, every=count // ORDER_CHECKPOINTS)
+            error = math.nan
+            if solution.status == "solved":
+                shape = (ORDER_CHECKPOINTS + 1, -1)
+                states = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
+                error = float(np.sqrt(np.mean(((states - motion.states) / sizes)[1:] ** 2)))
+            steps.append(count)
+            errors.append(error if math.isfinite(error) else None)
+            order = measured_order(steps, errors, motion.error)
+            enough = order is not None and order.spread <= ENOUGH and len(steps) >= LEAST_RUNGS
+            if enough or is_exhausted(steps, errors) or (len(steps) > 1 and time.perf_counter() - begin > limit):
+                break
+        values = {"span": duration, "steps": steps, "errors": errors, "floor": motion.error}
         if order is not None:
             break
-    return found
-
-
-def order_from(values: Values | None) -> Order | None:
-    """The order that stored errors show."""
-    return None if values is None else measured_order(values["steps"], values["errors"], values["floor"])
-
-
-def _ladder(module: SimulateModule, span: Span, limit: float) -> tuple[list[int], list[float | None]]:
-    steps: list[int] = []
-    errors: list[float | None] = []
-    for count in rungs():
-        begin = time.perf_counter()
-        steps.append(count)
-        errors.append(_error(module, span, count))
-        order = measured_order(steps, errors, span.motion.error)
-        enough = order is not None and order.spread <= ENOUGH and len(steps) >= LEAST_RUNGS
-        if enough or is_exhausted(steps, errors) or (len(steps) > 1 and time.perf_counter() - begin > limit):
-            break
-    return steps, errors
-
-
-def _error(module: SimulateModule, span: Span, count: int) -> float | None:
-    """Root mean square over checkpoints and components of the state's error, by component's size."""
-    solution: Any = module.solve(count, duration=span.duration, every=count // ORDER_CHECKPOINTS)
-    if solution.status != "solved":
-        return None
-    shape = (ORDER_CHECKPOINTS + 1, -1)
-    states: Vector = np.hstack([np.reshape(solution.q, shape), np.reshape(solution.p, shape)])
-    wrong = (states - span.motion.states) / component_sizes(span.motion.states)
-    error = float(np.sqrt(np.mean(wrong[1:] ** 2)))
-    return error if math.isfinite(error) else None
-
-
-CHECKPOINTS = 20
-"""Intervals between the times at which trajectories are compared."""
-BELOW = 1
-"""The coarsest ladder step is the problem's own number of steps halved so often."""
-
-
-def errors_of(problem: Path) -> str:
-    """The section of the store that holds the errors of all schemes."""
-    return f"{problem.stem}: errors"
-
-
-def references_of(problem: Path) -> str:
-    """The section of the store that holds the reference motion."""
-    return f"{problem.stem}: reference"
-
-
-def orders_of(problem: Path) -> str:
-    """The section of the store that holds the measurements of orders."""
-    return f"{problem.stem}: orders"
-
-
-def case_name(variant: Variant, steps: int) -> str:
-    """The name of a case."""
-    return f"{variant.label}; N {steps}"
-
-
-def ladder(own_steps: int, doublings: int) -> list[int]:
-    """Numbers of steps: multiples of the number of checkpoints, doubled so often."""
-    first = CHECKPOINTS * max(1, round(own_steps / 2**BELOW / CHECKPOINTS))
-    return [first * 2**k for k in range(doublings + 1)]
-
-
-def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
-    """The reference, then every scheme with ever more steps, until one takes too long or rounding has taken over."""
-    store, built = workshop.store, workshop.built(variants)
-    euler = [v for v in built if v.scheme == "explicit-euler"]
-    if not euler:
-        return
-    yield Case(references_of(problem), "motion", lambda: _reference(_simulation(workshop, euler[0])))
-    spans = _spans(_simulation(workshop, euler[0]), store, problem)
-    for variant in built:
-        yield Case(
-            orders_of(problem),
-            variant.label,
-            lambda v=variant: order_values(_simulation(workshop, v), spans, extent.limit),  # type: ignore[misc]
-        )
-        own_steps = int(workshop.module(variant).metadata.steps)
-        rungs = ladder(own_steps, extent.simulation_doublings)
-        for steps in rungs:
-            name = case_name(variant, steps)
-            yield Case(
-                errors_of(problem),
-                name,
-                lambda v=variant, n=steps: _errors(  # type: ignore[misc]
-                    _simulation(workshop, v), _simulation(workshop, euler[0]), store, problem, n, extent.repeat
-                ),
-            )
-            values = store.get(errors_of(problem), name)
-            if values is not None and (values["seconds"] or 0.0) > extent.limit:
-                break
-            rows = [store.get(errors_of(problem), case_name(variant, n)) or {} for n in rungs if n <= steps]
-            if is_exhausted(rungs[: len(rows)], [row.get("trajectory") for row in rows]):
-                break
-
-
-def _simulation(workshop: Workshop, variant: Variant) -> SimulateModule:
-    module = workshop.module(variant)
-    assert is_simulation(module)
-    return module
-
-
-def _spans(euler: SimulateModule, store: Store, problem: Path) -> Spans:
-    """The spans on which orders are measured, each computed when it is first needed."""
-    reference = store.get(references_of(problem), "motion")
-    assert reference is not None
-    return Spans(spans_of(euler, reference["times"], np.array(reference["states"], dtype=float)))
+    return values
 
 
 def _reference(module: SimulateModule) -> Values:
     motion = reference_motion(module, CHECKPOINTS)
     return {
-        "times": motion.times,
-        "states": motion.states,
-        "error": motion.error,
-        "energy scale": motion.energy_scale,
-        "how": motion.how,
-        "conserved": list(conserved(module)),
-    }
+        "times": motion.times, "states": motion.states, "error": motion.error, "energy scale": motion.energy_scale,
+        "how": motion.how, "conserved": list(conserved(module)),
+    }  # fmt: skip
 
 
-def _errors(
-    module: SimulateModule, euler: SimulateModule, store: Store, problem: Path, steps: int, repeat: int
-) -> Values:
+def _errors(module: SimulateModule, euler: SimulateModule, reference: Values, steps: int, repeat: int) -> Values:
     """Largest errors at the checkpoints: of the state by component's size, of energy and conserved momenta."""
-    reference = store.get(references_of(problem), "motion")
-    assert reference is not None
     try:
         result = well_timed(module, "newton", repeat, steps=steps, every=steps // CHECKPOINTS)
     except CodegenError as error:  # such as too little memory
         return {"status": "refused", "message": str(error), "steps": steps, "seconds": None}
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "status": result.status, "steps": steps, "seconds": result.seconds_solve, "iterations": result.iterations,
         "residual": result.residual, "order": module.metadata.order,
     }  # fmt: skip
     if not result.solved:
-        return found
+        return values
     states, exact = np.hstack([result.q, result.p]), np.array(reference["states"], dtype=float)
-    found["trajectory"] = float((np.abs(states - exact) / component_sizes(exact)).max())
+    values["trajectory"] = float((np.abs(states - exact) / component_sizes(exact)).max())
     assert result.energy is not None
-    times = reference["times"]
     parameters = euler.make_grid(1).parameters
-    exact_energy = np.array([euler.energy(z, t, parameters) for z, t in zip(exact, times, strict=True)])
-    found["energy"] = float(np.abs(result.energy - exact_energy).max()) / reference["energy scale"]
-    momenta = conserved(euler)
-    drifts = [_drift(momenta[name], states) for name in reference["conserved"]]
-    if drifts:
-        found["momentum"] = max(drifts)
-    return found
+    energy = np.array([euler.energy(z, t, parameters) for z, t in zip(exact, reference["times"], strict=True)])
+    values["energy"] = float(np.abs(result.energy - energy).max()) / reference["energy scale"]
+    if reference["conserved"]:
+        momenta = conserved(euler)
+        along = [momenta[name](states) for name in reference["conserved"]]
+        size = np.abs(states[:, states.shape[-1] // 2 :]).max() or 1.0
+        values["momentum"] = max(float(np.abs(momentum - momentum[0]).max() / size) for momentum in along)
+    return values
 
 
-def _drift(momentum: Any, states: Any) -> float:
-    values = momentum(states)
-    half = states.shape[-1] // 2
-    return float(np.abs(values - values[0]).max() / (np.abs(states[:, half:]).max() or 1.0))
+def measured(store: Store, problem: Path, variant: Variant) -> Measured:
+    """The runs of a scheme, errors of its trajectory, and the order that errors on a short span show."""
+    rows, values = (
+        variant.rows(store, section_of(problem, "errors")),
+        store.get(section_of(problem, "orders"), variant.label),
+    )
+    order = None if values is None else measured_order(values["steps"], values["errors"], values["floor"])
+    errors = [row.get("trajectory") for row in rows]
+    return Measured(rows, errors, order, variant.order, verdict(order, variant.order))
+
+
+def sections(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
+    """Errors against steps and time, and a table of schemes."""
+    reference = store.get(section_of(problem, "reference"), "motion")
+    schemes = {v: m for v in variants if (m := measured(store, problem, v)).rows}
+    if reference is None or not schemes:
+        return [Section(title, ("No scheme of this problem could be compared with a reference.",))]
+    groups = []
+    for key, name in _QUANTITIES:
+        lines = [
+            Line(v.scheme, v.method, v.order, [row["steps"] for row in m.rows], [row["seconds"] for row in m.rows],
+                 [row.get(key) for row in m.rows])
+            for v, m in schemes.items()
+        ]  # fmt: skip
+        if any(error for line in lines for error in line.errors):
+            groups.append((name, lines))
+    spans = sorted({values["span"] for v in schemes if (values := store.get(section_of(problem, "orders"), v.label))})
+    texts = [
+        f"Errors are the largest at {len(reference['times']) - 1} equidistant times, relative to the largest place or "
+        f"momentum, those of energy to the largest sum of |p q̇|. "
+        f"Reference: {reference['how']}; a looser tolerance differs from it by "
+        f"{number(reference['error'], 2)}.",
+        f"Orders are measured on a short span of the motion, of duration {listed([number(s) for s in spans])}, so that "
+        "rounding does not come before the asymptotic range. The number of steps N grows by a third of a doubling at a "
+        f"time until the orders between neighbours agree within {SETTLED:g} ({SETTLED_HIGH:g} for high orders) "
+        f"over a range of {LEAST_RANGE:g} or more in N, at {ABOVE_REFERENCE:g} times the reference's error or above; "
+        "the finest such range counts. Where there is none, convergence is called not asymptotic.",
+    ]
+    if reference["conserved"]:
+        texts.append(f"Conserved by Noether's theorem, and compared: {listed(reference['conserved'])}.")
+    # The fastest scheme below each of some errors, with its time beside the time of the default scheme.
+    fastest = []
+    for error in (1e-3, 1e-6, 1e-9, 1e-12):
+        times = {v: t for v, m in schemes.items() if (t := _time_to(m.rows, error)) is not None}
+        if times:
+            best = min(times, key=times.__getitem__)
+            ratio = times.get(variants[0], 0.0) / times[best]
+            comparison = f", {number(ratio, 2)} times as fast as {variants[0].label}" if ratio > 1.0 else ""
+            fastest.append(f"{number(error, 1)} by {best.label} in {seconds(times[best])}{comparison}")
+    if fastest:
+        texts.append(f"Fastest to an error of the trajectory of {'; '.join(fastest)}.")
+    picture = Picture(
+        "Error against number of steps and against run time; dashed: variational. Lines that lie upon each other are "
+        "the same map.",
+        svg(lambda: work_precision(groups, reference["error"])),
+    )
+    return [Section(title, tuple(texts), (_table(schemes),), (picture,))]
+
+
+def _table(schemes: dict[Variant, Measured]) -> Table:
+    """Orders, least errors, and the times to trajectory errors of 1e-3 and 1e-6."""
+    rows = []
+    for variant, scheme in schemes.items():
+        solved = [v for v in scheme.rows if v.get("trajectory") is not None]
+        failures, last = len(scheme.rows) - len(solved), solved[-1] if solved else None
+        rows.append((
+            variant.label, str(variant.order), order_text(scheme.order, scheme.verdict),
+            scheme.order.range if scheme.order else "–",
+            number(min((v["trajectory"] for v in solved), default=None), 2),
+            number(min((v["energy"] for v in solved), default=None), 2),
+            seconds(_time_to(scheme.rows, 1e-3)), seconds(_time_to(scheme.rows, 1e-6)),
+            number(1e9 * last["seconds"] / last["steps"]) if last else "–", str(failures) if failures else "",
+        ))  # fmt: skip
+    head = (
+        "scheme", "stated order", "measured", "at N", "least error of trajectory", "of energy", "time to 1e-3",
+        "time to 1e-6", "ns per step", "failed runs",
+    )  # fmt: skip
+    caption = "Measured orders, least errors, and the time of the cheapest run with at most that error."
+    return Table(caption, head, tuple(rows)).without_empty_columns()
+
+
+def _time_to(rows: Sequence[Values], error: float) -> float | None:
+    """Seconds of the cheapest run whose trajectory is that accurate."""
+    return min((v["seconds"] for v in rows if (v.get("trajectory") or 1e300) <= error), default=None)

@@ -1,4 +1,7 @@
-"""What has been measured, one JSON object a line: a case that is stored already is not measured again."""
+"""The extent of a report, the cases that it measures, and the store of measured values.
+
+The store is a file with one JSON object a line. A case that the store contains is not measured again.
+"""
 
 from __future__ import annotations
 
@@ -9,41 +12,54 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+import numpy as np
+
+from codegen.problem.points import PointSet, read_points
+from codegen.solving.compiler import build
+from codegen.solving.loading import ConnectModule
+from codegen.solving.loading import load
 
 Values = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to measure: a section of the report, a name that is unique there, and what measures it."""
+    """A measurement: a section of the report, a name that is unique in the section, and the function that measures."""
 
     section: str
     name: str
     measure: Callable[[], Values]
 
 
+def section_of(problem: Path, part: str) -> str:
+    """The section of a problem: its optima, mesh sequences, errors, orders, reference, drivers, and others."""
+    return f"{problem.stem}: {part}"
+
+
 class Store:
-    """The measured values of all cases, kept in a file of JSON lines; lines that are damaged are measured again."""
+    """The measured values of all cases, kept in a file of JSON lines; damaged lines are measured again."""
 
     def __init__(self, path: Path) -> None:
-        """Read what is there."""
-        self.path, self._known = path, dict[tuple[str, str], Values]()
+        """Read the file if there is one."""
+        self.path, self._values = path, dict[tuple[str, str], Values]()
         if path.is_file():
             for line in path.read_text(encoding="utf-8").splitlines():
                 try:
                     row = json.loads(line)
-                    self._known[row["section"], row["case"]] = row["values"]
+                    self._values[row["section"], row["case"]] = row["values"]
                 except (ValueError, KeyError, TypeError):
                     continue  # a run was killed while it wrote this line
 
     def measured(self, case: Case) -> bool:
-        """Measure a case unless that has been done; return whether it was."""
-        if (case.section, case.name) in self._known:
+        """Measure a case unless the store contains it; return True if it was measured."""
+        if (case.section, case.name) in self._values:
             return False
         values = {key: _plain(value) for key, value in case.measure().items()}
-        self._known[case.section, case.name] = values
+        self._values[case.section, case.name] = values
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"section": case.section, "case": case.name, "values": values}) + "\n")
             file.flush()
@@ -52,18 +68,18 @@ class Store:
 
     def get(self, section: str, name: str) -> Values | None:
         """The values of a case, None if it was not measured."""
-        return self._known.get((section, name))
+        return self._values.get((section, name))
 
     def rows(self, section: str) -> Iterator[tuple[str, Values]]:
         """Names and values of a section, in the order in which they were measured."""
-        yield from ((name, values) for (of, name), values in self._known.items() if of == section)
+        yield from ((name, values) for (part, name), values in self._values.items() if part == section)
 
     def table(self) -> str:
         """Every number as CSV: section, case, quantity, value; arrays have one row for each entry."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(["section", "case", "quantity", "value"])
-        for (section, name), values in self._known.items():
+        for (section, name), values in self._values.items():
             for quantity, value in values.items():
                 writer.writerows([section, name, key, number] for key, number in _entries(quantity, value))
         return text.getvalue()
@@ -73,18 +89,132 @@ def _entries(quantity: str, value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict):
         for name, entry in value.items():
             yield from _entries(f"{quantity}.{name}", entry)
-        return
-    if not isinstance(value, list):
+    elif isinstance(value, list):
+        for index, entry in enumerate(value):
+            yield from _entries(f"{quantity}[{index}]", entry)
+    else:
         yield quantity, "" if value is None else value
-        return
-    for index, entry in enumerate(value):
-        yield from _entries(f"{quantity}[{index}]", entry)
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and lists that JSON has; what is not finite becomes null."""
+    """Numbers and lists that JSON has; numbers that are not finite become null."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
         return [_plain(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Limits of a report on problems.
+
+    Numbers of steps are doubled `simulation_doublings` or `control_doublings` times, but not after a solve of more
+    than `limit` seconds. Times are the least of `repeat` solves. A simulation is measured by at most `most_simulated`
+    schemes. A control problem is measured by at most `most_schemes` schemes of order `most_order` or less, since
+    modules of schemes with many stages take long to build. With `only_default_of_phases` a problem with several phases
+    has one scheme. A mesh sequence, in which the order of an optimum is measured, begins no grid after
+    `sequence_seconds`. scipy's drivers are measured where there are at most `driver_unknowns` unknowns. The general
+    form is built of modules with at most `general_operations` operations. The energy of a simulation is followed over
+    `drift_steps` steps, and not at all if these are zero.
+    """
+
+    quick: bool = False
+    simulation_doublings: int = 12
+    control_doublings: int = 4
+    sequence_seconds: float = 30.0
+    most_schemes: int = 10
+    most_simulated: int = 99
+    most_order: int = 6
+    only_default_of_phases: bool = False
+    limit: float = 2.0
+    repeat: int = 3
+    driver_unknowns: int = 300
+    general_operations: int = 100_000
+    drift_steps: int = 1_000_000
+
+
+FULL = Extent()
+"""One problem with all schemes."""
+GALLERY = Extent(
+    control_doublings=3, sequence_seconds=10.0, most_schemes=2, most_order=2, only_default_of_phases=True,
+    most_simulated=8, limit=1.0, repeat=2, driver_unknowns=150, general_operations=60, drift_steps=0,
+)  # fmt: skip
+"""A folder of problems in less than 20 minutes on two processors."""
+QUICK = Extent(
+    quick=True, simulation_doublings=5, control_doublings=3, sequence_seconds=2.0, most_schemes=2, most_order=2,
+    most_simulated=4, limit=0.5, repeat=1, driver_unknowns=0, general_operations=0, drift_steps=0,
+)  # fmt: skip
+"""The extent in continuous integration."""
+QUICK_PROBLEMS = ("pendulum", "linear_pendulum")
+"""The problems of a folder that the quick form measures."""
+
+NODES = tuple(range(10, 101, 5))
+"""The thesis's numbers of steps, 10:5:100."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The extent of the study of landmark registration.
+
+    These are the problem file, sets of few landmarks, numbers of steps, and the seconds of a solve after which a route
+    goes no further.
+    """
+
+    problem: Path
+    counts: tuple[int, ...] = (3, 4, 5)
+    steps: tuple[int, ...] = NODES
+    limit: float = 20.0
+    quick: bool = False
+
+    @property
+    def landmarks(self) -> PointSet:
+        """The 40 landmarks of two trilobites, from the data beside the problem file."""
+        return read_points(self.problem.parent / "data" / "trilobite40.csv", 2)
+
+    def points(self, count: int) -> PointSet:
+        """The forty landmarks of the trilobites, or few random landmarks."""
+        return self.landmarks if count == 40 else few_landmarks(count)
+
+    def module(self, scheme: str, method: str | None = None, **arguments: str) -> ConnectModule:
+        """The generated module of a scheme and a method."""
+        return _module(self.problem, scheme, method, tuple(sorted(arguments.items())))
+
+
+@cache
+def _module(path: Path, scheme: str, method: str | None, arguments: tuple[tuple[str, str], ...]) -> ConnectModule:
+    return cast(ConnectModule, load(build(path, dict(arguments), scheme=scheme, method=method).path))
+
+
+def quick_settings(problem: Path) -> Settings:
+    """A study that takes less than a minute: one set of landmarks, three numbers of steps, the fast routes."""
+    return Settings(problem, (3,), (10, 20, 40), 2.0, quick=True)
+
+
+def few_landmarks(count: int) -> PointSet:
+    """The thesis's random landmarks (E.3.6), from numpy's generator with the number of landmarks as its seed.
+
+    Radii are r0 and r1 = r0 + 0.1 U, angles a0 = 2 pi U and a1 = a0 + 0.1 pi U. Radii of 0.9 and more are reduced by
+    0.4. Matlab's `rand('state', nc)` is not available, so the points differ from the thesis's.
+    """
+    generator = np.random.default_rng(count)
+
+    def inside(radius: np.ndarray) -> np.ndarray:
+        return np.where(radius >= 0.9, radius - 0.4, radius)
+
+    first = inside(generator.random(count))
+    second = inside(first + 0.1 * generator.random(count))
+    angle = 2.0 * np.pi * generator.random(count)
+    turned = angle + 0.1 * np.pi * generator.random(count)
+    start, target = (np.stack([r * np.cos(a), r * np.sin(a)], axis=1) for r, a in ((first, angle), (second, turned)))
+    return PointSet(start, target, np.zeros(count))
+
+
+def smooth_pair(count: int, dimension: int = 2) -> PointSet:
+    """Random points of the disc or ball of radius 0.9, and their images under a smooth displacement."""
+    generator = np.random.default_rng(1)
+    direction = generator.normal(size=(count, dimension))
+    radius = 0.9 * generator.random(count) ** (1.0 / dimension)
+    start = radius[:, None] * direction / np.linalg.norm(direction, axis=1)[:, None]
+    shift = np.stack([np.sin(2.0 * start[:, (a + 1) % dimension] + 0.3 * a) for a in range(dimension)], axis=1)
+    return PointSet(start, start + 0.12 * ((1.0 - radius**2) ** 2)[:, None] * shift, np.zeros(count))

@@ -1,7 +1,8 @@
-"""Stiff and extreme cases of every kind of problem, each with an expected outcome, and an honest verdict on each.
+"""Stiff and extreme cases of every kind of problem, each with an expected outcome, and a verdict on each.
 
-`families` holds the cases, as data; `pool` measures them in worker processes that can be killed; `classify` judges;
-`page` shows. `codegen stress` is all of it. No sympy: what is stressed are generated modules.
+`families` and `motions` hold the cases as data. `pool` measures them in worker processes that can be killed, by
+`measure`. `cases.classify` gives the verdicts, and `page` shows them. `codegen stress` runs all of these. There is no
+sympy, since generated modules are tested.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
     from codegen.evidence.stress.cases import Case, Measurement, Row
 
 
-def run(cases: Sequence[Case], folder: Path, moved: Callable[[int, str], None] = lambda done, text: None) -> list[Row]:
+def run(cases: Sequence[Case], folder: Path, report_progress: Callable[[int, str], None]) -> list[Row]:
     """Measure and judge all cases, and write stress.csv and stress.html into a folder.
 
-    `moved` hears how many cases are done, and which was the last.
+    `report_progress` is called with the number of finished cases and the name of the last one.
     """
     from codegen.evidence.stress import page, pool
     from codegen.evidence.stress.cases import classify
@@ -28,7 +29,7 @@ def run(cases: Sequence[Case], folder: Path, moved: Callable[[int, str], None] =
     begin, done = time.perf_counter(), count(1)
 
     def report(case: Case, measurement: Measurement) -> None:
-        moved(next(done), case.name)
+        report_progress(next(done), case.name)
 
     measured = pool.run(cases, min(2, os.cpu_count() or 1), report)
     rows = [classify(case, measurement) for case, measurement in zip(cases, measured, strict=True)]

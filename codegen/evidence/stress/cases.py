@@ -1,13 +1,13 @@
-"""What a stress case is, what is measured on it, and the words for how it may end: data only.
+"""Stress cases as data: a case, its measurement, and the outcome of the case with a verdict.
 
-The verdict on a case from what was measured: nothing but a documented outcome that is expected passes.
+A case passes only if its outcome is documented and expected.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from codegen.runtime.search import point
 from codegen.solving.drivers import DRIVERS
-from codegen.solving.results.motions import rounding_level
 from codegen.solving.results.result import STATUSES, Result
+from codegen.solving.results.motions import rounding_level
 
 Values = tuple[tuple[str, Any], ...]
 """Names and values of keyword arguments; a value may itself be Values, which stands for a dict."""
@@ -27,7 +27,7 @@ OUTCOMES = {
     "unsuitable": "the steps' equations hold, but the energy has run away, which the summary of `solve` reports",
     "refused": "a named failure, or a typed error, that says what is wrong and what to try",
 }
-"""How a case may end honestly."""
+"""Honest outcomes of a case."""
 
 DEFECTS = {
     "false solved": "reported as solved, though the equations do not hold or the error is beyond what is promised",
@@ -36,12 +36,12 @@ DEFECTS = {
     "untyped error": "an exception that names no remedy, a crash, or a status that is not documented",
     "unexpected": "honest, but not what is expected of this case",
 }
-"""How no case may end."""
+"""Outcomes that fail."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a module is made from: a problem file, arguments of problem(), a scheme and a method (None: default)."""
+    """The inputs of a module: a problem file, a scheme and a method (None: default), and arguments of problem()."""
 
     file: Path
     scheme: str | None = None
@@ -50,21 +50,21 @@ class Setup:
 
     @property
     def label(self) -> str:
-        """Scheme as the table shows it, with its method where that is not the Hamiltonian one."""
+        """The scheme in the table, with its method if that is variational."""
         name = self.scheme or "midpoint"
         return f"{name}, variational" if self.method == "variational" else name
 
 
 @dataclass(frozen=True)
 class Case:
-    """One solve with run-time values on a module, and what is expected of it.
+    """One solve of a module with run-time values, and the expected outcome.
 
-    `reference` names what the answer is compared with (see `references`), `bound` is the largest error that the order
-    of the scheme promises, NaN where nothing is promised. `drift` is the largest relative change of energy that counts
-    as bounded. `h_omega` is the step times the largest frequency. `textbook` asks for the equations of the steps to be
-    evaluated again in extended precision, from the scheme's textbook form, `limit` for the largest stable step. `noise`
-    perturbs an optimisation's guess, `allowed` holds outcomes that pass beside the expected one, `seconds` is the time
-    limit. `reason` says why the outcome is expected, and why others are allowed.
+    `reason` explains the expected outcome `expect` and other outcomes that pass, `allowed`. `reference` names the
+    function that computes the error (see `measure.REFERENCES`). `bound` is the largest error that the order of the
+    scheme promises, NaN if nothing is promised. `drift` is the largest relative change of energy that counts as
+    bounded. `h_omega` is the step times the largest frequency. `textbook` asks for an evaluation of the step's
+    equations in extended precision from the scheme's textbook form, `limit` for the largest stable step. `points` are
+    rows of start and target, `noise` perturbs an optimisation's guess, `seconds` is the time limit.
     """
 
     name: str
@@ -90,19 +90,19 @@ class Case:
 
     @property
     def expected(self) -> tuple[str, ...]:
-        """The outcomes that pass; a named failure is at least as honest as an energy that tells."""
-        named = ("refused",) if self.expect == "unsuitable" and "refused" not in self.allowed else ()
-        return (self.expect, *self.allowed, *named)
+        """The outcomes that pass; a named failure is at least as honest as an energy that shows the failure."""
+        refused = ("refused",) if self.expect == "unsuitable" and "refused" not in self.allowed else ()
+        return (self.expect, *self.allowed, *refused)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a worker saw; NaN stands for what was not measured or does not exist.
+    """The observations of a worker; NaN stands for quantities that were not measured or do not exist.
 
-    `error` is that against the reference, `announced` the relative error that a doubled grid shows, `residual` that of
-    all equations outside the solver and `tolerance` what it must not exceed, `textbook` the same in extended precision,
-    relative to rounding of double precision. `drift` is the largest relative change of energy, `stable_below` the
-    largest stable step times frequency, found by bisection.
+    `error` is the error against the reference, `announced` the relative error that a doubled grid shows. `residual` is
+    that of all equations, evaluated outside the solver, and `tolerance` its limit. `textbook` is the residual in
+    extended precision, relative to rounding of double precision. `drift` is the largest relative change of energy.
+    `stable_below` is the largest stable step times frequency, by bisection.
     """
 
     status: str = ""
@@ -125,106 +125,94 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Row:
-    """A case, what was measured, and the verdict: an outcome or defect, whether it passes, and a sentence."""
+    """A case, its measurement, and the verdict: an outcome or defect, True if it passes, and a sentence."""
 
     case: Case
     measurement: Measurement
     outcome: str
     passed: bool
-    text: str = field(default="")
+    text: str
 
 
 TEXTBOOK = 100.0
-"""Textbook equations in extended precision may be off by so many rounding errors of double precision."""
+"""The largest residual of the textbook's equations in extended precision, in rounding errors of double precision."""
 SIGN = 0.01
-"""A relative change of energy from which on the summary of a simulation says that a step is too long."""
+"""A relative change of energy from which on the summary of a simulation reports that a step is too long."""
 
 
-def classify(case: Case, seen: Measurement) -> Row:
+def classify(case: Case, run: Measurement) -> Row:
     """The row of a case."""
-    outcome, text = _outcome(case, seen)
+    outcome, text = _outcome(case, run)
     passed = outcome in case.expected
-    if not passed and outcome in ("accurate", "bounded", "unsuitable", "refused"):
+    if not passed and outcome in OUTCOMES:
         text = f"{outcome}, expected {' or '.join(case.expected)}: {text}"
         outcome = "unexpected"
-    return Row(case, seen, outcome, passed, text)
+    return Row(case, run, outcome, passed, text)
 
 
-def _outcome(case: Case, seen: Measurement) -> tuple[str, str]:
-    if seen.hung:
-        return "hang", seen.message or f"no answer within {case.seconds:g} s"
-    if seen.exception:
-        return "untyped error", seen.exception
-    if seen.refusal:
-        return "refused", seen.refusal
-    if seen.status not in STATUSES:
-        return "untyped error", f"the status {seen.status!r} is not documented"
-    if seen.status != "solved":
-        if not seen.message:
-            return "untyped error", f"the status {seen.status!r} comes without a message"
-        if case.h_omega > seen.stable_below:
-            return "unsuitable", f"unsuitable, {_stable(case, seen)}: {seen.message}"
-        return "refused", seen.message
-    # What a claim of success is worth.
-    if not seen.finite:
+def _outcome(case: Case, run: Measurement) -> tuple[str, str]:
+    if run.hung:
+        return "hang", run.message or f"no answer within {case.seconds:g} s"
+    if run.exception:
+        return "untyped error", run.exception
+    if run.refusal:
+        return "refused", run.refusal
+    if run.status not in STATUSES:
+        return "untyped error", f"the status {run.status!r} is not documented"
+    if run.status != "solved":
+        if not run.message:
+            return "untyped error", f"the status {run.status!r} comes without a message"
+        if case.h_omega > run.stable_below:
+            return "unsuitable", f"unsuitable, {_stability(case, run)}: {run.message}"
+        return "refused", run.message
+    if not run.finite:
         return "not a number", "solved, with results that are infinite or no numbers"
-    if not seen.residual <= seen.tolerance:
-        return "false solved", f"the equations have residual {seen.residual:.1e}, beyond {seen.tolerance:.1e}"
-    if seen.textbook > TEXTBOOK:
-        return "false solved", f"the textbook's equations are off by {seen.textbook:.1e} rounding errors"
+    if not run.residual <= run.tolerance:
+        return "false solved", f"the equations have residual {run.residual:.1e}, beyond {run.tolerance:.1e}"
+    if run.textbook > TEXTBOOK:
+        return "false solved", f"the textbook's equations are off by {run.textbook:.1e} rounding errors"
     if math.isfinite(case.bound):
-        return _outcome_by_error(case, seen)
+        return _outcome_by_error(case, run)
     # No comparison with NaN holds, so a drift that was not measured (first-order systems) is no bounded energy.
-    if seen.drift <= case.drift:
-        return "bounded", f"energy within {seen.drift:.1e}{_limit(case, seen)}"
-    if math.isnan(seen.drift) and math.isnan(case.drift):
-        return "bounded", f"the equations hold to {seen.residual:.1e}"
-    grown = f"energy changes by {seen.drift:.1e} of itself"
-    return "unsuitable", (
-        f"unsuitable at this step: {grown}"
-        if math.isnan(seen.stable_below)
-        else f"unsuitable, {_stable(case, seen)}: {grown}"
-    )
+    if run.drift <= case.drift:
+        coarse = f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})" if case.h_omega > 0.5 else ""
+        limit = f", stable below {run.stable_below:.3f}" if math.isfinite(run.stable_below) else ""
+        return "bounded", f"energy within {run.drift:.1e}{coarse}{limit}"
+    if math.isnan(run.drift) and math.isnan(case.drift):
+        return "bounded", f"the equations hold to {run.residual:.1e}"
+    stability = "unsuitable at this step" if math.isnan(run.stable_below) else f"unsuitable, {_stability(case, run)}"
+    return "unsuitable", f"{stability}: energy changes by {run.drift:.1e} of itself"
 
 
-def _outcome_by_error(case: Case, seen: Measurement) -> tuple[str, str]:
-    if seen.error <= case.bound:
-        limit = f"; {_stable(case, seen)}" if math.isnan(case.h_omega) and not math.isnan(seen.stable_below) else ""
-        return "accurate", f"error {seen.error:.1e}, promised {case.bound:.1e}{limit}"
-    doubled = seen.announced > 0.1 * min(seen.error, 1.0)
-    if seen.drift > SIGN or doubled:
-        estimate = seen.announced if doubled else seen.drift
-        return "unsuitable", f"error {seen.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
-    return "false solved", f"error {seen.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
+def _outcome_by_error(case: Case, run: Measurement) -> tuple[str, str]:
+    if run.error <= case.bound:
+        limit = f"; {_stability(case, run)}" if math.isnan(case.h_omega) and not math.isnan(run.stable_below) else ""
+        return "accurate", f"error {run.error:.1e}, promised {case.bound:.1e}{limit}"
+    doubled = run.announced > 0.1 * min(run.error, 1.0)
+    if run.drift > SIGN or doubled:
+        estimate = run.announced if doubled else run.drift
+        return "unsuitable", f"error {run.error:.1e}, promised {case.bound:.1e}; the summary reports {estimate:.1e}"
+    return "false solved", f"error {run.error:.1e} beyond {case.bound:.1e}, and nothing in the result says so"
 
 
-def _limit(case: Case, seen: Measurement) -> str:
-    resolved = not case.h_omega > 0.5
-    coarse = "" if resolved else f"; the fast motion is not resolved (h omega = {case.h_omega:.3g})"
-    return coarse + (f", stable below {seen.stable_below:.3f}" if math.isfinite(seen.stable_below) else "")
-
-
-def _stable(case: Case, seen: Measurement) -> str:
-    if seen.stable_below == 0.0:
+def _stability(case: Case, run: Measurement) -> str:
+    if run.stable_below == 0.0:
         return "stable at no step (measured)"
-    if math.isinf(seen.stable_below):
+    if math.isinf(run.stable_below):
         return "stable at every step (measured)"
-    if case.h_omega < seen.stable_below:
-        return f"though small motions are stable below h omega = {seen.stable_below:.3f} (measured)"
-    return f"stable below h omega = {seen.stable_below:.3f} (measured)"
-
-
-_EPS = float(np.finfo(float).eps)
+    if case.h_omega < run.stable_below:
+        return f"though small motions are stable below h omega = {run.stable_below:.3f} (measured)"
+    return f"stable below h omega = {run.stable_below:.3f} (measured)"
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """What is special to a task where cases are made and measured.
+    """The differences between tasks when cases are generated and measured.
 
-    `tolerance` (module, case, result) is what residuals may be: the drivers' tolerances of 1e-8, or rounding where
-    numbers are large. `failures` (result) is how often Newton's method failed, `drift` by which part energies may
-    change, NaN where that says nothing. `has_guess` says whether a guess may be poor,
-    `keeps_energy` whether an energy that is not finite has drifted.
+    `tolerance` (module, case, result) is the limit of residuals: the drivers' tolerances of 1e-8, or rounding where
+    numbers are large. `failures` (result) counts the failures of Newton's method. `drift` is the relative change of
+    energy that is allowed, NaN if the task has none. `has_guess` is True if guesses may be poor, `keeps_energy` if an
+    energy that is not finite counts as drift.
     """
 
     tolerance: Callable[[Any, Case, Result], float]
@@ -234,25 +222,26 @@ class Expectation:
     keeps_energy: bool = False
 
 
+def _rounding(*arrays: Any) -> float:
+    """A thousand rounding errors of the largest entry."""
+    largest = max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
+    return 1e3 * float(np.finfo(float).eps) * largest
+
+
 def _of_simulations(module: Any, case: Case, result: Result) -> float:
-    """Equations of a variational step divide differences of positions by h; stiff springs pull rounded places back."""
+    """Equations of a variational step divide differences of positions by h; stiff springs amplify their rounding."""
     h = result.t[-1] / max(result.steps, 1)
-    size = _largest(result.q, result.p)
     stiff = 10.0 * rounding_level(module, result.steps, result.q, result.p) if case.every == 1 else 0.0
-    return max(1e-10, 1e3 * _EPS * size * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
+    return max(1e-10, _rounding(result.q, result.p) * max(1.0, 1.0 / h if h > 0.0 else 1.0), stiff)
 
 
 def _of_optima(module: Any, case: Case, result: Result) -> float:
     scale = max(1.0, float(np.abs(point.cost_gradient(module.make_grid(result.steps), result.unknowns)).max()))
-    return max(1e-7 * scale, 1e3 * _EPS * _largest(result.unknowns, result.multipliers) * result.steps)
+    return max(1e-7 * scale, _rounding(result.unknowns, result.multipliers) * result.steps)
 
 
 def _of_connections(module: Any, case: Case, result: Result) -> float:
-    return max(1e-9, 1e3 * _EPS * _largest(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
-
-
-def _largest(*arrays: Any) -> float:
-    return max((float(np.abs(a).max()) for a in arrays if a is not None and np.size(a)), default=1.0)
+    return max(1e-9, _rounding(result.q, result.p)) if DRIVERS[case.driver].generated else 1e-5
 
 
 def _once(result: Result) -> int:

@@ -1,7 +1,7 @@
-"""One case on a loaded module: solve by the driver, evaluate the equations again, compare, find the stable limit.
+"""The measurement of one case on a loaded module: solve, evaluate the equations again, and compute the error.
 
-What answers are compared with: closed forms, and scipy's adaptive codes where there is none. Every reference is a
-function (module, case, result) -> error, relative to the natural size of what is compared.
+A reference is a function (module, case, result) -> error, relative to the natural size of the compared quantity. The
+references are closed forms, and scipy's adaptive codes where there is no closed form.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from codegen.evidence.stress import systems
 from codegen.evidence.stress.cases import EXPECTATIONS, Case, Measurement, Values
-from codegen.evidence.stress.families.common import registered
+from codegen.evidence.stress.motions import registered
 from codegen.evidence.stress.systems import (
     DEFAULTS,
     FORCES,
@@ -34,229 +34,47 @@ from codegen.solving.tasks import task_of
 Vector = Any
 
 
-def drift_scale(case: Case, result: Result) -> float:
-    """What a change of energy is measured against: its first value, or a weight times a unit length where it falls."""
-    assert result.energy is not None
-    first = abs(float(result.energy[0]))
-    if case.setup.file.stem == "pendulum_chain":
-        values = of_case(case)
-        return max(first, float(values["heavy"]), float(values["light"]))
-    if case.setup.file.stem == "rod_chain":
-        return max(first, 21.0)  # unit weights that can fall by 1, 2, ... 6
-    return max(first, 1.0) if case.setup.file.stem == "spring_pendulum" else first
-
-
-def of_case(case: Case) -> dict[str, Any]:
-    """Parameters of a case: those of the problem file, or the case's own."""
-    return DEFAULTS.get(case.setup.file.stem, {}) | dict(case.values)
-
-
-def oscillator(module: Any, case: Case, result: Result) -> float:
-    """Q = cos(omega t), p = -omega sin(omega t), times the amplitude."""
-    omega = of_case(case).get("omega", 1.0)
-    amplitude = float(result.q[0, 0])
-    q, p = np.cos(omega * result.t), -omega * np.sin(omega * result.t)
-    wrong = np.abs(result.q[:, 0] / amplitude - q), np.abs(result.p[:, 0] / amplitude - p) / omega
-    return float(max(w.max() for w in wrong))
-
-
-def stable_step(module: Any, case: Case, result: Result) -> float:
-    """The largest stable step by the scheme's table, against the one that bisection finds."""
-    measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
-    if measured == exact:
-        return 0.0
-    return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
-
-
-def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
-    """The scheme's own closed form, from its table."""
-    h = result.t[-1] / result.steps
-    theta, lean = systems.turn(registered((result.method, result.scheme)), h * of_case(case).get("omega", 1.0))
-    k = np.round(result.t / h)
-    exact = np.cos(k * theta) + lean * np.sin(k * theta)
-    return float(np.abs(result.q[:, 0] / result.q[0, 0] - exact).max())
-
-
-def kepler(module: Any, case: Case, result: Result) -> float:
-    """Kepler's equation E - e sin E = pi + t for the ellipse of unit semi-major axis, from its farthest point."""
-    e = float(result.q[0, 0]) - 1.0
-    mean = np.mod(math.pi + result.t, 2.0 * math.pi)
-    anomaly = np.where(e > 0.8, math.pi, mean)
-    for _ in range(200):
-        anomaly = anomaly - (anomaly - e * np.sin(anomaly) - mean) / (1.0 - e * np.cos(anomaly))
-    x, y = e - np.cos(anomaly), -math.sqrt((1.0 - e) * (1.0 + e)) * np.sin(anomaly)
-    return float(np.abs(result.q - np.stack([x, y], axis=1))[-1].max())
-
-
-def by_integration(module: Any, case: Case, result: Result) -> float:
-    """DOP853 at tolerance 1e-12 on forces written by hand; errors of momenta relative to the largest."""
-    problem, values = case.setup.file.stem, of_case(case)
-    count = result.q.shape[1]
-
-    def field(_: float, z: Vector) -> Vector:
-        return np.concatenate([z[count:], FORCES[problem](values, z[:count])])
-
-    exact = _integrated(field, np.concatenate([result.q[0], result.p[0]]), result.t)
-    by_place = np.abs(result.q - exact[:, :count]).max()
-    by_momentum = np.abs(result.p - exact[:, count:]).max() / max(1.0, np.abs(exact[:, count:]).max())
-    return float(max(by_place, by_momentum))
-
-
-def rigid_pendulum(module: Any, case: Case, result: Result) -> float:
-    """The limit of an infinitely stiff spring: a rod of unit length that starts horizontal at rest."""
-    exact = _integrated(lambda _, z: np.array([z[1], -math.sin(z[0])]), np.array([math.pi / 2.0, 0.0]), result.t)
-    places = np.stack([np.sin(exact[:, 0]), -np.cos(exact[:, 0])], axis=1)
-    return float(np.abs(result.q - places).max())
-
-
-def chain(module: Any, case: Case, result: Result) -> float:
-    """DOP853 at tolerance 1e-12 on the equations of the chain, written by hand."""
-    values, count = of_case(case), result.q.shape[1]
-
-    def field(_: float, z: Vector) -> Vector:
-        return np.concatenate([z[count:], chain_acceleration(values, z[:count], z[count:])])
-
-    exact = _integrated(field, np.concatenate([result.q[0], np.zeros(count)]), result.t)
-    return float(np.abs(result.q - exact[:, :count]).max())
-
-
-def _integrated(field: Callable[[float, Vector], Vector], start: Vector, t: Vector) -> Vector:
-    found = solve_ivp(field, (t[0], t[-1]), start, method="DOP853", t_eval=t, rtol=1e-12, atol=1e-13)
-    return found.y.T if found.success else np.full((len(t), len(start)), np.nan)
-
-
-def two_bodies(module: Any, case: Case, result: Result) -> float:
-    """A circle of radius d: the relative place turns with omega = sqrt(G (m1 + m2)/d^3); errors are relative to d."""
-    masses = dict(case.values).get("m", (1.0, 0.001))
-    relative = result.q[:, 2:] - result.q[:, :2]
-    distance = float(np.linalg.norm(relative[0]))
-    turned = math.sqrt(sum(masses) / distance**3) * result.t
-    return float(np.abs(relative / distance - np.stack([np.cos(turned), np.sin(turned)], axis=1)).max())
-
-
-def regulator(module: Any, case: Case, result: Result) -> float:
-    """J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2."""
-    values = {"a": 1.0, "eps": 1.0, "T": 10.0, "begin": 1.5, "goal": 1.0} | dict(case.values)
-    a, eps, T, x0, x1 = (values[name] for name in ("a", "eps", "T", "begin", "goal"))
-    rate = math.hypot(a, 1.0 / eps)
-    z = rate * T
-    coth, inverse_sinh = 1.0 / math.tanh(z), 1.0 / math.sinh(z) if z < 700.0 else 0.0
-    curved = rate * ((x0 * x0 + x1 * x1) * coth - 2.0 * x0 * x1 * inverse_sinh)
-    return _relative(result.cost, eps**2 / 2.0 * (curved + a * (x1 * x1 - x0 * x0)))
-
-
-def cubic_regulator(module: Any, case: Case, result: Result) -> float:
-    """J = F(1) + F(9/4) + (81/16 - 1)/2 for long times, with F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
-
-    def share(y: float) -> float:
-        return (y * math.hypot(1.0, y) + math.asinh(y)) / 2.0
-
-    return _relative(result.cost, share(1.0) + share(2.25) + (81.0 / 16.0 - 1.0) / 2.0)
-
-
-def short_turn(module: Any, case: Case, result: Result) -> float:
-    """12 (angle)^2/T^3, the least integral of the squared torque where gravity has no time to act."""
-    values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
-    exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
-    return _relative(result.cost, exact) if exact else abs(result.cost or 0.0)
-
-
-def walled_cart(module: Any, case: Case, result: Result) -> float:
-    """4/(9 wall)."""
-    return _relative(result.cost, 4.0 / (9.0 * dict(case.values)["wall"]))
-
-
-def other_units(module: Any, case: Case, result: Result) -> float:
-    """The same transfer in units of one: with thrust as force, the cost goes with m^2 GM^(3/2) r^(-5/2)."""
-    values = {"m": 1.0, "GM": 1.0, "r0": 1.0} | dict(case.values)
-    plain = module.solve(result.steps, m=1.0, GM=1.0, r0=1.0, r1=1.2)
-    return _relative(result.cost, plain.cost * values["m"] ** 2 * values["GM"] ** 1.5 * values["r0"] ** -2.5)
-
-
-def single_landmark(module: Any, case: Case, result: Result) -> float:
-    """The squared distance 2 artanh(|y - x|/|1 - conj(x) y|)^2 of the metric 2 |dq|^2/(1 - |q|^2)^2."""
-    x0, y0, x1, y1 = case.points[0]
-    start, target = complex(x0, y0), complex(x1, y1)
-    exact = 2.0 * math.atanh(abs((target - start) / (1.0 - start.conjugate() * target))) ** 2
-    return _relative(result.cost, exact) if exact else abs(result.cost or 0.0)
-
-
-def reintegrated(module: Any, case: Case, result: Result) -> float:
-    """How far from the targets DOP853 arrives with the found momenta, on Hamilton's equations written by hand."""
-    shape = (len(case.points), 2)
-    count = 2 * shape[0]
-
-    def field(_: float, z: Vector) -> Vector:
-        by_place, by_momentum = plate_gradient(z[:count].reshape(shape), z[count:].reshape(shape))
-        return np.concatenate([by_momentum.ravel(), -by_place.ravel()])
-
-    start = np.concatenate([result.q[0], result.p[0]])
-    exact = _integrated(field, start, result.t[[0, -1]])[-1, :count].reshape(shape)
-    return float(np.abs(exact - np.array(case.points)[:, 2:]).max())
-
-
-def at_rest(module: Any, case: Case, result: Result) -> float:
-    """Nothing is to be done: cost and motion vanish."""
-    moved = float(np.abs(result.q - result.q[0]).max())
-    return max(abs(result.cost or 0.0), moved)
-
-
-def _relative(value: float | None, exact: float) -> float:
-    if value is None or not math.isfinite(value):
-        return math.inf
-    return abs(value / exact - 1.0) if exact else abs(value)
-
-
-REFERENCES: dict[str, Callable[[Any, Case, Result], float]] = {
-    function.__name__: function
-    for function in (
-        oscillator, stable_step, discrete_oscillator, kepler, by_integration, rigid_pendulum, chain, two_bodies,
-        regulator, cubic_regulator, short_turn, walled_cart, other_units, single_landmark, reintegrated, at_rest,
-    )
-}  # fmt: skip
-"""Every reference by name; the cases name one of them."""
-
-
 def measure(module: Any, case: Case) -> Measurement:
-    """What happens when a case is solved; typed errors are passed on."""
-    varied = with_values(module, case)
+    """The measurement of a case; typed errors are passed on."""
+    varied = _with_values(module, case)
+    points = None
+    if case.points:
+        table = np.array(case.points, dtype=float)
+        half = table.shape[1] // 2
+        points = PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
+    options = {name: getattr(case, name) for name in task_of(module).options & {"every", "doublings"}}
     begin = time.perf_counter()
-    result = api.solve(varied, case.driver, points=_points(case), **_options(module, case))
+    result = api.solve(varied, case.driver, points=points, steps=case.steps, **options)
     seconds = time.perf_counter() - begin
     expected = EXPECTATIONS[result.task]
-    error = REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else float("nan")
-    arrays = (result.q, result.p, result.u, result.unknowns)
-    # The error of the cost that a doubled grid shows, relative to the cost.
-    estimate = result.summary.get("cost_error_estimate", float("nan"))
+    estimate = result.summary.get("cost_error_estimate", math.nan)
+    answer = (result.q, result.p, result.u, result.unknowns, result.cost)
     return Measurement(
         status=result.status,
         message=result.message,
-        finite=(
-            all(a is None or bool(np.isfinite(a).all()) for a in arrays)
-            and (result.cost is None or bool(np.isfinite(result.cost)))
-        ),
-        error=error,
-        announced=(estimate / abs(result.cost) if result.cost else estimate),
+        finite=all(a is None or bool(np.isfinite(a).all()) for a in answer),
+        error=REFERENCES[case.reference](varied, case, result) if case.reference and result.solved else math.nan,
+        announced=estimate / abs(result.cost) if result.cost else estimate,
         residual=result.residual if result.stationarity is None else max(result.residual, result.stationarity),
         tolerance=expected.tolerance(varied, case, result),
-        textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else float("nan"),
+        textbook=textbook_errors(varied, case, result) if case.textbook and result.solved else math.nan,
         drift=_drift(case, result, expected.keeps_energy),
-        stable_below=stable_limit(module, case) if case.limit else float("nan"),
+        stable_below=stable_limit(module, case) if case.limit else math.nan,
         failures=expected.failures(result),
         iterations=result.iterations,
         seconds=seconds,
     )
 
 
-def with_values(module: Any, case: Case) -> Any:
-    """The same module, whose functions that make a grid or a case take the case's run-time values by default."""
-    values = as_keywords(case.values)
+def _with_values(module: Any, case: Case) -> Any:
+    """The module with the run-time values of the case as defaults of the functions that make a grid or a case."""
+    values = _as_keywords(case.values)
     varied = ModuleType(module.__name__)
     vars(varied).update(vars(module))
     for name in ("make_grid", "solve", "nlp", "make_case"):
         original = getattr(module, name, None)
         if original is not None:
-            setattr(varied, name, lambda *given, _call=original, **more: _call(*given, **{**values, **more}))
+            setattr(varied, name, lambda *args, _call=original, **more: _call(*args, **{**values, **more}))
     if case.noise:
         # Functions that guess, with reproducible noise on every free primal unknown, relative to its size or to one.
         guessed, solved = varied.initial_guess, varied.solve
@@ -275,38 +93,203 @@ def with_values(module: Any, case: Case) -> Any:
     return varied
 
 
-def as_keywords(values: Values) -> dict[str, Any]:
-    """Keyword arguments; what is a table of names and values becomes a dict, what is a table of numbers an array."""
+def _as_keywords(values: Values) -> dict[str, Any]:
+    """Keyword arguments; a table of names and values becomes a dict, a table of numbers an array."""
 
     def plain(value: Any) -> Any:
         if not isinstance(value, tuple):
             return value
         is_table = bool(value) and all(isinstance(v, tuple) and len(v) == 2 and isinstance(v[0], str) for v in value)
-        return as_keywords(value) if is_table else np.array(value, dtype=float)
+        return _as_keywords(value) if is_table else np.array(value, dtype=float)
 
     return {name: plain(value) for name, value in values}
 
 
-def _options(module: Any, case: Case) -> dict[str, Any]:
-    own = task_of(module).options & {"every", "doublings"}
-    return {"steps": case.steps, **{name: getattr(case, name) for name in own}}
-
-
-def _points(case: Case) -> PointSet | None:
-    """Starts and targets, from rows (start, target) of either dimension."""
-    if not case.points:
-        return None
-    table = np.array(case.points, dtype=float)
-    half = table.shape[1] // 2
-    return PointSet(table[:, :half], table[:, half:], np.zeros(len(table)))
-
-
 def _drift(case: Case, result: Result, keeps_energy: bool) -> float:
-    """Largest change of energy, relative to its scale; NaN where there is no energy."""
+    """The largest change of energy, relative to its first value or to the weight of unit masses; NaN without energy."""
     if result.energy is None:
-        return float("nan")
+        return math.nan
     energy = np.asarray(result.energy, dtype=float)
-    scale = drift_scale(case, result)
+    scale = abs(float(energy[0]))
+    values = _parameters(case)
+    match case.setup.file.stem:
+        case "pendulum_chain":
+            scale = max(scale, float(values["heavy"]), float(values["light"]))
+        case "rod_chain":
+            scale = max(scale, 21.0)  # unit weights that can fall by 1, 2, ... 6
+        case "spring_pendulum":
+            scale = max(scale, 1.0)
     if keeps_energy and not np.isfinite(energy[1:]).all():
-        return float("inf")
-    return float(np.abs(energy - energy[0]).max() / scale) if scale > 0.0 else float("nan")
+        return math.inf
+    return float(np.abs(energy - energy[0]).max() / scale) if scale > 0.0 else math.nan
+
+
+def _parameters(case: Case) -> dict[str, Any]:
+    """Parameters of a case: those of the problem file, or the case's own."""
+    return DEFAULTS.get(case.setup.file.stem, {}) | dict(case.values)
+
+
+# ---- References ----
+
+
+def oscillator(module: Any, case: Case, result: Result) -> float:
+    """Q = cos(omega t), p = -omega sin(omega t), times the amplitude."""
+    omega = _parameters(case).get("omega", 1.0)
+    amplitude = float(result.q[0, 0])
+    q, p = np.cos(omega * result.t), -omega * np.sin(omega * result.t)
+    errors = np.abs(result.q[:, 0] / amplitude - q), np.abs(result.p[:, 0] / amplitude - p) / omega
+    return float(max(error.max() for error in errors))
+
+
+def stable_step(module: Any, case: Case, result: Result) -> float:
+    """The largest stable step by bisection, against that of the scheme's table."""
+    measured, exact = stable_limit(module, case), systems.limit(registered((result.method, result.scheme)))
+    if measured == exact:
+        return 0.0
+    return abs(measured / exact - 1.0) if math.isfinite(exact) and exact else math.inf
+
+
+def discrete_oscillator(module: Any, case: Case, result: Result) -> float:
+    """The scheme's own closed form, from its table."""
+    h = result.t[-1] / result.steps
+    theta, sine = systems.turn(registered((result.method, result.scheme)), h * _parameters(case).get("omega", 1.0))
+    k = np.round(result.t / h)
+    exact = np.cos(k * theta) + sine * np.sin(k * theta)
+    return float(np.abs(result.q[:, 0] / result.q[0, 0] - exact).max())
+
+
+def kepler(module: Any, case: Case, result: Result) -> float:
+    """Kepler's equation E - e sin E = pi + t for the ellipse of unit semi-major axis, from its farthest point."""
+    e = float(result.q[0, 0]) - 1.0
+    mean = np.mod(math.pi + result.t, 2.0 * math.pi)
+    anomaly = np.where(e > 0.8, math.pi, mean)
+    for _ in range(200):
+        anomaly = anomaly - (anomaly - e * np.sin(anomaly) - mean) / (1.0 - e * np.cos(anomaly))
+    x, y = e - np.cos(anomaly), -math.sqrt((1.0 - e) * (1.0 + e)) * np.sin(anomaly)
+    return float(np.abs(result.q - np.stack([x, y], axis=1))[-1].max())
+
+
+def by_integration(module: Any, case: Case, result: Result) -> float:
+    """DOP853 at tolerance 1e-12 on forces written by hand; errors of momenta relative to the largest."""
+    problem, values = case.setup.file.stem, _parameters(case)
+    count = result.q.shape[1]
+
+    def field(_: float, z: Vector) -> Vector:
+        return np.concatenate([z[count:], FORCES[problem](values, z[:count])])
+
+    exact = _integrated(field, np.concatenate([result.q[0], result.p[0]]), result.t)
+    of_positions = np.abs(result.q - exact[:, :count]).max()
+    of_momenta = np.abs(result.p - exact[:, count:]).max() / max(1.0, np.abs(exact[:, count:]).max())
+    return float(max(of_positions, of_momenta))
+
+
+def rigid_pendulum(module: Any, case: Case, result: Result) -> float:
+    """The limit of an infinitely stiff spring: a rod of unit length that starts horizontal at rest."""
+    exact = _integrated(lambda _, z: np.array([z[1], -math.sin(z[0])]), np.array([math.pi / 2.0, 0.0]), result.t)
+    positions = np.stack([np.sin(exact[:, 0]), -np.cos(exact[:, 0])], axis=1)
+    return float(np.abs(result.q - positions).max())
+
+
+def chain(module: Any, case: Case, result: Result) -> float:
+    """DOP853 at tolerance 1e-12 on the equations of the chain, written by hand."""
+    values, count = _parameters(case), result.q.shape[1]
+
+    def field(_: float, z: Vector) -> Vector:
+        return np.concatenate([z[count:], chain_acceleration(values, z[:count], z[count:])])
+
+    exact = _integrated(field, np.concatenate([result.q[0], np.zeros(count)]), result.t)
+    return float(np.abs(result.q - exact[:, :count]).max())
+
+
+def _integrated(field: Callable[[float, Vector], Vector], start: Vector, t: Vector) -> Vector:
+    solution = solve_ivp(field, (t[0], t[-1]), start, method="DOP853", t_eval=t, rtol=1e-12, atol=1e-13)
+    return solution.y.T if solution.success else np.full((len(t), len(start)), np.nan)
+
+
+def two_bodies(module: Any, case: Case, result: Result) -> float:
+    """A circle of radius d, on which the relative position turns with omega = sqrt(G (m1 + m2)/d^3); relative to d."""
+    masses = dict(case.values).get("m", (1.0, 0.001))
+    relative = result.q[:, 2:] - result.q[:, :2]
+    distance = float(np.linalg.norm(relative[0]))
+    angle = math.sqrt(sum(masses) / distance**3) * result.t
+    return float(np.abs(relative / distance - np.stack([np.cos(angle), np.sin(angle)], axis=1)).max())
+
+
+def regulator(module: Any, case: Case, result: Result) -> float:
+    """J = eps^2/2 (l ((x0^2 + x1^2) coth(l T) - 2 x0 x1/sinh(l T)) + a (x1^2 - x0^2)), l^2 = a^2 + 1/eps^2."""
+    values = {"a": 1.0, "eps": 1.0, "T": 10.0, "begin": 1.5, "goal": 1.0} | dict(case.values)
+    a, eps, T, x0, x1 = (values[name] for name in ("a", "eps", "T", "begin", "goal"))
+    rate = math.hypot(a, 1.0 / eps)
+    z = rate * T
+    coth, inverse_sinh = 1.0 / math.tanh(z), 1.0 / math.sinh(z) if z < 700.0 else 0.0
+    curved = rate * ((x0 * x0 + x1 * x1) * coth - 2.0 * x0 * x1 * inverse_sinh)
+    return _relative(result.cost, eps**2 / 2.0 * (curved + a * (x1 * x1 - x0 * x0)))
+
+
+def cubic_regulator(module: Any, case: Case, result: Result) -> float:
+    """J = F(1) + F(9/4) + (81/16 - 1)/2 for long times, with F(y) = (y sqrt(1 + y^2) + asinh y)/2."""
+    first, last = ((y * math.hypot(1.0, y) + math.asinh(y)) / 2.0 for y in (1.0, 2.25))
+    return _relative(result.cost, first + last + (81.0 / 16.0 - 1.0) / 2.0)
+
+
+def short_turn(module: Any, case: Case, result: Result) -> float:
+    """12 (angle)^2/T^3, the least integral of the squared torque where gravity has no time to act."""
+    values = {"T": 1.0, "begin": 0.0, "goal": 1.0} | dict(case.values)
+    exact = 12.0 * (values["goal"] - values["begin"]) ** 2 / values["T"] ** 3
+    return _relative(result.cost, exact)
+
+
+def walled_cart(module: Any, case: Case, result: Result) -> float:
+    """4/(9 wall)."""
+    return _relative(result.cost, 4.0 / (9.0 * dict(case.values)["wall"]))
+
+
+def other_units(module: Any, case: Case, result: Result) -> float:
+    """The transfer in units of one: with thrust as force, the cost is proportional to m^2 GM^(3/2) r^(-5/2)."""
+    values = {"m": 1.0, "GM": 1.0, "r0": 1.0} | dict(case.values)
+    plain = module.solve(result.steps, m=1.0, GM=1.0, r0=1.0, r1=1.2)
+    return _relative(result.cost, plain.cost * values["m"] ** 2 * values["GM"] ** 1.5 * values["r0"] ** -2.5)
+
+
+def single_landmark(module: Any, case: Case, result: Result) -> float:
+    """The squared distance 2 artanh(|y - x|/|1 - conj(x) y|)^2 of the metric 2 |dq|^2/(1 - |q|^2)^2."""
+    x0, y0, x1, y1 = case.points[0]
+    start, target = complex(x0, y0), complex(x1, y1)
+    exact = 2.0 * math.atanh(abs((target - start) / (1.0 - start.conjugate() * target))) ** 2
+    return _relative(result.cost, exact)
+
+
+def reintegrated(module: Any, case: Case, result: Result) -> float:
+    """The miss of the targets by DOP853 with the computed momenta, on Hamilton's equations written by hand."""
+    shape = (len(case.points), 2)
+    count = 2 * shape[0]
+
+    def field(_: float, z: Vector) -> Vector:
+        by_position, by_momentum = plate_gradient(z[:count].reshape(shape), z[count:].reshape(shape))
+        return np.concatenate([by_momentum.ravel(), -by_position.ravel()])
+
+    start = np.concatenate([result.q[0], result.p[0]])
+    exact = _integrated(field, start, result.t[[0, -1]])[-1, :count].reshape(shape)
+    return float(np.abs(exact - np.array(case.points)[:, 2:]).max())
+
+
+def at_rest(module: Any, case: Case, result: Result) -> float:
+    """Cost and motion vanish."""
+    return max(abs(result.cost or 0.0), float(np.abs(result.q - result.q[0]).max()))
+
+
+def _relative(value: float | None, exact: float) -> float:
+    """The relative error, absolute for exact = 0."""
+    if value is None or not math.isfinite(value):
+        return math.inf
+    return abs(value / exact - 1.0) if exact else abs(value)
+
+
+REFERENCES: dict[str, Callable[[Any, Case, Result], float]] = {
+    function.__name__: function
+    for function in (
+        oscillator, stable_step, discrete_oscillator, kepler, by_integration, rigid_pendulum, chain, two_bodies,
+        regulator, cubic_regulator, short_turn, walled_cart, other_units, single_landmark, reintegrated, at_rest,
+    )
+}  # fmt: skip
+"""Every reference by name; the cases name one of them."""

@@ -1,4 +1,4 @@
-"""What a stress run leaves behind: a table on the terminal, a CSV file of every number, a self-contained HTML page."""
+"""The output of a stress run: a table on the terminal, a CSV file of every number, a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 COLUMNS = ("case", "scheme", "h ω", "error", "promised", "energy drift", "stable h ω <", "failed", "outcome")
-WORDS = ("case", "scheme")  # of several words, and so of several lines where there is little room
+WORDS = ("case", "scheme")
+"""Columns of several words, which may be broken into lines."""
 STYLES = {"accurate": "green", "bounded": "cyan", "unsuitable": "yellow", "refused": "blue"}
 
 
 @dataclass(frozen=True)
 class Line:
-    """A row as text: the cells under COLUMNS, what was found and why it was expected, whether it passed.
+    """A row as text: the cells under COLUMNS, the finding, the reason of the expectation, True if it passed.
 
-    `figure` is the number that an overview shows: the error, or the change of energy where there is no reference, or
-    the limit where that is what is measured.
+    `figure` is the number in an overview: the error, or the change of energy if there is no reference, or the limit of
+    stability if that is measured.
     """
 
     cells: tuple[str, ...]
@@ -41,7 +42,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Section:
-    """The lines of one family, and an overview: cases against schemes, a line or None in each place."""
+    """The lines of one family, and an overview: cases against schemes, a line or None in each position."""
 
     family: str
     lines: tuple[Line, ...]
@@ -49,8 +50,8 @@ class Section:
     overview: tuple[tuple[str, tuple[Line | None, ...]], ...]
 
 
-def number(value: float) -> str:
-    """A number in as few characters as say enough; nothing for what was not measured."""
+def _number(value: float) -> str:
+    """A number in few characters; empty for NaN."""
     if math.isnan(value):
         return ""
     if math.isinf(value):
@@ -60,44 +61,39 @@ def number(value: float) -> str:
     return f"{value:.3g}" if 0.01 <= abs(value) < 1e4 else f"{value:.1e}"
 
 
-def stable(value: float) -> str:
-    """The largest stable step times frequency."""
-    return "any" if math.isinf(value) else "none" if value == 0.0 else number(value)
-
-
-def line(row: Row) -> Line:
-    """A row as text."""
-    case, seen = row.case, row.measurement
+def _line(row: Row) -> Line:
+    case, run = row.case, row.measurement
     scheme = case.setup.label if DRIVERS[case.driver].generated else f"{case.setup.label}, {case.driver}"
+    limit = run.stable_below
+    stable = "any" if math.isinf(limit) else "none" if limit == 0.0 else _number(limit)
     cells = (
-        case.name, scheme, number(case.h_omega), number(seen.error), number(case.bound), number(seen.drift),
-        stable(seen.stable_below), str(seen.failures or ""), row.outcome,
+        case.name, scheme, _number(case.h_omega), _number(run.error), _number(case.bound), _number(run.drift),
+        stable, str(run.failures or ""), row.outcome,
     )  # fmt: skip
-    figure = stable(seen.stable_below) if case.reference == "stable_step" else number(seen.error) or number(seen.drift)
+    figure = stable if case.reference == "stable_step" else _number(run.error) or _number(run.drift)
     text = row.text if row.text.startswith(row.outcome) else f"{row.outcome}: {row.text}"
     return Line(cells, figure or "–", text, case.reason, row.outcome, row.passed)
 
 
-def sections(rows: Iterable[Row]) -> tuple[Section, ...]:
-    """Rows by family, in the order in which families come."""
+def _sections(rows: Iterable[Row]) -> list[Section]:
+    """Rows by family, in the order of the families."""
     families: dict[str, list[Line]] = {}
     for row in rows:
-        families.setdefault(row.case.family, []).append(line(row))
-    return tuple(_section(family, lines) for family, lines in families.items())
+        families.setdefault(row.case.family, []).append(_line(row))
+    sections = []
+    for family, lines in families.items():
+        schemes = tuple(dict.fromkeys(line.cells[1] for line in lines))
+        by_cells = {line.cells[:2]: line for line in lines}
+        names = dict.fromkeys(line.cells[0] for line in lines)
+        overview = tuple((name, tuple(by_cells.get((name, scheme)) for scheme in schemes)) for name in names)
+        sections.append(Section(family, tuple(lines), schemes, overview))
+    return sections
 
 
-def _section(family: str, lines: Sequence[Line]) -> Section:
-    schemes = tuple(dict.fromkeys(entry.cells[1] for entry in lines))
-    placed = {entry.cells[:2]: entry for entry in lines}
-    names = dict.fromkeys(entry.cells[0] for entry in lines)
-    overview = tuple((name, tuple(placed.get((name, scheme)) for scheme in schemes)) for name in names)
-    return Section(family, tuple(lines), schemes, overview)
-
-
-def counts(rows: Sequence[Row]) -> str:
-    """How many rows ended how, in one sentence."""
-    found = Counter(row.outcome for row in rows)
-    words = [f"{found[word]} {word}" for word in (*OUTCOMES, *DEFECTS) if found[word]]
+def _counts(rows: Sequence[Row]) -> str:
+    """The number of rows with each outcome, in one sentence."""
+    counts = Counter(row.outcome for row in rows)
+    words = [f"{counts[word]} {word}" for word in (*OUTCOMES, *DEFECTS) if counts[word]]
     return f"{len(rows)} rows: {', '.join(words)}"
 
 
@@ -107,51 +103,47 @@ def table(rows: Sequence[Row]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    shown = Table(box=box.SIMPLE_HEAD, caption=counts(rows), caption_justify="left", padding=(0, 1, 0, 0))
+    shown = Table(box=box.SIMPLE_HEAD, caption=_counts(rows), caption_justify="left", padding=(0, 1, 0, 0))
     for heading in COLUMNS:
         is_number = heading not in (*WORDS, "outcome")
         heading = heading.replace("energy drift", "drift").replace("stable h ω", "stable")
         shown.add_column(
             heading, justify="right" if is_number else "left", no_wrap=heading not in WORDS, overflow="fold"
         )
-    for section in sections(rows):
-        for entry in section.lines:
-            *cells, outcome = entry.cells
-            style = STYLES.get(outcome, "bold red")
-            shown.add_row(*map(Text, cells), Text(outcome, style=style if entry.passed else "bold red"))
+    for section in _sections(rows):
+        for line in section.lines:
+            *cells, outcome = line.cells
+            style = STYLES.get(outcome, "bold red") if line.passed else "bold red"
+            shown.add_row(*map(Text, cells), Text(outcome, style=style))
         shown.add_section()
     return shown
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """Every number of every row."""
-    records = [_record(row) for row in rows]
+    """Write every number of every row."""
+    records = []
+    for row in rows:
+        case, run, setup = row.case, row.measurement, row.case.setup
+        records.append({
+            "family": case.family, "case": case.name, "problem": setup.file.stem, "method": setup.method or "",
+            "scheme": setup.scheme or "", "driver": case.driver, "steps": case.steps, "h_omega": case.h_omega,
+            "error": run.error, "promised": case.bound, "announced_error": run.announced, "residual": run.residual,
+            "tolerance": run.tolerance, "textbook_rounding_errors": run.textbook, "energy_drift": run.drift,
+            "stable_below": run.stable_below, "failures": run.failures, "iterations": run.iterations,
+            "seconds": run.seconds, "status": run.status, "outcome": row.outcome,
+            "expected": " or ".join(case.expected), "passed": row.passed, "finding": row.text, "reason": case.reason,
+        })  # fmt: skip
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(records[0]) if records else [])
         writer.writeheader()
         writer.writerows(records)
 
 
-def _record(row: Row) -> dict[str, object]:
-    """Names and values of a line of the file."""
-    case, seen, made = row.case, row.measurement, row.case.setup
-    return {
-        "family": case.family, "case": case.name, "problem": made.file.stem, "method": made.method or "",
-        "scheme": made.scheme or "", "driver": case.driver, "steps": case.steps, "h_omega": case.h_omega,
-        "error": seen.error, "promised": case.bound, "announced_error": seen.announced, "residual": seen.residual,
-        "tolerance": seen.tolerance, "textbook_rounding_errors": seen.textbook, "energy_drift": seen.drift,
-        "stable_below": seen.stable_below, "failures": seen.failures, "iterations": seen.iterations,
-        "seconds": seen.seconds, "status": seen.status, "outcome": row.outcome, "expected": " or ".join(case.expected),
-        "passed": row.passed, "finding": row.text, "reason": case.reason,
-    }  # fmt: skip
-
-
 def write_page(rows: Sequence[Row], seconds: float, path: Path) -> None:
-    """One HTML file without scripts or anything from elsewhere."""
-    failed = [line(row) for row in rows if not row.passed]
+    """Write one HTML file without scripts and without references to other files."""
     text = rendered(
-        Path(__file__).parent / "page.html.j2", sections=sections(rows), columns=COLUMNS, counts=counts(rows),
-        failed=failed, outcomes=OUTCOMES, defects=DEFECTS, seconds=f"{seconds:.0f}",
+        Path(__file__).parent / "page.html.j2", sections=_sections(rows), columns=COLUMNS, counts=_counts(rows),
+        failed=[row for row in rows if not row.passed], outcomes=OUTCOMES, defects=DEFECTS, seconds=f"{seconds:.0f}",
         environment=", ".join(f"{name} {value}" for name, value in versions().items()),
     )  # fmt: skip
     write_text(path, text)

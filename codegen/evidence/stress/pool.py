@@ -9,91 +9,78 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from codegen.errors import CodegenError
 from codegen.evidence.stress.cases import Case, Measurement, Setup
 
+BUILD_SECONDS = 600.0
+"""The time limit of deriving and compiling a module; several builds run at once, on machines of any speed."""
+START_SECONDS = 120.0
+
+Report = Callable[[Case, Measurement], None]
+Serve = Callable[[Connection], None]
+
 
 def serve(connection: Connection) -> None:
     """Answer each Setup by None once its module is ready, each Case by its Measurement, until the pipe is closed."""
     warnings.simplefilter("ignore")
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    module: Any = None
-    refusal, exception = "", ""
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    module: Any = Measurement()  # or the failure to make it
     with suppress(EOFError, KeyboardInterrupt):
         while True:
-            message = connection.recv()
-            answer: Any = None
+            message, answer = connection.recv(), None
             if isinstance(message, Setup):
-                module, refusal, exception = _made(message)
+                module = _attempted(_compiled, message)
             elif isinstance(message, Case):
-                answer = _measured(module, message) if module is not None else Measurement(
-                    refusal=refusal, exception=exception
-                )  # fmt: skip
+                answer = module if isinstance(module, Measurement) else _attempted(_solved, module, message)
             connection.send(answer)
 
 
-def _end_with_parent() -> None:
-    """End this process, whatever it is doing, when the process that started it has ended, by whatever means."""
+def _attempted(action: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of an action, or a measurement that reports the failure."""
+    try:
+        return action(*arguments)
+    except CodegenError as error:
+        return Measurement(refusal=str(error))
+    except Exception as error:
+        return Measurement(exception=" ".join(f"{type(error).__name__}: {error}".split())[:300])
+
+
+def _compiled(setup: Setup) -> Any:
+    from codegen.solving import compiler
+    from codegen.solving.loading import load
+    from codegen.solving.machine_code.compilation import compile_all
+
+    arguments = {name: str(value) for name, value in setup.arguments}
+    module = load(compiler.build(setup.file, arguments, scheme=setup.scheme, method=setup.method).path)
+    compile_all(module)
+    return module
+
+
+def _solved(module: Any, case: Case) -> Measurement:
+    from codegen.evidence.stress.measure import measure
+
+    return measure(module, case)
+
+
+def end_with_parent() -> None:
+    """End this process, whatever it is doing, when its parent process has ended by whatever means."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
 
 
-def _made(setup: Setup) -> tuple[Any, str, str]:
-    """The compiled module, or what it was refused for, or the exception."""
-    from codegen.solving import compiler
-    from codegen.solving.loading import load
-    from codegen.solving.machine_code.compilation import compile_all
-
-    try:
-        arguments = {name: str(value) for name, value in setup.arguments}
-        module = load(compiler.build(setup.file, arguments, scheme=setup.scheme, method=setup.method).path)
-        compile_all(module)
-    except CodegenError as error:
-        return None, str(error), ""
-    except Exception as error:
-        return None, "", described(error)
-    return module, "", ""
-
-
-def _measured(module: Any, case: Case) -> Measurement:
-    from codegen.evidence.stress.measure import measure
-
-    try:
-        return measure(module, case)
-    except CodegenError as error:
-        return Measurement(refusal=str(error))
-    except Exception as error:
-        return Measurement(exception=described(error))
-
-
-def described(error: Exception) -> str:
-    """An exception in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
-
-
-BUILD_SECONDS = 600.0
-"""The time in which a module must be derived and compiled; these run several at once, on machines of any speed."""
-START_SECONDS = 120.0
-
-Report = Callable[[Case, Measurement], None]
-
-
-@dataclass
 class Worker:
     """A process that answers one message with one; `ask` raises TimeoutError or EOFError when it does not."""
 
-    serve: Callable[[Connection], None]
-
-    def __post_init__(self) -> None:
+    def __init__(self, serve: Serve) -> None:
+        """Start the process."""
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
-        self.process = context.Process(target=self.serve, args=(other,), daemon=True)
+        self.process = context.Process(target=serve, args=(other,), daemon=True)
         self.process.start()
         other.close()
 
@@ -111,18 +98,16 @@ class Worker:
         self.connection.close()
 
 
-def run(
-    cases: Sequence[Case], workers: int, report: Report, serve: Callable[[Connection], None] = serve
-) -> list[Measurement]:
+def run(cases: Sequence[Case], workers: int, report: Report, serve: Serve = serve) -> list[Measurement]:
     """Measure every case; `report` is called from one thread at a time as soon as a case is measured.
 
-    Cases of one module run one after the other in one process. A process that hangs or dies costs the case at hand
-    only: the next one starts in a new process, from the cached module.
+    Cases of one module run one after the other in one process. If a process hangs or dies, only the current case is
+    lost: the next case starts in a new process, from the cached module.
     """
-    jobs: queue.SimpleQueue[list[int]] = queue.SimpleQueue()
     groups: dict[Setup, list[int]] = {}
     for number, case in enumerate(cases):
         groups.setdefault(case.setup, []).append(number)
+    jobs: queue.SimpleQueue[list[int]] = queue.SimpleQueue()
     for numbers in groups.values():
         jobs.put(numbers)
     measured: dict[int, Measurement] = {}
@@ -135,12 +120,9 @@ def run(
 
     def work() -> None:
         worker: Worker | None = None
-        while not jobs.empty():
-            try:
-                numbers = jobs.get_nowait()
-            except queue.Empty:
-                break
-            worker = _do(worker, iter([(n, cases[n]) for n in numbers]), keep, serve)
+        with suppress(queue.Empty):
+            while True:
+                worker = _measured(worker, iter([(n, cases[n]) for n in jobs.get_nowait()]), keep, serve)
         if worker is not None:
             worker.end()
 
@@ -152,15 +134,13 @@ def run(
     return [measured.get(number, Measurement(exception="was not run")) for number in range(len(cases))]
 
 
-def _do(
-    worker: Worker | None,
-    numbered: Iterator[tuple[int, Case]],
-    keep: Callable[[int, Measurement], None],
-    serve: Callable[[Connection], None],
+def _measured(
+    worker: Worker | None, numbered: Iterator[tuple[int, Case]], keep: Callable[[int, Measurement], None], serve: Serve
 ) -> Worker | None:
-    """Measure the cases of one module; the process that is left, None when the last one had to be ended."""
+    """Measure the cases of one module; return the process, None if the last one had to be ended."""
     built = False
     for number, case in numbered:
+        lost = True
         try:
             if worker is None:
                 worker, built = Worker(serve), False
@@ -169,17 +149,18 @@ def _do(
                 worker.ask(case.setup, BUILD_SECONDS)
                 built = True
             measurement = worker.ask(case, case.seconds)
+            lost = False
         except TimeoutError:
             text = "" if built else f"not derived and compiled within {BUILD_SECONDS:g} s"
             measurement = Measurement(hung=True, message=text)
         except (EOFError, OSError) as error:
             measurement = Measurement(exception=f"the process died ({type(error).__name__})")
-        if measurement.hung or measurement.exception.startswith("the process died"):
+        if lost:
             assert worker is not None
             worker.end()
             worker = None
         keep(number, measurement)
         if measurement.hung and not built:
-            for other, _ in numbered:  # those that are left, which would wait for the same module
+            for other, _ in numbered:  # the remaining cases, which would wait for the same module
                 keep(other, measurement)
     return worker

@@ -1,16 +1,16 @@
-"""The mechanics of the stress problems once more, in numpy and by hand: what generated code is compared with.
+"""The mechanics of the stress problems by hand in numpy, to be compared with generated code.
 
-Forces are written for arrays of any floating type, so that they serve scipy in double and the textbook's equations in
-extended precision.
+Forces are written for arrays of any floating type, so that they serve scipy in double precision and the textbook's
+equations in extended precision.
 
-The equations of a step in their textbook form and extended precision, evaluated on the states that a module returns.
-For H = |p|^2/2 + V(q) with f = -V_q. Nothing of the generated code takes part. Source of all forms: Hairer, Lubich and
-Wanner (2006), Geometric numerical integration, I.1 and VI.3; variational schemes are taken on their Hamiltonian side,
-Marsden and West (2001), section 2.6.
+The textbook's equations of a step are evaluated in extended precision on the states that a module returns, for H =
+|p|^2/2 + V(q) with f = -V_q. No generated code takes part. Source of all forms: Hairer, Lubich and Wanner (2006),
+Geometric numerical integration, I.1 and VI.3; variational schemes in their Hamiltonian form, Marsden and West (2001),
+section 2.6.
 
-What schemes do on the oscillator q' = p, p' = -q, from their tables alone; generated code takes no part. A step of
-length x multiplies (q, p) by a matrix. A symplectic step is stable while its trace lies between -2 and 2 (Hairer,
-Lubich and Wanner 2006, I.5.2 and VIII.6), and turns the points of an ellipse.
+The action of schemes on the oscillator q' = p, p' = -q follows from their tables alone. A step of length x multiplies
+(q, p) by a matrix. A symplectic step is stable while the trace of the matrix lies between -2 and 2 (Hairer, Lubich and
+Wanner 2006, I.5.2 and VIII.6), and then rotates points along an ellipse.
 """
 
 from __future__ import annotations
@@ -28,17 +28,14 @@ from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case
 from codegen.solving.results.result import Result
 
+# ---- Forces ----
+
 Array = Any
 Force = Callable[[Mapping[str, Any], Array], Array]
 
 
-def oscillator_force(values: Mapping[str, Any], q: Array) -> Array:
-    """-omega^2 q."""
-    return -(values["omega"] ** 2) * q
-
-
 def spring_force(values: Mapping[str, Any], q: Array) -> Array:
-    """Of a spring of natural length one, and gravity downwards."""
+    """A spring of natural length one, and gravity downwards."""
     length = np.sqrt(q[0] * q[0] + q[1] * q[1])
     pull = -values["k"] * (length - 1) / length
     return np.stack([pull * q[0], pull * q[1] - 1])
@@ -51,9 +48,9 @@ def fput_force(values: Mapping[str, Any], q: Array) -> Array:
         pull = values["omega"] ** 2 / 2 * (q[i + 1] - q[i])
         force[i], force[i + 1] = force[i] + pull, force[i + 1] - pull
     for i in (-1, 1, 3, 5):
-        left = q[i] if i >= 0 else q[0] * 0
-        right = q[i + 1] if i + 1 < len(q) else q[0] * 0
-        pull = 4 * (right - left) ** 3
+        first = q[i] if i >= 0 else q[0] * 0
+        second = q[i + 1] if i + 1 < len(q) else q[0] * 0
+        pull = 4 * (second - first) ** 3
         if i >= 0:
             force[i] = force[i] + pull
         if i + 1 < len(q):
@@ -63,8 +60,8 @@ def fput_force(values: Mapping[str, Any], q: Array) -> Array:
 
 def rod_force(values: Mapping[str, Any], q: Array) -> Array:
     """Elastic rods from the origin to each mass in turn, and gravity downwards; q holds x1, y1, x2, ..."""
-    places = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
-    along = places[1:] - places[:-1]
+    joints = np.concatenate([np.zeros_like(q[:2])[None], q.reshape(-1, 2)])
+    along = joints[1:] - joints[:-1]
     length = np.sqrt((along**2).sum(axis=1))[:, None]
     pull = values["k"] * (length - 1) * along / length
     force = -pull
@@ -73,18 +70,12 @@ def rod_force(values: Mapping[str, Any], q: Array) -> Array:
     return force.reshape(q.shape)
 
 
-def kepler_force(values: Mapping[str, Any], q: Array) -> Array:
-    """-mu q/|q|^3."""
-    distance = np.sqrt(q[0] * q[0] + q[1] * q[1])
-    return -values["mu"] * q / distance**3
-
-
 FORCES: dict[str, Force] = {
-    "oscillator": oscillator_force,
+    "oscillator": lambda values, q: -(values["omega"] ** 2) * q,
     "spring_pendulum": spring_force,
     "fput": fput_force,
     "rod_chain": rod_force,
-    "kepler": kepler_force,
+    "kepler": lambda values, q: -values["mu"] * q / np.sqrt(q[0] * q[0] + q[1] * q[1]) ** 3,
 }
 """Forces of problems with unit masses, H = |p|^2/2 + V(q)."""
 
@@ -96,7 +87,7 @@ DEFAULTS: dict[str, dict[str, float]] = {
     "kepler": {"mu": 1.0},
     "pendulum_chain": {"heavy": 1.0, "light": 1.0, "g": 1.0},
 }
-"""Parameters as the problem files have them."""
+"""The parameters of the problem files."""
 
 _STIFF = 1e4
 REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
@@ -104,11 +95,11 @@ REST: dict[str, tuple[dict[str, float], tuple[float, ...]]] = {
     "spring_pendulum": ({"k": _STIFF}, (0.0, -1.0 - 1.0 / _STIFF, 0.0, 0.0)),
     "fput": ({"omega": 50.0}, (0.0,) * 12),
 }
-"""Parameters and states (q, p) of rest, about which the stability of a scheme is measured."""
+"""Parameters and equilibrium states (q, p), about which the stability of a scheme is measured."""
 
 
 def frequency(problem: str, values: Mapping[str, Any]) -> float:
-    """The largest frequency of small motions about rest."""
+    """The largest frequency of small motions about the equilibrium."""
     return math.sqrt(values["k"]) if problem == "spring_pendulum" else float(values["omega"])
 
 
@@ -130,10 +121,10 @@ def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
     With a = 1 - |x|^2, b = 1 - |y|^2, s = |x - y|^2, w = a b/s: dG = b/2 w/(1 + w) da + (w/(1 + w) - log(1 + w))/2 ds.
     """
     margin = 1.0 - (q**2).sum(axis=1)
-    by_place, by_momentum = np.zeros_like(q), np.zeros_like(q)
+    by_position, by_momentum = np.zeros_like(q), np.zeros_like(q)
     for i in range(len(q)):
         by_momentum[i] += p[i] * margin[i] ** 2 / 2.0
-        by_place[i] += -(p[i] @ p[i]) * margin[i] * q[i]
+        by_position[i] += -(p[i] @ p[i]) * margin[i] * q[i]
         for j in range(len(q)):
             if j == i:
                 continue
@@ -144,121 +135,104 @@ def plate_gradient(q: Array, p: Array) -> tuple[Array, Array]:
             by_momentum[i] += p[j] * green
             slope = margin[j] / 2.0 * w / (1.0 + w) * (-2.0 * q[i])
             slope = slope + (w / (1.0 + w) - np.log1p(w)) * difference
-            by_place[i] += (p[i] @ p[j]) * slope
-    return by_place, by_momentum
+            by_position[i] += (p[i] @ p[j]) * slope
+    return by_position, by_momentum
 
+
+# ---- The textbook's equations of a step ----
 
 Field = Callable[[Array], Array]
 
 
-def explicit_euler(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
-    """Field at (q0, p0)."""
-    return q1 - q - h * p, p1 - p - h * f(q)
-
-
-def implicit_euler(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
-    """Field at (q1, p1)."""
-    return q1 - q - h * p1, p1 - p - h * f(q1)
-
-
-def symplectic_euler(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
-    """Field at (q0, p1)."""
-    return q1 - q - h * p1, p1 - p - h * f(q)
-
-
-def symplectic_euler_adjoint(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
-    """Field at (q1, p0)."""
-    return q1 - q - h * p, p1 - p - h * f(q1)
-
-
-def midpoint(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
-    """Field at the mean of both states."""
-    return q1 - q - h * (p + p1) / 2, p1 - p - h * f((q + q1) / 2)
-
-
-def stormer_verlet(f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
-    """Half a kick, a drift, half a kick."""
-    half = p + h / 2 * f(q)
-    return q1 - q - h * half, p1 - half - h / 2 * f(q1)
-
-
-TEXTBOOK = {
-    "explicit-euler": explicit_euler,
-    "implicit-euler": implicit_euler,
-    "symplectic-euler": symplectic_euler,
-    "symplectic-euler-adjoint": symplectic_euler_adjoint,
-    "midpoint": midpoint,
-    "stormer-verlet": stormer_verlet,
-    "trapezoidal": stormer_verlet,
-    "rectangle": symplectic_euler,
+TEXTBOOK: dict[str, tuple[float, float]] = {
+    "explicit-euler": (0.0, 0.0),
+    "implicit-euler": (1.0, 1.0),
+    "symplectic-euler": (0.0, 1.0),
+    "symplectic-euler-adjoint": (1.0, 0.0),
+    "rectangle": (0.0, 1.0),
+    "midpoint": (0.5, 0.5),
+    "stormer-verlet": (math.nan, math.nan),
+    "trapezoidal": (math.nan, math.nan),
 }
-"""By the name of the scheme, of either method."""
+"""Schemes of either method by name, with a and b of a field at ((1-a) q0 + a q1, (1-b) p0 + b p1).
+
+NaN stands for half a kick, a drift, half a kick.
+"""
+
+
+def textbook_residuals(scheme: str, f: Field, h: Any, q: Array, p: Array, q1: Array, p1: Array) -> tuple[Array, Array]:
+    """The residuals of the textbook's equations of a step from (q, p) to (q1, p1)."""
+    a, b = TEXTBOOK[scheme]
+    if math.isnan(a):
+        half = p + h / 2 * f(q)
+        return q1 - q - h * half, p1 - half - h / 2 * f(q1)
+    return q1 - q - h * ((1.0 - b) * p + b * p1), p1 - p - h * f((1.0 - a) * q + a * q1)
+
 
 COUNT = 200
-"""Steps that are evaluated again, from the start on."""
+"""The number of first steps that are evaluated again."""
 
 
 def textbook_errors(module: Any, case: Case, result: Result) -> float:
     """The largest residual of the textbook's equations over the first steps, in rounding errors of double precision.
 
-    What rounding may do to a step is measured by its terms: states, h p, h f, and h times the change of f when places
-    are rounded, as a sum of terms of the size of the largest place and of h p is.
+    The rounding error of a step is estimated from the magnitudes of its terms. These are the states, h p, h f, and h
+    times the change of f when positions are rounded.
     """
     if result.steps != len(result.t) - 1:
         raise ValueError("the textbook's equations need every step")
     problem = case.setup.file.stem
-    values = {name: np.longdouble(v) for name, v in (DEFAULTS[problem] | dict(case.values)).items() if name in
-              DEFAULTS[problem]}  # fmt: skip
+    parameters = DEFAULTS[problem] | dict(case.values)
+    values = {name: np.longdouble(parameters[name]) for name in DEFAULTS[problem]}
     h = np.longdouble(module.make_grid(result.steps).h)
     q, p = (np.asarray(a[: COUNT + 1], dtype=np.longdouble) for a in (result.q, result.p))
 
-    def field(places: Array) -> Array:
-        return FORCES[problem](values, places)
+    def field(positions: Array) -> Array:
+        return FORCES[problem](values, positions)
 
-    worst, eps = 0.0, np.finfo(float).eps
+    worst, eps, tiny = 0.0, np.finfo(float).eps, np.finfo(float).tiny  # below tiny, numbers have fewer digits
+    signs = (-1.0) ** np.arange(q.shape[1])  # neighbouring positions are rounded in opposite directions
     for k in range(len(q) - 1):
-        errors = TEXTBOOK[result.scheme](field, h, q[k], p[k], q[k + 1], p[k + 1])
-        sizes = _sizes(field, h, (q[k], q[k + 1]), (p[k], p[k + 1]))
+        ends = q[k], q[k + 1]
+        position, momentum = (max(np.abs(a[k : k + 2]).max(), tiny) for a in (q, p))
+        force = max(np.abs(field(end)).max() for end in ends)
+        displacement = h * momentum
+        offset = np.longdouble(1e-8) * (position + displacement) * signs
+        change = max(np.abs(field(end + offset) - field(end)).max() * 1e8 for end in ends)
+        impulse = h * (force + change)
+        sizes = position + displacement + h * impulse, momentum + impulse
+        errors = textbook_residuals(result.scheme, field, h, q[k], p[k], q[k + 1], p[k + 1])
         for error, size in zip(errors, sizes, strict=True):
             worst = max(worst, float(np.abs(error).max() / (eps * size)))
     return worst
 
 
-def _sizes(field: Field, h: Any, places: tuple[Array, Array], momenta: tuple[Array, Array]) -> tuple[Any, Any]:
-    """Magnitudes of the terms of either equation, and of what rounded places do to the force."""
-    tiny = np.finfo(float).tiny  # below it, numbers have fewer digits
-    place, momentum = (max(np.abs(a).max() for a in (*pair, tiny)) for pair in (places, momenta))
-    force = max(np.abs(field(q)).max() for q in places)
-    moved = h * momentum
-    offset = np.longdouble(1e-8) * (place + moved) * (-1.0) ** np.arange(len(places[0]))  # neighbours move apart
-    slope = max(np.abs(field(q + offset) - field(q)).max() * 1e8 for q in places)
-    kicked = h * (force + slope)
-    return place + moved + h * kicked, momentum + kicked
-
+# ---- Measured stability ----
 
 LEAST, MOST = 0.02, 1e4
-"""Steps times frequency between which the limit is looked for."""
+"""The range of steps times frequency in which the limit is searched."""
 POINTS = 1500
-"""So many steps are tried between them; the first window of instability of some compositions is 2 % wide."""
+"""The number of steps tried in this range; the first window of instability of some compositions is 2 % wide."""
 GROWTH = 1e-4
 """A spectral radius above one by more than this is growth; explicit Euler's is (h omega)^2/2 above one."""
 
-_known: dict[tuple[str, str], float] = {}
+_limits: dict[tuple[str, str], float] = {}
+"""Measured limits, by the inputs of a module and the label of its scheme."""
 
 
 def stable_limit(module: Any, case: Case) -> float:
-    """The largest h omega at which no small motion about rest grows: 0 if there is none, infinite if there is no limit.
+    """The largest h omega at which no small motion about the equilibrium grows: 0 for none, infinite without a limit.
 
     Source of the criterion: Hairer, Lubich and Wanner (2006), Geometric numerical integration, VIII.6 and I.5.2.
     """
     key = (module.metadata.inputs, case.setup.label)
-    if key not in _known:
-        _known[key] = first_growth(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
-    return _known[key]
+    if key not in _limits:
+        _limits[key] = first_growth(lambda x: spectral_radius(module, case.setup.file.stem, x) <= 1.0 + GROWTH)
+    return _limits[key]
 
 
 def first_growth(is_stable: Callable[[float], bool]) -> float:
-    """The h omega where motions begin to grow, by trial and bisection; beyond it, other stable steps may follow."""
+    """The h omega where motions begin to grow, by trial and bisection; further stable steps may follow."""
     if not is_stable(LEAST):
         return 0.0
     grid = np.geomspace(LEAST, MOST, POINTS)
@@ -274,21 +248,17 @@ def first_growth(is_stable: Callable[[float], bool]) -> float:
 
 
 def spectral_radius(module: Any, problem: str, h_omega: float) -> float:
-    """The largest modulus of an eigenvalue of the step's Jacobian at rest, by central differences."""
-    values, rest = REST[problem]
-    h = h_omega / frequency(problem, values)
-    grid = module.make_grid(1, duration=h, **values)
-    size = len(rest)
+    """The largest modulus of an eigenvalue of the step's Jacobian at the equilibrium, by central differences."""
+    values, state = REST[problem]
+    grid = module.make_grid(1, duration=h_omega / frequency(problem, values), **values)
     change = 1e-6
-    columns = []
-    for i in range(size):
-        offset = np.zeros(size)
-        offset[i] = change
-        forward, backward = (module.step(grid, np.array(rest) + sign * offset) for sign in (1.0, -1.0))
-        columns.append((forward - backward) / (2.0 * change))
-    matrix = np.array(columns).T
+    rest = np.array(state)
+    steps = [[module.step(grid, rest + sign * offset) for sign in (1.0, -1.0)] for offset in change * np.eye(rest.size)]
+    matrix = np.array([(forward - backward) / (2.0 * change) for forward, backward in steps]).T
     return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else math.inf
 
+
+# ---- Stability, angles and energies from the tables of schemes ----
 
 DIGITS = 30
 Rows: TypeAlias = Sequence[Sequence[Any]]
@@ -302,11 +272,11 @@ def step_matrix(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def _of_substeps(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
-    """The product of the substeps' matrices, each of a field at ((1-a) q + a q', (1-b) p + b p')."""
+    """The product of the matrices of the substeps, each of a field at ((1-a) q + a q', (1-b) p + b p')."""
     columns = []
     for q, p in ((1, 0), (0, 1)):
         for g, a, b in _substeps(scheme, x.__class__):
-            q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # the equations' right-hand sides
+            q, p = q + g * x * (1 - b) * p, p - g * x * (1 - a) * q  # right-hand sides of the equations
             scale = 1 + (g * x) ** 2 * a * b
             q, p = (q + g * x * b * p) / scale, (p - g * x * a * q) / scale
         columns.append((q, p))
@@ -314,14 +284,14 @@ def _of_substeps(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def _of_stages(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
-    """The stages are Q = q + x A P and P = p - x B Q."""
+    """The stages satisfy Q = q + x A P and P = p - x B Q."""
     a, b, (weights,) = _tableau(scheme, x.__class__)
     count, columns = range(len(weights)), []
-    left = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
+    matrix = [[(i == j) + x**2 * sum(b[i][k] * a[k][j] for k in count) for j in count] for i in count]
     for q, p in ((1, 0), (0, 1)):
-        momenta = _solved(left, [p - x * sum(row) * q for row in b])
-        places = [q + x * _product(row, momenta) for row in a]
-        columns.append((q + x * _product(weights, momenta), p - x * _product(weights, places)))
+        momenta = _solved(matrix, [p - x * sum(row) * q for row in b])
+        positions = [q + x * _product(row, momenta) for row in a]
+        columns.append((q + x * _product(weights, momenta), p - x * _product(weights, positions)))
     return columns[0][0], columns[1][0], columns[0][1], columns[1][1]
 
 
@@ -333,9 +303,9 @@ def _of_action(scheme: Scheme, x: Any) -> tuple[Any, Any, Any, Any]:
     last = every[-1]
     ends, inner = (0, last), every[1:-1]
     block = [[form[i][j] for j in inner] for i in inner]
-    moved = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
+    solutions = {j: _solved(block, [form[i][j] for i in inner]) for j in ends}
     a, b, d = (
-        form[i][j] - sum(form[i][k] * value for k, value in zip(inner, moved[j], strict=True))
+        form[i][j] - sum(form[i][k] * value for k, value in zip(inner, solutions[j], strict=True))
         for i, j in ((0, 0), (0, last), (last, last))
     )
     return -a / b, -1 / b, b - a * d / b, -d / b
@@ -358,24 +328,22 @@ def _tableau(scheme: Scheme, number: Any) -> tuple[Any, Any, Any]:
 
 
 @cache
-def _quadrature(scheme: Scheme, number: Any) -> list[tuple[Any, Any, Any]]:
-    """By point its weight, and the Lagrange polynomials of the inner nodes and their slopes there."""
+def _quadrature(scheme: Scheme, number: Any) -> list[tuple[Any, list[Any], list[Any]]]:
+    """For every point its weight, and the values and slopes of the Lagrange polynomials of the inner nodes."""
     rule = scheme.discrete_lagrangian()
     (nodes,) = _numbers([rule.nodes], number)
-    pairs = _numbers([(point.weight, point.abscissa) for point in rule.points], number)
-    return [(weight, *_polynomials(nodes, c)) for weight, c in pairs]
-
-
-def _polynomials(nodes: Sequence[Any], c: Any) -> tuple[list[Any], list[Any]]:
-    values, slopes = [], []
-    for i, own in enumerate(nodes):
-        factors = [((c - node) / (own - node), 1 / (own - node)) for k, node in enumerate(nodes) if k != i]
-        value, slope = 1, 0
-        for factor, rate in factors:
-            value, slope = value * factor, slope * factor + value * rate
-        values.append(value)
-        slopes.append(slope)
-    return values, slopes
+    points = []
+    for weight, c in _numbers([(point.weight, point.abscissa) for point in rule.points], number):
+        values, slopes = [], []
+        for i, node in enumerate(nodes):
+            value, slope = 1, 0
+            for other in (*nodes[:i], *nodes[i + 1 :]):
+                factor, rate = (c - other) / (node - other), 1 / (node - other)
+                value, slope = value * factor, slope * factor + value * rate
+            values.append(value)
+            slopes.append(slope)
+        points.append((weight, values, slopes))
+    return points
 
 
 def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
@@ -383,7 +351,7 @@ def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
 
 
 def _solved(matrix: Rows, right: Sequence[Any]) -> list[Any]:
-    """Of a few linear equations, by elimination with row pivots in the numbers' own arithmetic."""
+    """The solution of a few linear equations by elimination with row pivots, in the arithmetic of the numbers."""
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     for k in range(len(rows)):
         pivot = max(range(k, len(rows)), key=lambda i: abs(rows[i][k]))
@@ -404,7 +372,7 @@ def growth(scheme: Scheme, x: float) -> float:
 
 @cache
 def limit(scheme: Scheme) -> float:
-    """The largest step below which no motion grows: 0 if there is none, infinite if there is no limit."""
+    """The largest step below which no motion grows: 0 for none, infinite without a limit."""
     return first_growth(lambda x: growth(scheme, x) <= 1.0 + GROWTH)
 
 
@@ -422,10 +390,10 @@ def turn(scheme: Scheme, x: float) -> tuple[float, float]:
 
 
 def swing(scheme: Scheme, x: float) -> float:
-    """By how much of itself the energy swings from rest at q = 1, where a symplectic scheme is stable.
+    """The relative oscillation of the energy from rest at q = 1, where a symplectic scheme is stable.
 
-    The step keeps c q^2 + (d - a) q p - b p^2, which has c on the whole motion, and on whose ellipse q^2 + p^2 lies
-    between c divided by either eigenvalue.
+    The step conserves c q^2 + (d - a) q p - b p^2, which equals c on the whole motion. On this ellipse q^2 + p^2 lies
+    between the quotients of c and the two eigenvalues.
     """
     with mpmath.workdps(DIGITS):
         a, b, c, d = step_matrix(scheme, mpmath.mpf(x))

@@ -1,0 +1,179 @@
+"""Sections about the modules of a problem: times and sizes, omissions, and the savings against the general form.
+
+A module omits what its problem does not need. The general form is the same module without any omission.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codegen.errors import CodegenError
+from codegen.evidence.report.building import MODULES, SURVEYS, Variant, Workshop
+from codegen.evidence.report.optima import MOST_STEPS, well_timed
+from codegen.evidence.report.page import Section, Table, listed, number, seconds
+from codegen.evidence.report.store import Case, Extent, Store, Values, section_of
+
+PARTICLES = "particles"
+_FORMS = {
+    "simulate": (
+        "inner stages and the state at the right node are all unknowns of Newton's method, with a dense Jacobian "
+        "that is factored in every iteration."
+    ),
+    "control": (
+        "the interior point method, the border of the linear system and curved ends are there, since one more "
+        "parameter, which nothing reads, is free and bounded; controls stay in the linear system, and every entry of "
+        "the Hessian is stored, also those that are zero. (With several phases the last two alone.)"
+    ),
+}
+
+
+def general_forms(store: Store, problem: Path, variants: Sequence[Variant], extent: Extent) -> list[Variant]:
+    """The general forms to be built: none for particles, nor of modules that are too large for the extent."""
+    if (store.get(SURVEYS, problem.stem) or {}).get("form") == PARTICLES:
+        return []
+    shown = [(v, store.get(MODULES, v.case) or {}) for v in _shown(store, variants)]
+    return [replace(v, general=True) for v, plain in shown if _operations(plain, 1) <= extent.general_operations]
+
+
+def _shown(store: Store, variants: Sequence[Variant]) -> list[Variant]:
+    """The default scheme, and the first explicit scheme of order 2 or more."""
+    modules = {v: store.get(MODULES, v.case) or {} for v in variants}
+    built = [v for v in variants if modules[v].get("status") == "built"]
+    explicit = [v for v in built if v.order > 1 and modules[v].get("solver") == "explicit"]
+    return list(dict.fromkeys([*built[:1], *explicit[:1]]))
+
+
+def _operations(module: Values, column: int) -> int:
+    """Operations of one evaluation of all kernels, before (0) or after (1) common subexpressions are shared."""
+    return sum(pair[column] for pair in module["operations"].values())
+
+
+def cases(problem: Path, variants: Sequence[Variant], workshop: Workshop, extent: Extent) -> Iterator[Case]:
+    """Both forms on the problem's own number of steps."""
+    for general in workshop.built(general_forms(workshop.store, problem, variants, extent)):
+        yield Case(
+            section_of(problem, "general form"), general.label, partial(_compared, workshop, general, extent.repeat)
+        )
+
+
+def _compared(workshop: Workshop, general: Variant, repeat: int) -> Values:
+    """Status and seconds of a solve by either form, and the difference of the answers.
+
+    The difference is that of costs, or of the final states of a simulation; it is relative.
+    """
+    modules = workshop.module(replace(general, general=False)), workshop.module(general)
+    steps = min(MOST_STEPS, int(modules[0].metadata.steps))
+    try:
+        plain, other = (well_timed(module, "newton", repeat, steps=steps) for module in modules)
+    except CodegenError as error:
+        return {"status": "refused", "message": str(error)}
+    difference = None
+    if plain.solved and other.solved:
+        if plain.cost is not None and other.cost is not None:
+            difference = float(abs(plain.cost - other.cost) / (abs(plain.cost) or 1.0))
+        else:
+            ends: Any = [np.concatenate([np.ravel(r.q[-1]), np.ravel(r.p[-1])]) for r in (plain, other)]
+            difference = float(np.abs(ends[1] - ends[0]).max() / (np.abs(ends[0]).max() or 1.0))
+    return {
+        "status": plain.status, "general status": other.status, "steps": steps, "seconds": plain.seconds_solve,
+        "general seconds": other.seconds_solve, "iterations": plain.iterations, "general iterations": other.iterations,
+        "difference": difference,
+    }  # fmt: skip
+
+
+def modules(store: Store, variants: Sequence[Variant], title: str, omitted: Sequence[str]) -> Section:
+    """Times and sizes of every module, operations of its kernels, refusals, and schemes that were not measured."""
+    rows, refused = [], []
+    for variant in variants:
+        values = store.get(MODULES, variant.case)
+        if values is None:
+            continue
+        if values["status"] != "built":
+            refused.append(f"{variant.label} ({values['message']})")
+            continue
+        rows.append((
+            variant.label, number(values["derivation seconds"]),
+            number(values.get("compile processor seconds")), number(values["load seconds"]),
+            str(values["lines"]), str(values["kernel lines"]), f"{values['bytes'] / 1024:.1f}",
+            f"{_operations(values, 0)} → {_operations(values, 1)}", str(len(values["left out"])),
+        ))  # fmt: skip
+    head = ("module", "derive [s]", "compile [s]", "load [s]", "lines", "of these kernels", "KiB",
+            "operations, before → after sharing", "parts left out")  # fmt: skip
+    texts = []
+    if refused:
+        texts.append("Schemes that do not apply: " + "; ".join(refused) + ".")
+    if omitted:
+        by_method: dict[str, list[str]] = {}
+        for label in omitted:
+            method, scheme = label.split(" ", 1)
+            by_method.setdefault(method, []).append(scheme)
+        schemes = "; ".join(f"{method} {listed(names)}" for method, names in by_method.items())
+        texts.append(f"Not measured, to keep the report short: {schemes}.")
+    table = Table(
+        "Modules. Operations are those of one evaluation of every kernel. Two modules are made at a time, and what "
+        "the build cache holds is not derived again; compiling is processor time.", head, tuple(rows),
+    )  # fmt: skip
+    return Section(title, tuple(texts), (table,) if rows else ())
+
+
+def omissions(store: Store, problem: Path, variants: Sequence[Variant], title: str) -> list[Section]:
+    """The omissions of modules with their reasons, and a table of the two forms of each module that has both."""
+    survey, tables, answers = store.get(SURVEYS, problem.stem) or {}, list[Table](), list[str]()
+    for variant in _shown(store, variants):
+        plain, general = store.get(MODULES, variant.case) or {}, replace(variant, general=True)
+        rows = tuple((part, reason) for part, _, reason in (line.partition(": ") for line in plain["left out"]))
+        caption = f"Left out of {variant.label}, because the problem does not need it."
+        tables.append(Table(caption, ("what", "why"), rows, "words"))
+        other, run = store.get(MODULES, general.case), store.get(section_of(problem, "general form"), general.label)
+        if other is None or other["status"] != "built" or run is None:
+            continue
+        tables.append(_forms_table(variant, plain, other, run))
+        if run.get("difference") is None:
+            reason = run.get("general status") or run.get("message")
+            answers.append(f"That of {variant.label} does not give the answer: {reason}.")
+        else:
+            answers.append(
+                f"The answer of {variant.label} differs by {number(run['difference'], 2)}, relatively, after "
+                f"{run['general iterations']} iterations in place of {run['iterations']}."
+            )
+    if not tables:
+        return []
+    compilation = (store.get(MODULES, variants[0].case) or {}).get("compile processor seconds")
+    duration = "compiled before" if compilation is None else f"{seconds(compilation)} of processor time"
+    text = (
+        "The general form is not measured here: it has to be compiled as well, which takes at least as long as the "
+        f"module itself ({duration}), too long for a page of all problems. A report on this "
+        "problem alone has it."
+    )
+    if survey.get("form") == PARTICLES:
+        text = "There is no general form of particles."
+    if answers:
+        text = f"In the general form {_FORMS[survey['task']]} {' '.join(answers)}"
+    return [Section(title, (text,), tuple(tables))]
+
+
+def _forms_table(variant: Variant, plain: Values, other: Values, run: Values) -> Table:
+    quantities: list[tuple[Any, ...]] = [
+        ("lines", plain["lines"], other["lines"], str),
+        ("of these kernels", plain["kernel lines"], other["kernel lines"], str),
+        ("operations of all kernels", _operations(plain, 1), _operations(other, 1), str),
+        ("derive", *(other.get(f"{form} derivation processor seconds") for form in ("plain", "general")), seconds),
+        ("compile", *(m.get("compile processor seconds") for m in (plain, other)), seconds),
+        (f"solve on {run.get('steps')} steps", run.get("seconds"), run.get("general seconds"), seconds),
+    ]
+    rows = []
+    for name, a, b, text in quantities:
+        ratio = number(b / a) if a and b is not None and math.isfinite(b) else "–"
+        rows.append((name, *("–" if value is None else text(value) for value in (a, b)), ratio))
+    caption = (
+        f"{variant.label}: the module as it is, and the form that leaves nothing out. Deriving and compiling "
+        "are processor time."
+    )
+    return Table(caption, ("", "as emitted", "general form", "ratio"), tuple(rows))

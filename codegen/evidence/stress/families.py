@@ -1,0 +1,430 @@
+"""The registry of families of stress cases, and the families of control, particles and schemes of higher order.
+
+A new family is one function and one row of FAMILIES. The registry comes after the families. The cases of a user's own
+problem follow: its answer is unknown, so that every honest outcome passes. These cases look for wrong answers that are
+reported as solved, NaN, hangs and errors without a remedy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from codegen.discretise.schemes import METHODS, of_method
+from codegen.discretise.schemes.base import FIRST_ORDER
+from codegen.discretise.particles import PARTICLE_SCHEMES
+from codegen.errors import CodegenError
+from codegen.evidence.stress import motions
+from codegen.evidence.stress.cases import EXPECTATIONS, OUTCOMES, Case, Setup, Values
+from codegen.evidence.stress.motions import SchemeOf, promised, registered, setup
+from codegen.runtime.record import Form, Record
+from codegen.solving.loading import is_connect, is_of_particles
+from codegen.solving.loading import load
+
+# ---- Optimal control ----
+
+NAN = math.nan
+REFUSED = ("refused",)
+
+
+def control_cases() -> Iterator[Case]:
+    """Long horizons, boundary layers, units far from one, tiny durations, large turns, poor guesses."""
+    # Hypersensitive: decay and growth by exp(sqrt(2) t) at the two ends, nothing between.
+    rate = math.sqrt(2.0)
+    for T, steps in ((1e-6, 10), (1.0, 1), (1.0, 20), (100.0, 1000), (1000.0, 10_000), (10_000.0, 100_000)):
+        yield _regulator(
+            f"hypersensitive, T = {T:g}, {steps} steps", "the layers are resolved, however long the rest", steps, rate,
+            T=T,
+        )  # fmt: skip
+    for T in (1000.0, 10_000.0):
+        yield _regulator(
+            f"hypersensitive, T = {T:g}, 100 steps",
+            "steps longer than the layers: midpoint keeps the solution of the algebraic Riccati equation, so that the "
+            "cost is right at any step, though the path in the layers is not", 100, rate, T=T,
+        )  # fmt: skip
+    for eps, steps in ((1e-2, 1000), (1e-3, 10_000), (1e-4, 100_000)):
+        yield _regulator(
+            f"boundary layers of width {eps:g}, {steps} steps", "the layers are resolved", steps, 1.0 / eps, a=0.0,
+            eps=eps, T=1.0,
+        )  # fmt: skip
+    for eps in (1e-3, 1e-6, 1e-9):
+        yield _regulator(
+            f"boundary layers of width {eps:g}, 100 steps",
+            "layers inside one step: the doubled grid must show it, unless the cost is right at any step as above",
+            100, 1.0 / eps, a=0.0, eps=eps, T=1.0,
+        )  # fmt: skip
+    module = setup("cubic_regulator")
+    for T in (10.0, 100.0, 1000.0, 10_000.0):
+        steps = round(20 * T)
+        yield Case(
+            f"cubic hypersensitive, T = {T:g}, {steps} steps", "control", module, "accurate",
+            "the fastest rate, 3 x^2 = 6.75 at the end, times the step is 0.34; order 2", steps, (("T", T),),
+            reference="cubic_regulator", bound=(6.75 / 20.0) ** 2 / 4.0, drift=NAN, h_omega=6.75 / 20.0,
+        )  # fmt: skip
+    for noise in (0.1, 1.0, 10.0):
+        yield Case(
+            f"cubic hypersensitive, T = 100, guess with noise {noise:g}", "control", module, "accurate",
+            "the same optimum, or an honest failure", 2000, (("T", 100.0),), noise=noise, reference="cubic_regulator",
+            bound=(6.75 / 20.0) ** 2 / 4.0, drift=NAN, h_omega=6.75 / 20.0, allowed=REFUSED,
+        )  # fmt: skip
+    for begin in (1e3, 1e6, 1e12):
+        yield Case(
+            f"cubic hypersensitive from x = {begin:g}", "control", module, "refused",
+            "x^3 decays within 1/x^2 of time: no grid resolves it, and Newton's method may or may not find the grid's "
+            "own solution", 200, (("T", 10.0), ("begin", begin)), drift=NAN, h_omega=3.0 * begin**2 / 20.0,
+            allowed=("bounded",),
+        )  # fmt: skip
+    # The transfer in other units has the same cost, times the unit of cost; see docs/guide/limits.md for scaling.
+    module = setup("transfer")
+    for name in ("m", "GM", "r0"):
+        for exponent in (-24, -12, -6, 6, 12, 24):
+            factor = 10.0**exponent
+            values = (("r0", factor), ("r1", 1.2 * factor)) if name == "r0" else ((name, factor),)
+            yield Case(
+                f"orbital transfer, {name} times {factor:.0e}", "control", module, "refused",
+                "the solver's tolerances are absolute: in such units it solves accurately, or it says that it fails",
+                50, values, reference="other_units", bound=1e-3, drift=NAN, allowed=("accurate",),
+            )  # fmt: skip
+    module = setup("arm")
+    for T in (1e-9, 1e-6, 1e-3, 1.0):
+        yield Case(
+            f"arm, nothing to do within T = {T:g}", "control", module, "accurate", "start and end are the same rest",
+            50, (("goal", 0.0), ("T", T)), reference="short_turn", bound=1e-16, drift=NAN,
+        )  # fmt: skip
+    for T in (1e-9, 1e-6, 1e-3):
+        yield Case(
+            f"arm, one radian within T = {T:g}", "control", module, "accurate",
+            "gravity has no time to act; torques go with T^-2, and tolerances are absolute", 50, (("T", T),),
+            reference="short_turn", bound=4.0 / 50**2 + T, drift=NAN, allowed=REFUSED,
+        )  # fmt: skip
+    for turns in (10, 1000, 10**6):
+        yield Case(
+            f"arm, {turns} turns within T = 1", "control", module, "accurate",
+            "gravity averages out over many turns", 50, (("goal", 2.0 * math.pi * turns),), reference="short_turn",
+            bound=4.0 / 50**2 + 1.0 / turns, drift=NAN, allowed=REFUSED,
+        )  # fmt: skip
+    yield Case(
+        "arm, rest upright for T = 1", "control", module, "accurate",
+        "an unstable rest at both ends: no torque is needed", 50, (("begin", math.pi), ("goal", math.pi)),
+        reference="at_rest", bound=1e-12, drift=NAN,
+    )  # fmt: skip
+    for driver in ("slsqp", "trust-constr", "fsolve"):
+        yield Case(
+            f"arm, one radian within T = 0.001, by {driver}", "control", module, "accurate",
+            "scipy's optimisers on the same equations, scaled", 10, (("T", 1e-3),), driver=driver,
+            reference="short_turn", bound=4.0 / 10**2, drift=NAN, allowed=REFUSED,
+        )  # fmt: skip
+    module = setup("walled_cart")
+    for wall, steps in ((1.0 / 9.0, 60), (1e-2, 600), (1e-3, 6000)):
+        yield Case(
+            f"cart, wall at {wall:.3g}, {steps} steps", "control", module, "accurate",
+            "the arcs before and after the wall last 3 times its distance, and are resolved", steps, (("wall", wall),),
+            reference="walled_cart", bound=(1.0 / (3.0 * wall * steps)) ** 2 * 4.0, drift=NAN, allowed=REFUSED,
+        )  # fmt: skip
+    for wall in (1e-3, 1e-6, 1e-12):
+        yield Case(
+            f"cart, wall at {wall:g}, 60 steps", "control", module, "unsuitable",
+            "all happens within one step: the doubled grid must show it, or the solver refuses", 60, (("wall", wall),),
+            doublings=1, reference="walled_cart", bound=0.02, drift=NAN, allowed=REFUSED,
+        )  # fmt: skip
+    yield Case(
+        "cart, wall behind the start", "control", module, "refused", "the start violates the bound", 60,
+        (("wall", -0.1),), drift=NAN,
+    )  # fmt: skip
+
+
+def _regulator(name: str, reason: str, steps: int, rate: float, **values: float) -> Case:
+    """A cost in closed form. The midpoint rule promises (h rate)^2/4 of the cost; else the estimate must be larger."""
+    h_rate = rate * values["T"] / steps
+    resolved = h_rate < 0.5
+    return Case(
+        name, "control", setup("linear_regulator"), "accurate" if resolved else "unsuitable", reason, steps,
+        tuple(values.items()), doublings=1, reference="regulator", bound=h_rate**2 / 4.0 if resolved else 0.02,
+        drift=NAN, h_omega=h_rate, allowed=() if resolved else ("accurate",),
+    )  # fmt: skip
+
+
+# ---- Particles ----
+
+CONNECT_SCHEMES = ("midpoint", "explicit-euler")
+PAIR_SCHEMES = ("stormer-verlet", "symplectic-euler")
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+def particle_cases() -> Iterator[Case]:
+    """Landmarks that nearly meet or lie close to the boundary, large turns, short durations, bodies of unequal mass."""
+    for name in CONNECT_SCHEMES:
+        yield from landmarks((None, name))
+    for name in PAIR_SCHEMES:
+        yield from bodies((None, name))
+
+
+def turned(count: int, radius: float, angle: float) -> Rows:
+    """Points on a circle that turn by an angle."""
+    angles = [2.0 * math.pi * i / count for i in range(count)]
+    return tuple(
+        (radius * math.cos(a), radius * math.sin(a), radius * math.cos(a + angle), radius * math.sin(a + angle))
+        for a in angles
+    )
+
+
+def pair(distance: float, stretch: float) -> Rows:
+    """Two points that move by (0.3, 0.1) while their distance changes by a factor."""
+    half = distance / 2.0
+    return ((-half, 0.0, 0.3 - stretch * half, 0.1), (half, 0.0, 0.3 + stretch * half, 0.1))
+
+
+def landmarks(scheme: SchemeOf) -> Iterator[Case]:
+    """One, two and six landmarks in the unit disc."""
+    module = setup("landmarks", scheme)
+    steps, order = 20, registered(scheme).order
+
+    def case(name: str, expect: str, reason: str, points: Rows, reference: str = "", bound: float = NAN,
+             allowed: tuple[str, ...] = (), number: int = steps, **more: float) -> Case:  # fmt: skip
+        return Case(
+            f"landmarks, {name}", "particles", module, expect, reason, number, tuple(more.items()), points=points,
+            reference=reference, bound=bound, drift=1.0, allowed=allowed,
+        )  # fmt: skip
+
+    for far in (0.5, 0.9, 0.99):
+        length = 2.0 * math.sqrt(2.0) * math.atanh(far)
+        bound = (length / 40.0) ** order * (2.0 if order == 1 else 1.0)
+        long = far > 0.9 and order > 2
+        yield case(
+            f"one across the disc from -{far:g} to {far:g}", "accurate", "a hyperbolic line, known in closed form" +
+            ("; or steps longer than the distance from the boundary, where no order counts" if long else ""),
+            ((-far, 0.0, far, 0.0),), "single_landmark", bound, ("refused", "unsuitable") if long else ("refused",), 40,
+        )  # fmt: skip
+    for gap in (1e-3, 1e-6, 1e-9):
+        yield case(
+            f"one along the boundary at 1 - {gap:g}", "accurate",
+            "the way is one unit of hyperbolic length; order of the scheme",
+            ((1.0 - gap, 0.0, (1.0 - gap) * math.cos(gap), (1.0 - gap) * math.sin(gap)),), "single_landmark",
+            (2.0 / steps) ** order, ("refused",),
+        )  # fmt: skip
+    for distance in (1e-2, 1e-6, 1e-12):
+        yield case(
+            f"two at distance {distance:g} that stay together", "accurate", "their relative motion is small",
+            pair(distance, 1.0), "reintegrated", 2.0 / steps**order, ("refused",),
+        )  # fmt: skip
+    for distance in (1e-2, 1e-6):
+        yield case(
+            f"two at distance {distance:g} that part to 10 times as far", "refused",
+            "momenta of close neighbours that part grow without limit; or, the discrete equations have a solution",
+            pair(distance, 10.0), "", NAN, ("bounded",),
+        )  # fmt: skip
+    yield case("two at the same place", "refused", "no map separates them",
+               ((0.1, 0.0, 0.2, 0.0), (0.1, 0.0, -0.2, 0.0)))  # fmt: skip
+    yield case("two with the same target", "refused", "no map joins them",
+               ((0.1, 0.0, 0.2, 0.0), (-0.1, 0.0, 0.2, 0.0)))  # fmt: skip
+    yield case("one on the boundary", "refused", "the boundary does not move", ((1.0, 0.0, 0.5, 0.0),))
+    yield case("one that is no number", "refused", "not a finite number", ((math.nan, 0.0, 0.5, 0.0),))
+    yield case("six that stay", "accurate", "nothing is to be done", turned(6, 0.5, 0.0), "at_rest", 1e-12)
+    for degrees in (45, 90, 170):
+        angle = math.radians(degrees)
+        bound = (angle / steps) ** order * (1.0 if order == 2 else 2.0)
+        yield case(
+            f"six turned by {degrees} degrees", "accurate", "a large turn, order of the scheme",
+            turned(6, 0.5, angle), "reintegrated", bound, ("refused",),
+        )  # fmt: skip
+    for duration in (1e-6, 1e6):
+        yield case(
+            f"six turned by 45 degrees within {duration:g}", "accurate", "momenta go with the inverse of the time",
+            turned(6, 0.5, math.pi / 4.0), "reintegrated", 2.0 * (math.pi / 4.0 / steps) ** order, ("refused",),
+            duration=duration,
+        )  # fmt: skip
+
+
+def bodies(scheme: SchemeOf) -> Iterator[Case]:
+    """Two bodies that circle each other at unit distance."""
+    module = setup("gravity", scheme)
+    h, steps = (0.01, 2000) if registered(scheme).order < 4 else (0.1, 200)
+    for ratio in (1.0, 1e-6, 1e-12):
+        speed = math.sqrt(1.0 + ratio)
+        near, far = ratio / (1.0 + ratio), 1.0 / (1.0 + ratio)
+        momentum = ratio * speed * far
+        yield Case(
+            f"two bodies, mass ratio {ratio:g}", "particles", module, "accurate",
+            "a circle, order of the scheme; along it, three halves of an error of the semi-major axis add up", steps,
+            (("start", (((-near, 0.0), (far, 0.0)), ((0.0, -momentum), (0.0, momentum)))), ("m", (1.0, ratio)),
+             ("duration", h * steps)),
+            reference="two_bodies", bound=1.5 * promised(scheme, h * speed, h * steps * speed), h_omega=h * speed,
+        )  # fmt: skip
+    for distance in (1e-3, 1e-9):
+        yield Case(
+            f"two bodies at rest at distance {distance:g}", "particles", module, "unsuitable",
+            "they fall into each other within a step: energy appears from nowhere", steps,
+            (("start", (((0.0, 0.0), (distance, 0.0)), ((0.0, 0.0), (0.0, 0.0)))), ("m", (1.0, 1.0)),
+             ("duration", h * steps)),
+            h_omega=h * distance**-1.5, allowed=("refused",),
+        )  # fmt: skip
+    yield Case(
+        "two bodies at the same place", "particles", module, "refused", "the force is infinite", steps,
+        (("start", (((0.0, 0.0), (0.0, 0.0)), ((0.0, 0.0), (0.0, 0.0)))), ("m", (1.0, 1.0)), ("duration", 1.0)),
+        h_omega=NAN,
+    )  # fmt: skip
+
+
+# ---- Schemes of higher order ----
+
+HIGHER_KEPLER_SCHEMES = tuple(
+    ("hamiltonian", name) for name in ("rk4", "gauss-4", "yoshida-4", "blanes-moan-6", "kahan-li-8")
+)
+SPRING_SCHEMES = tuple(("hamiltonian", name) for name in ("gauss-4", "yoshida-4", "blanes-moan-6"))
+"""An implicit scheme without limit, the explicit scheme with the lowest limit, and the one with the highest."""
+LONG_SCHEMES = tuple(("hamiltonian", name) for name in ("gauss-4", "gauss-6", "yoshida-4", "kahan-li-8"))
+LANDMARK_SCHEMES = ("rk4",)
+BODY_SCHEMES = ("rk4", "butcher-6", "yoshida-4", "kahan-li-8")
+
+
+def higher_order_cases() -> Iterator[Case]:
+    """Problems on which a higher order changes the answer.
+
+    The stability limits of the oscillator follow from the tables of the schemes. On ellipses, an order counts only once
+    the closest approach is resolved. Further cases are a stiff spring with a swing, a million steps, and bodies and
+    landmarks that come close.
+    """
+    for scheme in motions.of_order(3):
+        yield from motions.oscillator(scheme)
+    for scheme in SPRING_SCHEMES:
+        yield from motions.spring_pendulum(scheme)
+    for scheme in HIGHER_KEPLER_SCHEMES:
+        for e in (0.5, 0.9, 0.99):
+            # Too few steps for all but round ellipses, and steps of a tenth of the duration of the closest approach.
+            part = 0.1 if registered(scheme).order < 8 else 0.2
+            for steps in (300, math.ceil(3.0 * math.pi * motions.pericentre_rate(e) / part)):
+                yield motions.ellipse(scheme, e, steps)
+    for scheme in LONG_SCHEMES:
+        substeps = max(1, len(registered(scheme).parts))  # rounding grows with them
+        for steps in (1, 10, 1000, 1_000_000):
+            yield Case(
+                f"oscillator, {steps} steps against the scheme's closed form", "higher order",
+                setup("oscillator", scheme), "accurate",
+                "only rounding separates the steps from cos(k theta): a phase error of eps a substep, at most",
+                steps, (("omega", 3.0), ("duration", steps * 0.1)), every=max(1, steps // 1000),
+                reference="discrete_oscillator", bound=motions.EPS * (20.0 + 2.0 * steps * substeps), h_omega=0.3,
+            )  # fmt: skip
+        if scheme in HIGHER_KEPLER_SCHEMES:
+            yield motions.long_ellipse(scheme, "higher order", drift=0.003)
+    for name in LANDMARK_SCHEMES:
+        yield from landmarks((None, name))
+    for name in BODY_SCHEMES:
+        yield from bodies((None, name))
+        # Two light bodies on a circle a thousandth of a unit wide, whose period is far below one unit of time.
+        gap, steps = 1e-3, 2000
+        speed = math.sqrt(2.0 / gap)
+        h = 0.1 * gap / speed
+        start = (((-gap / 2.0, 0.0), (gap / 2.0, 0.0)), ((0.0, -speed / 2.0), (0.0, speed / 2.0)))
+        yield Case(
+            f"two bodies on a circle of diameter {gap:g}", "higher order", setup("gravity", (None, name)), "accurate",
+            "close bodies are as easy as distant ones for steps in proportion", steps,
+            (("start", start), ("m", (1.0, 1.0)), ("duration", h * steps)), reference="two_bodies",
+            bound=1.5 * promised((None, name), 0.1, 0.1 * steps), h_omega=0.1,
+        )  # fmt: skip
+
+
+# ---- The registry ----
+
+FAMILIES = {
+    "stiff": motions.stiff_cases,
+    "orbits": motions.orbits_cases,
+    "chaos": motions.chaos_cases,
+    "horizons": motions.horizons_cases,
+    "higher order": higher_order_cases,
+    "control": control_cases,
+    "particles": particle_cases,
+    "inputs": motions.inputs_cases,
+}
+"""Every family by name; tests run over this table."""
+
+QUICK = (
+    ("oscillator", "midpoint"),
+    ("oscillator", "stormer-verlet"),
+    ("oscillator", "explicit-euler"),
+    ("kepler", "stormer-verlet"),
+    ("linear_regulator", None),
+    ("gravity", "stormer-verlet"),
+)
+"""Problem and scheme of the modules of a quick run."""
+
+
+def all_cases() -> list[Case]:
+    """Every case of every family."""
+    return [case for family in FAMILIES.values() for case in family()]
+
+
+def quick_cases() -> list[Case]:
+    """The cases of a few modules that compile fast."""
+    return [
+        case
+        for case in all_cases()
+        if (case.setup.file.stem, case.setup.scheme) in QUICK and case.setup.method != "variational"
+    ]
+
+
+# ---- A user's own problem ----
+
+FACTORS = (1e-12, 1e-6, 1e6, 1e12)
+STEPS = (1, 2, 10)
+NOISES = (0.1, 1.0)
+MOST_SCHEMES = 12
+SECONDS = 60.0
+
+
+def cases_of(problem: Path, arguments: Mapping[str, str]) -> list[Case]:
+    """The cases of a problem file by every scheme that applies; a kind of CodegenError if it cannot be built."""
+    from codegen.problem.points import read_points
+    from codegen.problem.sources import settings_of
+    from codegen.solving import compiler
+
+    default = load(compiler.build(problem, arguments).path)
+    points: tuple[tuple[float, ...], ...] = ()
+    if is_connect(default):
+        chosen = settings_of(problem, arguments).points
+        file = Path(chosen) if chosen is not None else problem.parent / default.metadata.points
+        read = read_points(file, len(default.metadata.coordinates))
+        points = tuple((*map(float, a), *map(float, b)) for a, b in zip(read.start, read.target, strict=True))
+    # Methods and schemes that may apply, from the registries; schemes of low order come first.
+    candidates: list[tuple[str | None, str]]
+    if is_of_particles(default):
+        candidates = [(None, name) for name, scheme in PARTICLE_SCHEMES.items() if not scheme.adaptive]
+    elif default.metadata.form == Form.FIRST_ORDER:
+        candidates = [(None, scheme.name) for scheme in of_method(FIRST_ORDER) if scheme.order <= 2]
+    else:
+        candidates = [(method, name) for method, schemes in METHODS.items() for name in schemes]
+        candidates.sort(key=lambda scheme: registered(scheme).order > 2)
+    cases: list[Case] = []
+    for method, name in candidates[:MOST_SCHEMES]:
+        setup = Setup(problem.absolute(), name, method, tuple(sorted(arguments.items())))
+        try:
+            module = load(compiler.build(setup.file, arguments, scheme=name, method=method).path)
+        except CodegenError:  # the scheme does not apply to this problem, or not in this form
+            continue
+        cases += varied_cases(setup, module.metadata, points)
+    return cases
+
+
+def varied_cases(setup: Setup, metadata: Record, points: tuple[tuple[float, ...], ...]) -> list[Case]:
+    """The cases of a module: other numbers of steps, other parameters one at a time, noisy guesses."""
+    expected, default = EXPECTATIONS[metadata.task], int(metadata.steps)
+
+    def case(name: str, reason: str, steps: int = default, values: Values = (), noise: float = 0.0) -> Case:
+        return Case(
+            name, setup.file.stem, setup, "accurate", reason, steps, values, every=max(1, steps // 2000), points=points,
+            noise=noise, drift=expected.drift, allowed=tuple(OUTCOMES), seconds=SECONDS,
+        )  # fmt: skip
+
+    cases = [case("as it is", "the problem itself")]
+    cases += [case(f"{steps} steps", "hardly a grid", steps) for steps in STEPS]
+    cases.append(case(f"{10 * default} steps", "ten times as many", 10 * default))
+    for name, value in metadata.parameters.items():
+        if isinstance(value, float | int) and value:
+            cases += [
+                case(f"{name} times {factor:.0e}", "a parameter far from its value", values=((name, factor * value),))
+                for factor in FACTORS
+            ]
+    if expected.has_guess:
+        cases += [case(f"guess with noise {noise:g}", "a poor guess", noise=noise) for noise in NOISES]
+    return cases
