@@ -6,6 +6,8 @@ where it stands everything stands. A map that folds, or that misses its round tr
 One registration of volumes from files to files: volumes and landmarks in; warped volume, field, report, record out. As
 with pictures, whatever could be wrong with the input is found before anything is solved, and the warped volume is
 written last. A map that folds, or that misses its round trip, writes no volume.
+
+What a registration from files to files is asked, and what it finds.
 """
 
 from __future__ import annotations
@@ -15,34 +17,149 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
-from codegen.registration import fields
+from codegen.registration import volume_pictures, volumes, warp
+from codegen.registration.alignment import Kind
 from codegen.registration.certificate import Certificate, certificate_of, in_provable_steps
 from codegen.registration.formats import read_landmarks
 from codegen.registration.formats.base import Frames
 from codegen.registration.grid import Extent, Grid, place_text
-from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
-from codegen.registration.images.spacing import Spacing
-from codegen.registration.jobs import LARGE, MOST_LEFT_OUT, Job, Options, Outcome, Result, out_of_place
-from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
+from codegen.registration.images import Image, Limits, Spacing, read_image, require_fitting, require_kind, write_image
 from codegen.registration.linear import chosen_alignment
-from codegen.registration.maps import Registration
+from codegen.registration.maps import Registration, in_pixels, in_squares, square_grid
 from codegen.registration.matching import Matching
-from codegen.registration.noise import Outliers, estimate_sigma, outliers_of
+from codegen.registration.noise import Loss, Outliers, estimate_sigma, outliers_of
 from codegen.registration.pair_report import RESIDUALS, write_page, write_report
 from codegen.registration.pairs import LandmarkPairs, PointArray, flipped
-from codegen.registration.pixels import in_pixels, in_squares, square_grid
-from codegen.registration.register import register
-from codegen.registration.solver import registration_module
-from codegen.registration.volumes import files, pictures
-from codegen.registration.volumes.files import Volume, is_volume
-from codegen.registration.volumes.warp import Nodes, VolumeResult, warped
-from codegen.registration.warp import Positions, sources, warp_reported
+from codegen.registration.register import MOST_LEFT_OUT, LeaveOneOut, leave_one_out, out_of_place, register
+from codegen.registration.solver import DEFAULT_SCHEME, registration_module
+from codegen.registration.volumes import Nodes, Volume, Warped, is_volume, warped
+from codegen.registration.warp import Interpolation, Positions, read_with, sources, warp_reported, written_with
 from codegen.solving.results import output
+
+LARGE = 1 << 22
+"""Pixels of an image from which on positions are interpolated, unless it is said otherwise."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How pairs are registered and warped; `sigma` in pixels.
+
+    Where pixels come from is interpolated from a `coarse` grid, or not; None: for more than `LARGE` pixels. With `flip`
+    the moving image is mirrored left to right before anything else.
+    """
+
+    inverse: bool = False
+    sigma: float | Literal["auto"] = 0.0
+    align: Kind = "auto"
+    scheme: str = DEFAULT_SCHEME
+    steps: int | None = None
+    interpolation: Interpolation = "linear"
+    coarse: bool | None = None
+    loss: Loss = "linear"
+    flip: bool = False
+
+
+def _absolute(path: Path) -> Path:
+    return path.parent.resolve() / path.name  # whose name counts, even where it is that of a link
+
+
+@dataclass(frozen=True)
+class Job:
+    """The files of one pair that are read and written; `landmarks` is one file, or a moving and a fixed one.
+
+    `interpolation` is that of this pair alone, as for labels among other images; None: that of the options.
+    """
+
+    moving: Path
+    landmarks: tuple[Path, ...]
+    out: Path
+    fixed: Path | None = None
+    field: Path | None = None
+    report: Path | None = None
+    interpolation: Interpolation | None = None
+
+    @property
+    def read(self) -> tuple[Path, ...]:
+        """All files that are read."""
+        fixed = [self.fixed] if self.fixed is not None else []
+        samples = [found for path in (self.moving, *fixed) if (found := read_with(path)) is not None]
+        return (self.moving, *self.landmarks, *fixed, *samples)
+
+    def absolute(self) -> Job:
+        """The same files by names that mean the same in any process, and are the same however they were written."""
+        fixed, field, report = (
+            None if path is None else _absolute(path) for path in (self.fixed, self.field, self.report)
+        )
+        moving, landmarks, out = _absolute(self.moving), tuple(map(_absolute, self.landmarks)), _absolute(self.out)
+        return replace(self, moving=moving, landmarks=landmarks, out=out, fixed=fixed, field=field, report=report)
+
+    def own(self, options: Options) -> Options:
+        """The options with what is this pair's own."""
+        return options if self.interpolation is None else replace(options, interpolation=self.interpolation)
+
+    @property
+    def written(self) -> tuple[Path, ...]:
+        """All files that are written, the image last."""
+        named = tuple(path for path in (self.field, self.report, self.out) if path is not None)
+        return (*(found for path in named if (found := written_with(path)) is not None), *named)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome:
+    """What a job found, of pictures or of volumes: the record for people and programs, the landmarks, the map."""
+
+    record: dict[str, Any]
+    pairs: LandmarkPairs
+    registration: Registration | None = None
+    certificate: Certificate | None = None
+    left_out: LeaveOneOut | None = None
+    outliers: Outliers | None = None
+
+    @property
+    def out_of_place(self) -> tuple[int, ...]:
+        """The numbers of the landmarks that are named as outliers; of few landmarks, by leaving each out."""
+        return out_of_place(self.outliers, self.left_out)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the image was warped by a map that does not fold."""
+        return bool(self.record["status"] == "solved")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result(Outcome):
+    """What a job found of pictures, with all that a report shows."""
+
+    moving: Image
+    fixed: Image | None
+    warped: Any = None
+    positions: Positions | None = None  # where the pixels of the warped image come from
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VolumeResult(Outcome):
+    """What a job found of volumes, with all that a report shows."""
+
+    moving: Volume
+    fixed: Volume | None
+    inverse: bool = False
+    warped: Warped | None = None
+
+    @property
+    def source(self) -> Volume:
+        """The volume that is warped."""
+        return self.fixed if self.inverse and self.fixed is not None else self.moving
+
+    @property
+    def target(self) -> Volume | None:
+        """The volume in whose frame the result is, if there is one."""
+        return self.moving if self.inverse else self.fixed
 
 
 def run(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> Outcome:
@@ -83,8 +200,8 @@ def run_pictures(
 def require_writable(job: Job, options: Options) -> None:
     """Refuse outputs of unknown kinds, in folders that are not there, or in place of an input."""
     require_kind(job.out)
-    if job.field is not None and not job.field.name.endswith(fields.KINDS):
-        raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(fields.KINDS)}")
+    if job.field is not None and not job.field.name.endswith(warp.KINDS):
+        raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(warp.KINDS)}")
     require_places(job, options)
 
 
@@ -272,7 +389,7 @@ def _write(job: Job, options: Options, result: Result) -> None:
     if job.field is not None and result.positions is not None:
         # The field that makes the image: from each of its pixels to where its value comes from.
         direction = "moving to fixed" if options.inverse else "fixed to moving"
-        fields.write_field(job.field, fields.displacements(result.positions), direction)
+        warp.write_field(job.field, warp.displacements(result.positions), direction)
     source = result.fixed if options.inverse and result.fixed is not None else result.moving
     write_image(job.out, result.warped, source.profile)
 
@@ -297,13 +414,13 @@ def run_volumes(job: Job, options: Options, progress: Callable[[str], None] | No
     seconds: dict[str, float] = {}
     if options.flip:
         raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
-    files.require_written(job.out)
+    volumes.require_written(job.out)
     if job.field is not None:
-        files.require_field(job.field)
+        volumes.require_field(job.field)
     require_places(job, options)
     with timed(seconds, "read"):
         moving, fixed, pairs = _read_volumes(job)
-        files.require_written(job.out, (fixed if options.inverse and fixed else moving).samples.dtype)
+        volumes.require_written(job.out, (fixed if options.inverse and fixed else moving).samples.dtype)
     with timed(seconds, "build"):
         registration_module(options.scheme, 3)
     record = heading(job, options, len(pairs), seconds)
@@ -319,7 +436,7 @@ def run_volumes(job: Job, options: Options, progress: Callable[[str], None] | No
                 result = _warped_volume(result, options, job.field is not None)
     if job.report is not None:
         with timed(seconds, "report"):
-            write_page(job.report, result, pictures.of(result), NOTE)
+            write_page(job.report, result, volume_pictures.of(result), NOTE)
     if result.passed:
         with timed(seconds, "write"):
             _write_volume(job, result)
@@ -327,8 +444,8 @@ def run_volumes(job: Job, options: Options, progress: Callable[[str], None] | No
 
 
 def _read_volumes(job: Job) -> tuple[Volume, Volume | None, LandmarkPairs]:
-    moving = files.read_volume(job.moving)
-    fixed = files.read_volume(job.fixed) if job.fixed is not None else None
+    moving = volumes.read_volume(job.moving)
+    fixed = volumes.read_volume(job.fixed) if job.fixed is not None else None
     other = (fixed or moving).grid
     if moving.grid.unit != other.unit:
         finding = f"{job.moving} is in {moving.grid.unit} and {job.fixed} in {other.unit}"
@@ -378,5 +495,5 @@ def _write_volume(job: Job, result: VolumeResult) -> None:
     grid = result.registration.grid if result.inverse else result.registration.fixed_grid
     if job.field is not None and result.warped.field is not None:
         direction = "moving to fixed" if result.inverse else "fixed to moving"
-        files.write_field(job.field, result.warped.field, grid, direction)
-    files.write_volume(job.out, result.warped.samples, grid)
+        volumes.write_field(job.field, result.warped.field, grid, direction)
+    volumes.write_volume(job.out, result.warped.samples, grid)

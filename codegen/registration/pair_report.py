@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import matplotlib
 import numpy as np
@@ -24,10 +24,13 @@ from numpy.typing import NDArray
 from codegen import __version__
 from codegen.files import rendered, write_text
 from codegen.registration.grid import short
-from codegen.registration.jobs import MOST_LEFT_OUT, Outcome, Result
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
+from codegen.registration.register import MOST_LEFT_OUT
 from codegen.show.figures.style import AMBER, BLUE, CRIMSON, RED
+
+if TYPE_CHECKING:
+    from codegen.registration.job import Outcome, Result
 
 LONGEST = 560
 """Pixels of the longer side of a picture on the page; larger images are thinned."""

@@ -22,10 +22,9 @@ from codegen.batch.executors.journal import journal_of
 from codegen.batch.executors.processes import TRIES
 from codegen.batch.executors.work import LOST
 from codegen.errors import ClusterError
-from codegen.registration.batches.pairing import Places, jobs_in_folder
-from codegen.registration.batches.work import BatchWork, Pair, Place, read_summary
+from codegen.registration.batch_pairs import BatchWork, Pair, Place, Places, jobs_in_folder, read_summary
+from codegen.registration.job import Options
 from codegen.registration.job import run_pictures as run_pair
-from codegen.registration.jobs import Options
 
 pytestmark = pytest.mark.usefixtures("solver")
 

@@ -14,7 +14,7 @@ from codegen.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from codegen.registration.app.notebook import NotebookPage
+    from codegen.registration.app.server import NotebookPage
     from codegen.registration.app.session import Session
 
 __all__ = ["page", "prepare", "serve"]
@@ -27,8 +27,8 @@ def page(*images: Path | str, session: Session | None = None) -> NotebookPage:
     images.
     """
     _require_tornado()
-    from codegen.registration.app.notebook import shown
     from codegen.registration.app.reading import session_of
+    from codegen.registration.app.server import shown
 
     return shown(session or session_of([Path(image) for image in images]))
 

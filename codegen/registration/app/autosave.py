@@ -20,7 +20,7 @@ from typing import Any
 from codegen.errors import CodegenError, ImageError
 from codegen.files import refused, replacing
 from codegen.registration.app.reading import picture_from
-from codegen.registration.app.state import Picture, Work, as_record, from_record
+from codegen.registration.app.session import Picture, Work, as_record, from_record
 from codegen.registration.app.worker import Deliver, Worker, saving
 
 MOST_WORKS = 50

@@ -18,9 +18,8 @@ from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import messages, solving, worker
 from codegen.registration.app.autosave import TOKEN, Keeper, Saved, Store, new_token
 from codegen.registration.app.messages import Line, Tab, operate
-from codegen.registration.app.session import Session
+from codegen.registration.app.session import Session, Work
 from codegen.registration.app.solving import Certified, Look, Shown, Wanted
-from codegen.registration.app.state import Work
 from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 from codegen.registration.maps import Registration
 from codegen.registration.noise import SigmaEstimate

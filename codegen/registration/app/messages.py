@@ -16,9 +16,8 @@ from codegen.errors import LandmarkError
 from codegen.registration.alignment import KINDS
 from codegen.registration.app import solving
 from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
-from codegen.registration.app.session import Session, Task
+from codegen.registration.app.session import MOST_PAIRS, SIDE, Pair, Picture, Place, Session, Settings, Side, Task, Work
 from codegen.registration.app.solving import Certified, Look, Seen, Shown
-from codegen.registration.app.state import MOST_PAIRS, SIDE, Pair, Picture, Place, Settings, Side, Work
 from codegen.registration.formats import FORMATS
 
 Message: TypeAlias = Mapping[str, Any]

@@ -23,13 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ImageError, PointsError
-from codegen.registration.app.session import Session
-from codegen.registration.app.state import NAME_LENGTH, Picture, Work, pairs_of
+from codegen.registration.app.session import NAME_LENGTH, Picture, Session, Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
-from codegen.registration.images import Limits, read_image
-from codegen.registration.images.codecs import SAMPLES
-from codegen.registration.images.spacing import Spacing, meant, named
-from codegen.registration.volumes.files import library, require_whole, silent, telling
+from codegen.registration.images import SAMPLES, Limits, Spacing, meant, named, read_image
+from codegen.registration.volumes import library, require_whole, silent, telling
 
 Edges: TypeAlias = tuple[str, str, str, str]
 _NIFTI = 352

@@ -17,21 +17,16 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import map_coordinates
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.app.session import Task
-from codegen.registration.app.state import Picture, rgba
+from codegen.registration.app.session import Picture, Task, rgba
 from codegen.registration.certificate import certify_with_positions
-from codegen.registration.fields import displacements, write_field
 from codegen.registration.formats import FORMATS, landmark_texts
 from codegen.registration.formats.base import Frames
 from codegen.registration.grid import coarse_grid
 from codegen.registration.images import write_image
-from codegen.registration.jobs import out_of_place
-from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
-from codegen.registration.maps import FIRST_STEPS, Registration
+from codegen.registration.maps import FIRST_STEPS, Registration, in_pixels, in_squares, square_grid
 from codegen.registration.noise import Outliers, SigmaEstimate, estimate_sigma, outliers_of
-from codegen.registration.pixels import in_pixels, in_squares, square_grid
-from codegen.registration.register import register
-from codegen.registration.warp import Positions, warp
+from codegen.registration.register import LeaveOneOut, leave_one_out, out_of_place, register
+from codegen.registration.warp import Positions, displacements, warp, write_field
 
 COARSE = 8.0
 """The screen's map is evaluated exactly at every so-many-th pixel of a window, and interpolated in between."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -15,8 +15,10 @@ from scipy.ndimage import map_coordinates
 from codegen.registration.grid import Grid, mesh
 from codegen.registration.pair_report import Picture, as_png, determinant_scale, style_bar
 from codegen.registration.pairs import PointArray
-from codegen.registration.volumes.warp import VolumeResult
 from codegen.show.figures.style import BLUE, RED
+
+if TYPE_CHECKING:
+    from codegen.registration.job import VolumeResult
 
 LONGEST = 240
 """Voxels of the longer side of a slice that are shown."""

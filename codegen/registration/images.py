@@ -1,22 +1,36 @@
-"""Kinds of image files, decoded and encoded by Pillow and tifffile."""
+"""Images: PNG, JPEG and TIFF with 8-bit, 16-bit or float samples, grey or in colour, with or without opacity.
+
+The kind of a file is what its first bytes say, whatever its name; its size in bytes and pixels is checked before
+anything is decoded. Samples stay as they are stored; palettes become colours, and orientations that EXIF prescribes are
+applied, so that the first row is the upper one. Images are decoded by Pillow and tifffile, and by SimpleITK where a PNG
+file has several channels of 16 bits.
+
+Kinds of image files, decoded and encoded by Pillow and tifffile.
+
+How large the pixels of an image are, where its file says so: TIFF files of ImageJ, of OME and with a resolution.
+
+What NIfTI, NRRD and MetaImage say is read with their samples, in `codegen.registration.app.reading`.
+"""
 
 from __future__ import annotations
 
 import io
 import logging
+import re
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import CodegenError, ExtraError, ImageError
+from codegen.files import replacing
 
 KINDS = {"PNG": (".png",), "JPEG": (".jpg", ".jpeg"), "TIFF": (".tif", ".tiff")}
 
@@ -49,7 +63,7 @@ def readable(name: str) -> Iterator[None]:
 ORIENTATION = 0x0112
 
 
-def decode(name: str, data: bytes, header: Header) -> tuple[NDArray[Any], bytes | None, int]:
+def decode_by_pillow(name: str, data: bytes, header: Header) -> tuple[NDArray[Any], bytes | None, int]:
     """Pixels, colour profile and EXIF orientation."""
     from PIL import Image
 
@@ -101,7 +115,7 @@ def _itk(name: str) -> Any:
     return SimpleITK
 
 
-def require_fitting(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
+def require_fitting_by_pillow(path: Path, kind: str, dtype: np.dtype[Any], channels: int) -> None:
     """Refuse samples that a PNG or JPEG file cannot hold; ImageError names the file."""
     if kind == "JPEG" and (dtype != np.uint8 or channels not in (1, 3)):
         finding = f"{path}: JPEG holds 8-bit grey or RGB, and this is {dtype} with {channels} channels"
@@ -114,7 +128,7 @@ def require_fitting(path: Path, kind: str, dtype: np.dtype[Any], channels: int) 
         _itk(str(path))
 
 
-def encode(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
+def encode_by_pillow(path: Path, temporary: Path, kind: str, pixels: NDArray[Any], profile: bytes | None) -> None:
     """Write a file of the given kind, into which the samples fit, to `temporary`."""
     from PIL import Image
 
@@ -288,3 +302,216 @@ def _jpeg(name: str, data: bytes) -> Header:
             break
         place += 2 + length
     raise ImageError(f"{name} has no frame header", "give a whole JPEG file")
+
+
+_NAMES = {"micron": "µm", "microns": "µm", "um": "µm", "\\u00b5m": "µm", "inch": "in", "": "mm"}
+_PRINT = (1.0, 72.0, 96.0, 100.0, 150.0, 200.0, 240.0, 300.0, 600.0, 1200.0)
+"""Dots to an inch that programs write without having measured anything."""
+_SIZE = r'PhysicalSize{}="([0-9.eE+-]+)"'
+LONGEST = 1000.0
+"""How many times as long as wide a pixel may be."""
+MOST_UNIT = 12
+
+
+@dataclass(frozen=True)
+class Spacing:
+    """Width and height of a pixel in a unit of length."""
+
+    x: float
+    y: float
+    unit: str
+
+    @property
+    def side(self) -> float:
+        """The side of a square with the area of a pixel."""
+        return self.x if self.x == self.y else float(np.sqrt(self.x) * np.sqrt(self.y))
+
+    def lengths(self, misses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The lengths in the unit of vectors, shape (n, 2), that are in units of `side`, as misses are."""
+        return np.asarray(np.linalg.norm(misses * self.side, axis=1))
+
+
+def spacing_of(kind: str, data: bytes) -> Spacing | None:
+    """The spacing that an image file carries; None where it carries none that means anything."""
+    if kind != "TIFF":
+        return None  # what PNG and JPEG files carry is how they are to be printed
+    try:
+        found = _of_tiff(data)
+    except Exception:  # the pixels could be read; whatever is wrong with the rest is no reason to refuse them
+        return None
+    return None if found is None else meant(found)
+
+
+def meant(spacing: Spacing) -> Spacing | None:
+    """The same, if anything can have that size and shape."""
+    sides = sorted((spacing.x, spacing.y))
+    return spacing if 1e-12 < sides[0] <= sides[1] < min(1e12, LONGEST * sides[0]) else None
+
+
+def _of_tiff(data: bytes) -> Spacing | None:
+    import tifffile
+
+    with tifffile.TiffFile(io.BytesIO(data)) as file:
+        if file.is_ome and file.ome_metadata:
+            return _of_ome(file.ome_metadata)
+        page: Any = file.pages[0]
+        x, y = (_number(page.tags.valueof(tag)) for tag in (282, 283))
+        if not (x and y):
+            return None
+        if file.is_imagej:
+            unit = str((file.imagej_metadata or {}).get("unit", ""))
+            return Spacing(1 / x, 1 / y, named(unit)) if unit and unit != "pixel" else None
+        code = int(page.tags.valueof(296) or 2)
+        if code == 3:
+            return Spacing(10 / x, 10 / y, "mm")
+        return Spacing(25.4 / x, 25.4 / y, "mm") if code == 2 and x not in _PRINT else None
+
+
+def _of_ome(text: str) -> Spacing | None:
+    x, y = (re.search(_SIZE.format(axis), text) for axis in "XY")
+    if x is None or y is None:
+        return None
+    unit = re.search(r'PhysicalSizeXUnit="([^"]*)"', text)
+    return Spacing(float(x[1]), float(y[1]), named(unit[1] if unit else "µm"))
+
+
+def named(unit: str) -> str:
+    """A unit as the page shows it."""
+    return _NAMES.get(unit, unit)[:MOST_UNIT]
+
+
+def _number(value: Any) -> float:
+    """A rational number as TIFF stores it; zero where there is none."""
+    if not value:
+        return 0.0
+    top, bottom = value if isinstance(value, tuple) else (value, 1)
+    return float(top) / float(bottom) if bottom else 0.0
+
+
+Pixels: TypeAlias = NDArray[Any]
+"""An image of shape (h, w), or (h, w, c) with c = 2 (grey, opacity), 3 (RGB) or 4 (RGB, opacity)."""
+
+CHANNELS = {1: "grey", 2: "grey with opacity", 3: "RGB", 4: "RGB with opacity"}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The largest file, in bytes, and the largest image, in pixels, that are read."""
+
+    bytes: int = 1 << 30
+    pixels: int = 1 << 26
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Pixels as they are stored, and the kind of file ("PNG", "JPEG" or "TIFF").
+
+    Where a file has them, its colour profile (ICC) and the size of a pixel.
+    """
+
+    pixels: Pixels
+    kind: str
+    profile: bytes | None = None
+    spacing: Spacing | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(h, w) or (h, w, c)."""
+        return self.pixels.shape
+
+    @property
+    def channels(self) -> str:
+        """What the samples of a pixel are, in words."""
+        return CHANNELS[self.pixels.shape[2] if self.pixels.ndim == 3 else 1]
+
+
+def read_image(source: Path | str | bytes, limits: Limits | None = None, name: str = "") -> Image:
+    """Read an image from a path, or from the bytes of a file, which errors then call `name`.
+
+    Raises ImageError for what is no PNG, JPEG or TIFF file or is damaged, for more bytes or pixels than `limits` allow,
+    and for samples of another kind than 8, 16 or 32-bit integers and 32 or 64-bit floats.
+    """
+    limits = limits or Limits()
+    data, name = _contents(source, limits, name)
+    if len(data) > limits.bytes:
+        raise ImageError(f"{name} has more than {limits.bytes} bytes", "give a smaller file")
+    with readable(name):
+        header = header_of(name, data)
+    if header.width < 1 or header.height < 1:
+        raise ImageError(f"{name} has {header.width} x {header.height} pixels", "give an image")
+    if header.width * header.height > limits.pixels:
+        finding = f"{name} has {header.width} x {header.height} pixels, more than {limits.pixels}"
+        raise ImageError(finding, "give a smaller image")
+    with readable(name):
+        pixels, profile, orientation = _DECODERS[header.kind](name, data, header)
+    if pixels.shape[:2] != (header.height, header.width):
+        raise ImageError(f"{name} announces {header.width} x {header.height} pixels and holds others", "save it anew")
+    turned = _ORIENTATIONS.get(orientation, _ORIENTATIONS[1])(pixels)
+    spacing = spacing_of(header.kind, data)
+    if spacing is not None and orientation in _SIDEWAYS:
+        spacing = Spacing(spacing.y, spacing.x, spacing.unit)
+    return Image(np.ascontiguousarray(turned), header.kind, profile, spacing)
+
+
+def _contents(source: Path | str | bytes, limits: Limits, name: str) -> tuple[bytes, str]:
+    """The bytes, one more than are allowed at the most, and what to call them."""
+    if isinstance(source, bytes):
+        return source, name or "the image"
+    try:
+        with Path(source).open("rb") as file:
+            return file.read(limits.bytes + 1), name or str(source)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ImageError(f"{source} cannot be read ({reason})", "give an image file") from error
+
+
+_DECODERS: dict[str, Callable[[str, bytes, Header], tuple[Pixels, bytes | None, int]]] = {
+    "PNG": decode_by_pillow,
+    "JPEG": decode_by_pillow,
+    "TIFF": decode_tiff,
+}
+
+# EXIF 2.32, tag 0x0112: where the first row and the first column of the stored array are to be seen.
+_ORIENTATIONS: dict[int, Callable[[Pixels], Pixels]] = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: a[::-1].swapaxes(0, 1),
+    7: lambda a: a[::-1, ::-1].swapaxes(0, 1),
+    8: lambda a: a[:, ::-1].swapaxes(0, 1),
+}
+_SIDEWAYS = (5, 6, 7, 8)
+
+
+def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> None:
+    """Write an image as its suffix says, replacing the file as a whole or leaving it as it was.
+
+    PNG takes 8-bit and 16-bit samples, JPEG 8-bit grey and RGB (quality 95, which loses a little), TIFF all kinds.
+    Raises ImageError where file and samples do not fit, and FileError where the file system refuses.
+    """
+    path = Path(path)
+    require_fitting(path, pixels)
+    kind = require_kind(path)
+    encode = encode_tiff if kind == "TIFF" else encode_by_pillow
+    with replacing(path) as temporary:
+        encode(path, temporary, kind, pixels, profile)
+
+
+def require_fitting(path: Path, pixels: Pixels) -> None:
+    """Refuse samples and channels that the kind of file has no place for; ImageError names the file."""
+    kind = require_kind(path)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (2, 3, 4)) or not pixels.size:
+        raise ImageError(f"{path}: an array of shape {pixels.shape} is no image", "give (h, w) or (h, w, 2 to 4)")
+    check = require_fitting_tiff if kind == "TIFF" else require_fitting_by_pillow
+    check(path, kind, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 1)
+
+
+def require_kind(path: Path) -> str:
+    """The kind of image that the suffix of a file to be written means; ImageError when it means none."""
+    for kind, suffixes in KINDS.items():
+        if path.suffix.lower() in suffixes:
+            return kind
+    known = ", ".join(suffix for suffixes in KINDS.values() for suffix in suffixes)
+    raise ImageError(f"{path}: unknown kind of image", f"let its name end in one of {known}")
