@@ -226,7 +226,7 @@ def _many(
     done = outcome_of(request, working, progress)
     if report is not None:
         batch.write_batch_report(report, done, [job.report for job in jobs])
-    for line in done.said:
+    for line in done.notes:
         typer.echo(line, err=True)
     if json:
         typer.echo(output.as_json(batch.record(done, summary)))

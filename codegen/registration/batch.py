@@ -1,12 +1,9 @@
-"""The way of a batch: what was done before, a first pair that is timed, chunks that an engine does, and the summary.
+"""The run of a batch, its page, and its summaries for people and programs.
 
-While a batch is being done, a journal beside the summary has the line of every pair as soon as its outputs are there,
-so that whatever ends it loses only what was being done. A pair is left alone when its line tells that it was solved
-from the same files with the same options, and its outputs are those that were written then.
-
-One page about many pairs: what became of each, with links to the pages of the pairs.
-
-Many registrations: the pairs of a folder or of a table, shared between processes, whatever becomes of each.
+A batch reads the results of earlier runs, times a first pair, runs chunks on an executor and writes a summary. A
+journal next to the summary receives the line of every pair as soon as its outputs are complete. An interruption
+therefore loses only the pairs in progress. A pair is skipped if its line shows that it was solved from the same files
+with the same options, and if its outputs are unchanged.
 """
 
 from __future__ import annotations
@@ -32,39 +29,46 @@ from codegen.registration.batch_pairs import (
     BatchWork,
     Line,
     Pair,
-    Place,
     Places,
+    SharedFile,
     Tried,
-    make_folders,
     options_digest,
     read_summary,
     tally_of,
     write_summary,
 )
-from codegen.registration.job import Job, Options, dimension_of, run
-from codegen.registration.pair_report import number, rows
+from codegen.registration.job import Job, Options, run
+from codegen.registration.pair_report import facts, number
 from codegen.registration.solver import registration_module
+from codegen.registration.volumes import is_volume
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 MOST_OF_A_CHUNK = 64
-"""The most pairs of a chunk."""
+"""Most pairs of a chunk."""
 TRIALS = 3
-"""How many pairs are tried for one that is solved and tells how long pairs take."""
+"""Pairs that are tried until one is solved, whose time determines the size of chunks."""
 SHARES = 4
-"""Chunks that each worker gets at least, so that all of them end at about the same time."""
+"""Fewest chunks of each worker, so that all workers end at about the same time."""
 BATCH = "batch"
-"""What a journal calls the digest of the options."""
+"""The key of the digest of the options in a journal."""
 ANOTHER = "leave --resume out to do all pairs anew, or give the options that it was begun with"
+
+NAME = "index.html"
+PAGE_COLUMNS = (
+    "pair", "", "landmarks", "steps", "residual", "least det J", "largest det J", "round trip", "left out", "outliers",
+    "seconds",
+)  # fmt: skip
+_NUMBERS = ("residual", "det_min", "det_max", "round_trip", "leave_one_out")
 
 
 @dataclass(frozen=True)
 class BatchRequest:
-    """The pairs, their options, the folders to be made, where the summary goes, and who does it.
+    """The pairs of a batch, their options, the folders of outputs, the summary, and the workers.
 
-    `resume` insists that what was begun there had the same options; `cluster` is the address of a scheduler of dask, a
-    client of one, "local", or None.
+    `resume` requires the same options as in the earlier run. `cluster` is the address of a scheduler of dask, a client,
+    "local", or None.
     """
 
     jobs: Sequence[Job]
@@ -78,11 +82,11 @@ class BatchRequest:
 
 @dataclass(frozen=True)
 class Batch:
-    """What a batch did: a line for every pair, how many were whole before and left alone, and what workers say."""
+    """The result of a batch: a line for every pair, the number of skipped pairs, and the notes of workers."""
 
     lines: tuple[Line, ...]
     unchanged: int
-    said: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def failed(self) -> tuple[Line, ...]:
@@ -97,128 +101,103 @@ def outcome_of(
     run_one: Callable[[Job, Options], Any] = run,
     prepare: Callable[[str, int], Any] = registration_module,
 ) -> Batch:
-    """Do all pairs that are not whole; one that fails leaves a line that says why, and never stops the others.
+    """Register all pairs that are not up to date; a failed pair has a line with the reason and stops no other pair.
 
-    What is wrong with the request is said before anything is written, by a CodegenError. So is what would fail for
-    every pair: a scheme that cannot be used, a file system that refuses, a worker that does not see the files.
-    `prepare` makes a solver ready, by the name of its scheme and its dimension.
+    `prepare` builds the solver of a scheme and a dimension. Raises CodegenError before anything is written if the
+    request is wrong. Errors that concern every pair are raised, too: an unusable scheme, a file system that refuses, a
+    worker that does not see the files.
     """
     digest, before = options_digest(request.options), read_summary(request.summary)
     path = journal_of(request.summary)
     if request.resume:
-        _require_same(request.summary, before, path, digest)
+        if any(line["options"] != digest for line in before):
+            raise ArgumentError(f"--resume: {request.summary} is that of another batch", ANOTHER)
+        if path.exists():
+            journals.read(path, BATCH, digest, ANOTHER)
     with connected(request.cluster) as cluster:
-        dimensions = tuple(sorted({dimension_of(job) for job in request.jobs}))
+        dimensions = tuple(sorted({3 if is_volume(job.moving) else 2 for job in request.jobs}))
         for dimension in dimensions:
             prepare(request.options.scheme, dimension)
         team = Team(request.workers, cluster, working, progress)
-        make_folders(request.places)
-        journal = _journal(path, digest)
-        jobs = [job.absolute() for job in request.jobs]
-        way = _Way(journal, jobs, dimensions, {line["out"]: line for line in (*before, *_noted(journal))}, {}, team)
+        request.places.make()
         try:
-            way.go(request.options, run_one)
+            journal = journals.read(path, BATCH, digest, ANOTHER)
+        except ArgumentError:  # no journal, or one with other options or of another version
+            journal = journals.begun(path, {BATCH: digest})
+        noted = [
+            {name: str(record[name]) for name in COLUMNS} for record in journal.records if set(record) == set(COLUMNS)
+        ]
+        jobs = [job.absolute() for job in request.jobs]
+        course = _Run(journal, jobs, dimensions, {line["out"]: line for line in (*before, *noted)}, {}, team)
+        try:
+            course.all_pairs(request.options, run_one)
             remove_leftovers(path for job in jobs for path in job.written)
         finally:
-            write_summary(request.summary, way.lines())
-            path.unlink(missing_ok=True)  # all that it holds is in the summary
+            write_summary(request.summary, course.lines())
+            path.unlink(missing_ok=True)  # the summary has all of its lines
         remove_leftovers([request.summary, path])
-    return Batch(tuple(way.lines()), way.unchanged, tuple(team.notes))
-
-
-def _require_same(summary: Path, before: Sequence[Line], path: Path, digest: str) -> None:
-    """Refuse to go on with what was begun with other options, or by another version."""
-    if any(line["options"] != digest for line in before):
-        raise ArgumentError(f"--resume: {summary} is that of another batch", ANOTHER)
-    if path.exists():
-        journals.read(path, BATCH, digest, ANOTHER)
-
-
-def _journal(path: Path, digest: str) -> Journal:
-    """The journal of a batch with these options, in which nothing is noted where there was none."""
-    try:
-        return journals.read(path, BATCH, digest, ANOTHER)
-    except ArgumentError:  # of other options or another version, or none of ours: then nothing of it is of use
-        return journals.begun(path, {BATCH: digest})
-
-
-def _noted(journal: Journal) -> list[Line]:
-    texts = (record for record in journal.records if set(record) == set(COLUMNS))
-    return [{name: str(record[name]) for name in COLUMNS} for record in texts]
+    unchanged = sum(not tried.is_new for tried in course.tried.values())
+    return Batch(tuple(course.lines()), unchanged, tuple(team.notes))
 
 
 @dataclass
-class _Way:
-    """A batch that is being done: the lines of pairs by their numbers, those of before by their outputs."""
+class _Run:
+    """A batch in progress: new lines by the numbers of pairs, and earlier lines by their outputs."""
 
     journal: Journal
     jobs: Sequence[Job]
     dimensions: tuple[int, ...]
-    known: Mapping[str, Line]
+    earlier: Mapping[str, Line]
     tried: dict[int, Tried]
     team: Team
 
-    @property
-    def unchanged(self) -> int:
-        """How many pairs were left alone."""
-        return sum(not own.is_new for own in self.tried.values())
-
     def lines(self) -> list[Line]:
-        """A line for every pair that has one, new or from before."""
-        found = (
-            self.tried[number].line if number in self.tried else self.known.get(str(job.out))
+        """Return a new or earlier line for every pair that has one."""
+        lines = (
+            self.tried[number].line if number in self.tried else self.earlier.get(str(job.out))
             for number, job in enumerate(self.jobs)
         )  # fmt: skip
-        return [line for line in found if line is not None]
+        return [line for line in lines if line is not None]
 
-    def go(self, options: Options, run_one: Callable[[Job, Options], Any]) -> None:
-        """Do pairs until all are done: a first one, chunks of them, and alone those whose chunks were lost."""
-        pairs = [Pair(number, job, self.known.get(str(job.out), {})) for number, job in enumerate(self.jobs)]
+    def all_pairs(self, options: Options, run_one: Callable[[Job, Options], Any]) -> None:
+        """Register a first pair, then chunks of pairs, then one by one the pairs of lost chunks."""
+        pairs = [Pair(number, job, self.earlier.get(str(job.out), {})) for number, job in enumerate(self.jobs)]
         alone = self.team.workers == 1 and self.team.cluster is None
         threads = os.cpu_count() or 1 if alone else 1
-        work = BatchWork(pairs, options, 1, threads, Place.of(self.journal.path), self.dimensions, run_one=run_one)
-        first, here = 0, replace(self.team, workers=1, cluster=None, progress=silent)
+        shared = SharedFile.of(self.journal.path)
+        work = BatchWork(pairs, options, 1, threads, shared, self.dimensions, run_one=run_one)
+        first, local = 0, replace(self.team, workers=1, cluster=None, progress=silent)
         with self.team.working("Registering a first pair"):
-            while first < min(TRIALS, len(pairs)) and not self._solved():
-                here.do(work, [first], len(pairs), Tally(), self._keep)
+            while first < min(TRIALS, len(pairs)) and not self._seconds_of_solved():
+                local.do(work, [first], len(pairs), Tally(), self._keep)
                 first += 1
         rest = pairs[first:]
-        size = min(self._of_a_second(), max(1, len(rest) // (SHARES * self.team.workers)))
-        self._do(replace(work, pairs=rest, size=size))
-        left = [pair for pair in rest if pair.number not in self.tried]
-        self._do(replace(work, pairs=left, size=1))
+        seconds = max(self._seconds_of_solved(), default=0.1)
+        of_a_second = max(1, min(MOST_OF_A_CHUNK, int(1.0 / max(1e-3, seconds))))
+        self._do(replace(work, pairs=rest, size=min(of_a_second, max(1, len(rest) // (SHARES * self.team.workers)))))
+        lost = [pair for pair in rest if pair.number not in self.tried]
+        self._do(replace(work, pairs=lost, size=1))
 
     def _do(self, work: BatchWork) -> None:
-        before = tally_of(own.line for own in self.tried.values())
+        before = tally_of(tried.line for tried in self.tried.values())
         self.team.do(work, work.chunks, len(self.jobs), before, self._keep, ("Warping", "pairs"))
 
     def _keep(self, number: int, done: Done) -> None:
-        """Note what has been done; of pairs that were lost together one is to blame, and all are tried again."""
+        """Record the lines of a chunk; after the loss of a chunk of several pairs all of its pairs are tried again."""
         if LOST in done.tally.counts and len(done.rows) > 1:
             return
-        # Whoever interrupts in between has the lines in the summary, which takes the journal's place.
-        self.tried |= {own.number: own for own in done.rows}
-        self.journal.add(own.line for own in done.rows if own.is_new)
+        # After an interruption between these lines, the summary, which replaces the journal, has the new lines.
+        self.tried |= {tried.number: tried for tried in done.rows}
+        self.journal.add(tried.line for tried in done.rows if tried.is_new)
 
-    def _solved(self) -> list[float]:
-        lines = (own.line for own in self.tried.values())
+    def _seconds_of_solved(self) -> list[float]:
+        lines = (tried.line for tried in self.tried.values())
         return [float(line["seconds"]) for line in lines if line["status"] == SOLVED]
-
-    def _of_a_second(self) -> int:
-        return max(1, min(MOST_OF_A_CHUNK, int(1.0 / max(1e-3, max(self._solved(), default=0.1)))))
-
-
-NAME = "index.html"
-PAGE_COLUMNS = (
-    "pair", "", "landmarks", "steps", "residual", "least det J", "largest det J", "round trip", "left out", "outliers",
-    "seconds",
-)  # fmt: skip
-_NUMBERS = ("residual", "det_min", "det_max", "round_trip", "leave_one_out")
 
 
 @dataclass(frozen=True)
 class Row:
-    """A pair: its name and page, what became of it, why it failed, and the other cells under COLUMNS."""
+    """A row of the page: name and page of the pair, status, reason of a failure, and the other cells."""
 
     name: str
     page: str
@@ -227,38 +206,29 @@ class Row:
     cells: tuple[str, ...]
 
 
-def write_batch_report(folder: Path, done: Batch, pages: Iterable[Path | None]) -> Path:
-    """Write the page beside the pages of the pairs, which come in the order of the batch; its path."""
-    path = folder / NAME
-    rows = [_row(line, page) for line, page in zip(done.lines, pages, strict=True)]
-    template = Path(__file__).parent / "templates/batch.html.j2"
-    order = sorted(range(len(rows)), key=lambda k: _urgency(done.lines[k]))
-    title = f"{len(rows)} pairs, {len(done.failed)} failed"
-    write_text(path, rendered(template, title=title, columns=PAGE_COLUMNS, rows=[rows[k] for k in order]))
+def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None]) -> Path:
+    """Write the page next to the pages of the pairs, which come in the order of the batch; return its path.
+
+    Failed pairs come first, then pairs by their least determinant.
+    """
+    rows = []
+    for line, page in zip(batch.lines, pages, strict=True):
+        values = [number(float(line[name])) if line[name] else "–" for name in _NUMBERS]
+        outliers = str(len(line["outliers"].split(";")) if line["outliers"] else 0) if line["det_min"] else "–"
+        cells = (line["count"], line["steps"], *values, outliers, number(float(line["seconds"] or 0)))
+        solved = line["status"] == "solved"
+        link = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
+        row = Row(Path(line["moving"]).name, link, line["status"], "" if solved else line["message"], cells)
+        rows.append(((solved, float(line["det_min"] or math.inf)), row))
+    rows.sort(key=lambda entry: entry[0])
+    path, template = folder / NAME, Path(__file__).parent / "templates/batch.html.j2"
+    title = f"{len(rows)} pairs, {len(batch.failed)} failed"
+    write_text(path, rendered(template, title=title, columns=PAGE_COLUMNS, rows=[row for _, row in rows]))
     return path
 
 
-def _urgency(line: Line) -> tuple[bool, float]:
-    return line["status"] == "solved", float(line["det_min"] or math.inf)
-
-
-def _row(line: Line, page: Path | None) -> Row:
-    values = {name: number(float(line[name])) if line[name] else "–" for name in _NUMBERS}
-    outliers = len(line["outliers"].split(";")) if line["outliers"] else 0
-    cells = (
-        line["count"],
-        line["steps"],
-        *values.values(),
-        str(outliers) if line["det_min"] else "–",
-        number(float(line["seconds"] or 0)),
-    )
-    solved = line["status"] == "solved"
-    href = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
-    return Row(Path(line["moving"]).name, href, line["status"], "" if solved else line["message"], cells)
-
-
 def table(record: Mapping[str, Any]) -> Table:
-    """The record of one pair for people."""
+    """Return the record of one pair as a table for the terminal."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -270,7 +240,7 @@ def table(record: Mapping[str, Any]) -> Table:
     shown.add_row("image", Text(f"{record['moving']} ({record['direction']})"))
     shown.add_row("status", Text(record["status"], style=style))
     shown.add_row("", Text(record["message"]))
-    for name, text in rows(record):
+    for name, text in facts(record):
         shown.add_row(name, Text(text))
     seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
     shown.add_row("time", Text(seconds))
@@ -279,24 +249,21 @@ def table(record: Mapping[str, Any]) -> Table:
     return shown
 
 
-def record(done: Batch, summary: Path) -> dict[str, Any]:
-    """The JSON object of a batch."""
+def record(batch: Batch, summary: Path) -> dict[str, Any]:
+    """Return the JSON object of a batch."""
+    failed = [{name: line[name] for name in ("moving", "out", "status", "message")} for line in batch.failed]
     return {
-        "problem": "image_registration", "task": "warp", "pairs": len(done.lines), "unchanged": done.unchanged,
-        "failed": [_brief(line) for line in done.failed], "status": "failed" if done.failed else "solved",
-        "message": _outcome(done), "summary": str(summary),
+        "problem": "image_registration", "task": "warp", "pairs": len(batch.lines), "unchanged": batch.unchanged,
+        "failed": failed, "status": "failed" if batch.failed else "solved", "message": _counts(batch),
+        "summary": str(summary),
     }  # fmt: skip
 
 
-def _brief(line: Line) -> dict[str, str]:
-    return {name: line[name] for name in ("moving", "out", "status", "message")}
+def overview(batch: Batch, summary: Path) -> str:
+    """Describe a batch in one line."""
+    return f"{_counts(batch)}; see {summary}"
 
 
-def overview(done: Batch, summary: Path) -> str:
-    """One line about a batch."""
-    return f"{_outcome(done)}; see {summary}"
-
-
-def _outcome(done: Batch) -> str:
-    solved = len(done.lines) - len(done.failed) - done.unchanged
-    return f"{solved} pairs warped, {done.unchanged} unchanged, {len(done.failed)} failed"
+def _counts(batch: Batch) -> str:
+    solved = len(batch.lines) - len(batch.failed) - batch.unchanged
+    return f"{solved} pairs warped, {batch.unchanged} unchanged, {len(batch.failed)} failed"

@@ -17,14 +17,15 @@ from codegen.registration.batch_pairs import (
     COLUMNS,
     BatchWork,
     Pair,
-    Place,
     Places,
+    SharedFile,
     jobs_in_folder,
     jobs_in_table,
     read_summary,
 )
 from codegen.registration.images import write_image
-from codegen.registration.job import Options, Result
+from codegen.registration.job import Options
+from codegen.registration.pair_report import Result
 
 HEADER = "moving_x,moving_y,fixed_x,fixed_y\n"
 
@@ -203,7 +204,7 @@ def test_a_full_disk_ends_a_batch_and_what_is_written_stays(folder, tmp_path):
 def test_a_chunk_that_nobody_wants_is_left(folder, tmp_path):
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
-    work = BatchWork(pairs, Options(), 3, 1, Place.of(folder), run_one=stand_in)
+    work = BatchWork(pairs, Options(), 3, 1, SharedFile.of(folder), run_one=stand_in)
     assert [len(work.piece(number).pairs) for number in work.chunks] == [3, 1]
     with pytest.raises(Abandoned):
         work.solve(work.piece(0), lambda: False)

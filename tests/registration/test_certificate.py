@@ -7,8 +7,7 @@ import pytest
 from registered_images import SHAPE
 
 from codegen.errors import LandmarkError
-from codegen.registration import register
-from codegen.registration import register as leave_one_out
+from codegen.registration import leave_one_out, register
 from codegen.registration.certificate import bound_of_steps, certify, certify_with_positions
 from codegen.registration.grid import Grid, pixel_grid
 from codegen.registration.noise import choose_sigma

@@ -6,8 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from codegen.errors import LandmarkError
-from codegen.registration import register
-from codegen.registration import register as leave_one_out
+from codegen.registration import leave_one_out, register
 from codegen.registration.alignment import align
 from codegen.registration.certificate import bound_of_steps, certify, in_provable_steps
 from codegen.registration.grid import Grid
