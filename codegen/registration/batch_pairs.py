@@ -96,27 +96,9 @@ def jobs_in_folder(
     """Pair the images and volumes of a folder with landmark files of the same stem, or all of them with `landmarks`.
 
     `a.png` or `a.nii.gz` belongs to `a.csv`, to `a.tps`, or to `a.moving.pts` with `a.fixed.pts`; instead of `.pts`
-    also `.mrk.json` or `.fcsv`.
-
-    Parameters
-    ----------
-    folder : Path
-    places : Places
-        The folders of the outputs.
-    fixed : Path, optional
-        One image for all pairs, or a folder with images of the same names.
-    landmarks : tuple of Path
-        The landmarks of all pairs; empty for a search in the folder.
-
-    Returns
-    -------
-    tuple
-        The jobs, and the images without landmarks.
-
-    Raises
-    ------
-    ArgumentError
-        If the folder has no pair, or if files cannot be paired uniquely.
+    also `.mrk.json` or `.fcsv`. `fixed` is one image for all pairs, or a folder with images of the same names. The
+    second list has the images without landmarks. Raises ArgumentError if the folder has no pair, or if files cannot be
+    paired uniquely.
     """
     suffixes = (*(suffix for group in KINDS.values() for suffix in group), *VOLUMES)
     images = sorted(path for path in folder.iterdir() if path.name.lower().endswith(suffixes) and path.is_file())
@@ -424,13 +406,8 @@ class BatchWork:
 
     def lost(self, number: int, reason: str) -> Done:
         """Return the lines of a chunk whose worker processes ended repeatedly."""
-        digests = Digests(options_digest(self.options))
-        return _done(
-            [
-                Tried(pair.number, _failed_line(pair.job, LOST, reason, digests), True)
-                for pair in self.piece(number).pairs
-            ]
-        )
+        digests, pairs = Digests(options_digest(self.options)), self.piece(number).pairs
+        return _done([Tried(pair.number, _failed_line(pair.job, LOST, reason, digests), True) for pair in pairs])
 
     def returned(self, number: int, done: Done) -> Done:
         """Return the result of a worker unchanged: outputs are in their files."""
@@ -468,7 +445,7 @@ class BatchWork:
 
 @dataclass(frozen=True, eq=False)
 class BatchParcel:
-    """A batch for another machine, which derives the solvers itself: the work, the digest of the solvers, the origin."""
+    """A batch for another machine, which derives the solvers itself: work, digest of the solvers, origin."""
 
     work: BatchWork
     digest: str

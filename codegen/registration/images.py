@@ -196,7 +196,8 @@ def write_image(path: Path, pixels: Pixels, profile: bytes | None = None) -> Non
     ----------
     path : Path
         PNG takes 8-bit and 16-bit samples, JPEG 8-bit grey and RGB (quality 95, lossy), TIFF all kinds.
-    pixels : array, shape (h, w) or (h, w, c)
+    pixels : array
+        Shape (h, w) or (h, w, c).
     profile : bytes, optional
         The colour profile (ICC).
 

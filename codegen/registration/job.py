@@ -117,22 +117,8 @@ class Job:
 def run(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
     """Register one pair of pictures or volumes.
 
-    Parameters
-    ----------
-    job : Job
-    options : Options
-    progress : function of str, optional
-        Receives a line after each solve if there are several.
-
-    Returns
-    -------
-    Outcome
-        Its `passed` is False where the numerics failed.
-
-    Raises
-    ------
-    CodegenError
-        For wrong input.
+    `progress` receives a line after each solve if there are several. Raises CodegenError for wrong input; after a
+    failure of the numerics the outcome has not `passed`.
     """
     return (run_volumes if is_volume(job.moving) else run_pictures)(job, options, progress)
 

@@ -100,19 +100,8 @@ def is_volume(path: Path) -> bool:
 def read_volume(path: Path, most: int = MOST_VOXELS) -> Volume:
     """Read a volume of one number per voxel.
 
-    Parameters
-    ----------
-    path : Path
-    most : int
-        The largest number of voxels.
-
-    Raises
-    ------
-    ImageError
-        For other files, damaged files, too many voxels, several numbers per voxel, several times, and axes that are
-        not orthogonal.
-    ExtraError
-        If SimpleITK or tifffile is missing.
+    Raises ImageError for other files, damaged files, more than `most` voxels, several numbers per voxel, several times,
+    and axes that are not orthogonal; ExtraError if SimpleITK or tifffile is missing.
     """
     if suffix_of(path, TIFF) is not None:
         return _read_stack(path, most)
@@ -428,18 +417,8 @@ class Warped:
 def warped(source: Volume, nodes: Nodes, interpolation: str, with_field: bool = False) -> Warped:
     """Warp a volume to the grid of the nodes, whose map leads to the source.
 
-    Parameters
-    ----------
-    source : Volume
-    nodes : Nodes
-    interpolation : {"nearest", "linear", "cubic"}
-    with_field : bool
-        Return the displacement field, too.
-
-    Returns
-    -------
-    Warped
-        With the dtype of the source; voxels whose position is outside the source are zero.
+    The result has the dtype of the source; voxels whose position is outside the source are zero. `with_field` adds the
+    displacement field.
     """
     grid, order = nodes.grid, ORDERS[interpolation]
     columns, rows, slices = grid.size

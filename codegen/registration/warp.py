@@ -81,8 +81,8 @@ _MOST_HEADER = 1 << 16
 class Positions:
     """The positions to which the pixels of a grid are mapped, shape (h, w, 2), and their accuracy.
 
-    `spacing` is 1 if all pixels were mapped exactly. Otherwise `exact` is the share of exactly mapped pixels and `bound`
-    the largest error of the others, in pixels: estimated, or measured at the centres of the worst cells.
+    `spacing` is 1 if all pixels were mapped exactly. Otherwise `exact` is the share of exactly mapped pixels. `bound`
+    is the largest error of the others, in pixels: estimated, or measured at the centres of the worst cells.
     """
 
     places: Array
@@ -126,7 +126,9 @@ def warp(
     pixels : array, shape (height, width) or (height, width, channels)
         The moving image, or the fixed image with `inverse`.
     registration : Registration
+        The map.
     interpolation : {"nearest", "linear", "cubic"}
+        The order of the splines through the pixels: 0, 1 or 3.
     inverse : bool
         Warp the fixed image to the frame of the moving image.
     shape : sequence of int, optional
@@ -228,6 +230,7 @@ def displacement_field(
     Parameters
     ----------
     registration : Registration
+        The map.
     shape : sequence of int, optional
         Height and width; by default those of the image.
     inverse : bool
@@ -260,6 +263,7 @@ def write_field(path: Path | str, field: Array, direction: str = "") -> None:
     path : Path or str
         The name ends in .npz, .nii, .nii.gz, .mha, .mhd or .nrrd.
     field : array, shape (h, w, 2)
+        The displacements (dx, dy) in pixels.
     direction : str
         A note in the file.
 
