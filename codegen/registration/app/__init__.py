@@ -51,8 +51,8 @@ def page(*images: Path | str, session: Session | None = None) -> NotebookPage:
 def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
     """Read the images, and start the preparation of the solver, which goes on while the page is served.
 
-    Raises ArgumentError if the extra `app` is missing, FileError if works cannot be saved in the folder `state`, and the
-    errors of reading images.
+    Raises ArgumentError if the extra `app` is missing, FileError if works cannot be saved in the folder `state`, and
+    the errors of reading images.
     """
     _require_tornado()
     from codegen.registration.app.autosave import Store, default_folder
