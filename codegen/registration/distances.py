@@ -1,7 +1,7 @@
-"""Geodesic distances between all specimens, shared between processes: the way of `codegen distances`.
+"""Geodesic distances between all specimens, on several processes: the command `codegen distances`.
 
-The squared distance of two specimens is the cost of the motion that carries the landmarks of one to those of the
-other, so the distance is the length of a geodesic in the metric in which images are registered.
+The squared distance of two specimens is the cost of the motion that carries the landmarks of one to those of the other.
+So the distance is the length of a geodesic in the metric of registrations.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Specimens:
 
 
 def read_specimens(path: Path) -> Specimens:
-    """Read a TPS file, or a table with the columns specimen, x, y; PointsError names what cannot be compared."""
+    """Read a TPS file, or a table with the columns specimen, x, y; PointsError for specimens that do not match."""
     try:
         text = path.read_text(encoding="latin-1" if path.suffix.lower() == ".tps" else "utf-8-sig")
     except UnicodeDecodeError as error:
