@@ -1,7 +1,7 @@
-"""Registration of images by landmarks: maps that do not fold, their true inverses, and what certifies both.
+"""Registration of images by landmarks: maps that do not fold, their exact inverses, and certificates of both.
 
 Points are (x, y) in pixels, x to the right and y down, with the origin at the centre of the top-left pixel; arrays of
-points have shape (n, 2). Forward is from the moving image to the fixed one. For volumes points are (x, y, z) in the
+points have shape (n, 2). Maps lead from the moving to the fixed image. Points of volumes are (x, y, z) in the
 coordinates of a `codegen.registration.grid.Grid`.
 """
 

@@ -32,9 +32,9 @@ from codegen.registration.solver import DEFAULT_SCHEME, registration_module
 
 COLUMNS = ("specimen", "x", "y")
 SIDE = 1000
-"""Pixels along the square in which specimens lie, so that all pairs have one disc."""
+"""Pixels along the square that contains all specimens, so that all pairs have the same disc."""
 EXTENT = 0.45
-"""The distance of the outermost landmark from the middle, as a share of the side."""
+"""The distance of the outermost landmark from the middle, relative to the side."""
 ROUNDS, SETTLED = 50, 1e-10
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Specimens:
-    """Landmarks of m specimens, shape (m, n, 2), and the specimens' names."""
+    """Landmarks of m specimens, shape (m, n, 2), and the names of the specimens."""
 
     landmarks: Array
     names: tuple[str, ...]
@@ -56,54 +56,45 @@ def read_specimens(path: Path) -> Specimens:
         raise PointsError(f"{path} is no text", "give a .tps file, or a table (.csv)") from error
     except OSError as error:
         raise ArgumentError(f"{path} cannot be read ({error.strerror})", "check the name") from error
-    found = _of_tps(path, text) if path.suffix.lower() == ".tps" else _of_table(path, text)
-    if len(found) < 3:
-        raise PointsError(f"{path} holds {len(found)} specimens", "give three or more")
-    sizes = {name: len(points) for name, points in found.items()}
-    first, usual = next(iter(sizes.items()))
-    for name, size in sizes.items():
-        if size != usual:
-            finding = f"{path}: specimen {name} has {size} landmarks, and {first} has {usual}"
+    specimens: dict[str, list[tuple[float, float]]] = {}
+    if path.suffix.lower() == ".tps":
+        for number, specimen in enumerate(specimens_of(Source(path.name, text)), 1):
+            name = specimen.identity or specimen.image or str(number)
+            if name in specimens:
+                name = f"{name} ({number})"
+            points = [point for point in specimen.points if point is not None]
+            if len(points) < len(specimen.points):
+                raise PointsError(f"{path}: specimen {name} lacks a landmark", "leave out what not all specimens have")
+            specimens[name] = points
+    else:
+        reader = csv.DictReader(StringIO(text))
+        if tuple(reader.fieldnames or ()) != COLUMNS:
+            columns = ",".join(reader.fieldnames or ())[:60]
+            raise PointsError(f"{path}: the columns are {columns or 'missing'}", f"give {','.join(COLUMNS)}")
+        for number, row in enumerate(reader, 2):
+            try:
+                point = float(row["x"]), float(row["y"])
+            except (TypeError, ValueError):
+                point = np.nan, np.nan
+            if not np.isfinite(point).all():
+                raise PointsError(f"{path}:{number}: x and y are no numbers", "give two finite numbers a row")
+            specimens.setdefault(row["specimen"], []).append(point)
+    if len(specimens) < 3:
+        raise PointsError(f"{path} holds {len(specimens)} specimens", "give three or more")
+    first, usual = next((name, len(points)) for name, points in specimens.items())
+    for name, points in specimens.items():
+        if len(points) != usual:
+            finding = f"{path}: specimen {name} has {len(points)} landmarks, and {first} has {usual}"
             raise PointsError(finding, "give the same landmarks of every specimen, in the same order")
-    return Specimens(np.array(list(found.values())), tuple(found))
-
-
-def _of_tps(path: Path, text: str) -> dict[str, list[tuple[float, float]]]:
-    found: dict[str, list[tuple[float, float]]] = {}
-    for number, specimen in enumerate(specimens_of(Source(path.name, text)), 1):
-        name = specimen.identity or specimen.image or str(number)
-        if name in found:
-            name = f"{name} ({number})"
-        points = [point for point in specimen.points if point is not None]
-        if len(points) < len(specimen.points):
-            raise PointsError(f"{path}: specimen {name} lacks a landmark", "leave out what not all specimens have")
-        found[name] = points
-    return found
-
-
-def _of_table(path: Path, text: str) -> dict[str, list[tuple[float, float]]]:
-    reader = csv.DictReader(StringIO(text))
-    if tuple(reader.fieldnames or ()) != COLUMNS:
-        columns = ",".join(reader.fieldnames or ())[:60]
-        raise PointsError(f"{path}: the columns are {columns or 'missing'}", f"give {','.join(COLUMNS)}")
-    found: dict[str, list[tuple[float, float]]] = {}
-    for number, row in enumerate(reader, 2):
-        try:
-            point = float(row["x"]), float(row["y"])
-        except (TypeError, ValueError):
-            point = np.nan, np.nan
-        if not np.isfinite(point).all():
-            raise PointsError(f"{path}:{number}: x and y are no numbers", "give two finite numbers a row")
-        found.setdefault(row["specimen"], []).append(point)
-    return found
+    return Specimens(np.array(list(specimens.values())), tuple(specimens))
 
 
 def superimposed(specimens: Specimens) -> tuple[Array, Array]:
-    """Specimens brought to one place, size and direction, shape (m, n, 2), and their mean shape, shape (n, 2).
+    """Superimpose specimens, shape (m, n, 2), and return their mean shape, shape (n, 2), too.
 
-    Each is aligned with the mean by a similarity without reflection, until the mean stays (generalised Procrustes
-    analysis: Gower 1975, Psychometrika 40(1)); then all are scaled into a square of SIDE pixels. LandmarkError names a
-    specimen that is mirrored.
+    Each specimen is aligned with the mean by a similarity without reflection, until the mean is constant (generalised
+    Procrustes analysis: Gower 1975, Psychometrika 40(1)). Then all are scaled into a square of SIDE pixels.
+    LandmarkError names a mirrored specimen.
     """
     shapes = np.array([normal(points) for points in specimens.landmarks])
     mean = shapes[0]
@@ -117,21 +108,21 @@ def superimposed(specimens: Specimens) -> tuple[Array, Array]:
         before, mean = mean, normal(shapes.mean(axis=0))
         if np.abs(mean - before).max() < SETTLED:
             break
-    scale = EXTENT * SIDE / np.linalg.norm(shapes, axis=2).max()  # which no rotation changes
+    scale = EXTENT * SIDE / np.linalg.norm(shapes, axis=2).max()  # invariant under rotations
     return scale * shapes + 0.5 * (SIDE - 1), scale * mean + 0.5 * (SIDE - 1)
 
 
 def normal(points: Array) -> Array:
-    """About the origin, with squares of distances that sum up to 1."""
+    """Centre points, and scale them to a sum of squared distances of 1."""
     centred = points - points.mean(axis=0)
     return np.asarray(centred / np.linalg.norm(centred))
 
 
 def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, float]:
-    """Points whose distances are about those of a table, shape (m, m), and the share of it that they explain.
+    """Return points, shape (m, dimensions), that approximate a table of distances, shape (m, m), and their share.
 
-    They are the leading eigenvectors of -1/2 J D^2 J (Torgerson 1952, Psychometrika 17(4)), shape (m, dimensions), with
-    signs such that the largest entry of each is positive. The share is that of the absolute eigenvalues.
+    The points are the leading eigenvectors of -1/2 J D^2 J (Torgerson 1952, Psychometrika 17(4)). The largest entry of
+    each eigenvector is positive. The share is that of the absolute eigenvalues.
     """
     count = len(distances)
     centring = np.eye(count) - 1.0 / count
@@ -144,32 +135,24 @@ def classical_scaling(distances: Array, dimensions: int = 2) -> tuple[Array, flo
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:
-    """All pairs of so many specimens, each of them once."""
+    """Return all pairs of specimens, each of them once."""
     return [(i, j) for i in range(count) for j in range(i + 1, count)]
-
-
-def whole_table(count: int, distances: Sequence[float]) -> Array:
-    """The symmetric table of distances that come in the order of `pairs_of`, shape (count, count)."""
-    table = np.zeros((count, count))
-    for (i, j), distance in zip(pairs_of(count), distances, strict=True):
-        table[i, j] = table[j, i] = distance
-    return table
 
 
 FAILED = "not converged"
 FEWEST = 3
-"""Specimens that a picture in two dimensions needs."""
+"""Fewest specimens of a picture in two dimensions."""
 MOST = 16
-"""The most pairs of a chunk."""
+"""Most pairs of a chunk."""
 
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """Distances between m specimens, shape (m, m), NaN where none was found, and what is made of them.
+    """Distances between m specimens, shape (m, m), NaN for failures, and their scaling.
 
-    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table; NaN are those
-    that had to be left out because distances are missing. `mean` is the mean shape, shape (n, 2), about the origin,
-    with squares of distances from it that sum up to 1.
+    `points`, shape (m, 2), are the specimens in two dimensions, which explain a `share` of the table. They are NaN for
+    specimens that were left out because of missing distances. `mean` is the mean shape, shape (n, 2), centred, with a
+    sum of squared distances of 1. `failed` has a message for each missing distance.
     """
 
     names: tuple[str, ...]
@@ -183,37 +166,34 @@ class Distances:
 def geodesic_distances(
     specimens: Specimens, workers: int = 1, working: Working = nullcontext, progress: Progress = silent
 ) -> Distances:
-    """Superimpose specimens and solve for the geodesic between each two of them."""
+    """Superimpose specimens, and solve for the geodesics between all pairs."""
     shapes, mean = superimposed(specimens)
     with working("Preparing the solver"):
         registration_module(DEFAULT_SCHEME)
     count = len(shapes)
-    size = max(1, min(MOST, len(pairs_of(count)) // (4 * workers)))
-    work, found = DistanceWork(shapes, specimens.names, size), dict[int, Done]()
+    pairs = pairs_of(count)
+    size = max(1, min(MOST, len(pairs) // (4 * workers)))
+    work, results = DistanceWork(shapes, specimens.names, size), dict[int, Done]()
     Team(workers, None, working, progress).do(
-        work, work.chunks, len(pairs_of(count)), Tally(), found.__setitem__, ("Comparing", "pairs")
+        work, work.chunks, len(pairs), Tally(), results.__setitem__, ("Comparing", "pairs")
     )
-    rows = [row for number in work.chunks for row in found[number].rows]
-    table = whole_table(count, [distance for distance, _ in rows])
-    failed = tuple(said for _, said in rows if said)
-    points, share = _scaled(table)
-    return Distances(specimens.names, table, points, share, normal(mean), failed)
-
-
-def _scaled(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Specimens in two dimensions; left out, one after the other, are those that lack most distances to others."""
-    points, kept = np.full((len(table), 2), np.nan), np.arange(len(table))
+    rows = [row for number in work.chunks for row in results[number].rows]
+    table = np.zeros((count, count))
+    for (i, j), (distance, _) in zip(pairs, rows, strict=True):
+        table[i, j] = table[j, i] = distance
+    failed = tuple(message for _, message in rows if message)
+    # Specimens that lack most distances are left out, one after the other.
+    points, kept, share = np.full((count, 2), np.nan), np.arange(count), np.nan
     while (lacking := np.isnan(table[np.ix_(kept, kept)]).sum(axis=1)).any():
         kept = np.delete(kept, lacking.argmax())
-    if len(kept) < FEWEST:
-        return points, np.nan
-    points[kept], share = classical_scaling(table[np.ix_(kept, kept)])
-    return points, share
+    if len(kept) >= FEWEST:
+        points[kept], share = classical_scaling(table[np.ix_(kept, kept)])
+    return Distances(specimens.names, table, points, share, normal(mean), failed)
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceWork:
-    """All that comparing any two superimposed specimens needs; `size` pairs are a chunk."""
+    """The data for comparing any two superimposed specimens; a chunk has `size` pairs."""
 
     shapes: NDArray[np.float64]
     names: tuple[str, ...]
@@ -225,16 +205,16 @@ class DistanceWork:
         return range(-(-len(pairs_of(len(self.shapes))) // self.size))
 
     def loaded(self) -> DistanceWork:
-        """The same; the solver is loaded in this process."""
+        """Load the solver in this process."""
         registration_module(DEFAULT_SCHEME)
         return self
 
     def piece(self, number: int) -> Sequence[tuple[int, int]]:
-        """The pairs of a chunk."""
+        """Return the pairs of a chunk."""
         return pairs_of(len(self.shapes))[number * self.size : (number + 1) * self.size]
 
     def solve(self, piece: Sequence[tuple[int, int]], is_wanted: Callable[[], bool] = lambda: True) -> Done:
-        """A distance for each pair, and what is said where there is none."""
+        """Return a distance for each pair, and a message for each failure."""
         rows, begin = [], time.perf_counter()
         for i, j in piece:
             if not is_wanted():
@@ -243,60 +223,60 @@ class DistanceWork:
         return _done(rows, FAILED, time.perf_counter() - begin)
 
     def _compared(self, i: int, j: int) -> tuple[float, str]:
-        """The shorter of the geodesics that are found from one to the other and back, or why there is none.
+        """Return the length of the shorter geodesic of both directions, or the reason of a failure.
 
-        There may be several between two specimens, and the way on which the solver begins decides which it finds.
+        There may be several geodesics between two specimens; the first guess determines the one that is found.
         """
-        lengths, said = [], ""
+        lengths, message = [], ""
         for one, other in ((i, j), (j, i)):
             try:
-                found = register(LandmarkPairs(self.shapes[one], self.shapes[other]), (SIDE, SIDE), align="none")
+                geodesic = register(LandmarkPairs(self.shapes[one], self.shapes[other]), (SIDE, SIDE), align="none")
             except CodegenError as error:
-                said = self._said(one, other, str(error))
+                message = self._named(one, other, str(error))
                 continue
-            if found.status == SOLVED:
-                lengths.append(found.distance)
+            if geodesic.status == SOLVED:
+                lengths.append(geodesic.distance)
             else:
-                said = self._said(one, other, found.message)
-        return (min(lengths), "") if lengths else (np.nan, said)
+                message = self._named(one, other, geodesic.message)
+        return (min(lengths), "") if lengths else (np.nan, message)
 
-    def _said(self, i: int, j: int, message: str) -> str:
+    def _named(self, i: int, j: int, message: str) -> str:
         return f"{self.names[i]} and {self.names[j]}: {message}"
 
     def lost(self, number: int, reason: str) -> Done:
-        """A chunk whose processes ended."""
-        return _done([(np.nan, self._said(i, j, reason)) for i, j in self.piece(number)], LOST, 0.0)
+        """Return the rows of a chunk whose worker processes ended."""
+        return _done([(np.nan, self._named(i, j, reason)) for i, j in self.piece(number)], LOST, 0.0)
 
     def returned(self, number: int, done: Done) -> Done:
-        """Distances come back with what is done."""
+        """Return the result of a worker unchanged."""
         return done
 
     def parcel(self) -> NoReturn:
-        """Distances are a matter of seconds, and of one machine."""
+        """Raise ArgumentError: distances take seconds on one machine."""
         raise ArgumentError("distances between specimens need no cluster", "leave --cluster out")
 
 
 def _done(rows: Sequence[tuple[float, str]], failure: str, seconds: float) -> Done:
-    counts = Counter(failure if said else SOLVED for _, said in rows)
-    messages = {failure: next(said for _, said in rows if said)} if failure in counts else {}
+    counts = Counter(failure if message else SOLVED for _, message in rows)
+    messages = {failure: next(message for _, message in rows if message)} if failure in counts else {}
     return Done(Tally(counts, messages, seconds), rows)
 
 
-def write_distances(path: Path, found: Distances) -> None:
-    """The table as CSV: a row and a column for each specimen, and its place in two dimensions; empty where unknown."""
+def write_distances(path: Path, distances: Distances) -> None:
+    """Write the table as CSV: a row and a column per specimen, and its point in two dimensions; empty if unknown."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["specimen", "mds_1", "mds_2", *found.names])
-        for name, point, row in zip(found.names, found.points, found.table, strict=True):
+        writer.writerow(["specimen", "mds_1", "mds_2", *distances.names])
+        for name, point, row in zip(distances.names, distances.points, distances.table, strict=True):
             writer.writerow([name, *(_text(value) for value in (*point, *row))])
 
 
-def write_mean(path: Path, found: Distances) -> None:
-    """The mean shape as CSV: landmark, x and y."""
+def write_mean(path: Path, distances: Distances) -> None:
+    """Write the mean shape as CSV: landmark, x and y."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["landmark", "x", "y"])
-        writer.writerows([k, *map(_text, point)] for k, point in enumerate(found.mean, 1))
+        writer.writerows([k, *map(_text, point)] for k, point in enumerate(distances.mean, 1))
 
 
 def _text(value: Any) -> str:

@@ -177,7 +177,7 @@ class Registration:
         return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
 
     def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
-        """Return the derivative of the map or of its inverse at points in pixels, shape (n, d, d), with rows x, y, ..."""
+        """Return the derivative of the map or of its inverse at points in pixels, shape (n, d, d), rows x, y, ..."""
         points = as_points(xy, self.dimension)
         if inverse:
             jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points))[1]
