@@ -57,7 +57,7 @@ R = TypeVar("R", bound=Outcome)
 
 @dataclass(frozen=True)
 class Options:
-    """How pairs are registered and warped.
+    """Options of the registration and the warp of pairs.
 
     `sigma` is in pixels. `coarse` interpolates positions from a coarse grid; None: for more than `LARGE` pixels. `flip`
     mirrors the moving image left to right first. The other options are arguments of `register` and `warp`.

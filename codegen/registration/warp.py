@@ -1,4 +1,4 @@
-"""What a map does to all pixels of an image: positions, warped images and displacement fields.
+"""The effect of a map on all pixels of an image: positions, warped images and displacement fields.
 
 Every pixel of a warped image is looked up at the position that the inverse map assigns to it.
 
