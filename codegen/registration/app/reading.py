@@ -78,7 +78,7 @@ def session_of(images: Sequence[Path]) -> Session:
         except (OSError, ValueError) as error:
             raise ImageError(f"{path} cannot be read ({getattr(error, 'strerror', error)})", "give an image") from error
         pictures.append(picture_from(data, path.name))
-    return Session(*pictures)
+    return Session(pictures[0], pictures[1] if len(pictures) == 2 else None)
 
 
 def example() -> Session:

@@ -418,8 +418,9 @@ class Session:
             self._last_identity += 1
             away = other(side)
             if self.registration is not None:
-                points, known = np.array([place]), self.registration
-                x, y = (known.map_points(points) if side == "moving" else known.map_points_inverse(points))[0]
+                registration, points = self.registration, np.array([place])
+                carry = registration.map_points if side == "moving" else registration.map_points_inverse
+                x, y = carry(points)[0]
             else:
                 sizes = self.picture(side).shape[::-1], self.picture(away).shape[::-1]
                 x, y = ((v + 0.5) * t / h - 0.5 for v, h, t in zip(place, *sizes, strict=True))

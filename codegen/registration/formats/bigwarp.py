@@ -53,11 +53,11 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
         raise PointsError(f"{source.name}: none of its {inactive} landmarks is active", "set both points of some")
     before, after = placed(source.name, "moving", moving, frames), placed(source.name, "fixed", fixed, frames)
     if frames.grids is not None and names:
-        in_space = [
+        moving_places, fixed_places = (
             np.array(points) @ np.array(grid.direction).T + grid.origin
             for points, grid in zip((before, after), frames.grids, strict=True)
-        ]
-        return made(sources, *in_space, names)
+        )
+        return made(sources, moving_places, fixed_places, names)
     return made(sources, before, after, names)
 
 
