@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from codegen.registration.batches.outcome import BatchRequest, outcome_of
-from codegen.registration.batches.pairing import Places, jobs_in_folder
+from codegen.registration.batch import BatchRequest, outcome_of
+from codegen.registration.batch_pairs import Places, jobs_in_folder
 from codegen.registration.formats import write_landmarks
 from codegen.registration.images import write_image
+from codegen.registration.job import Options
 from codegen.registration.job import run_pictures as run_pair
-from codegen.registration.jobs import Options
 from codegen.registration.pairs import LandmarkPairs
 
 CORNERS = np.array([[3.0, 4.0], [24.0, 5.0], [5.0, 20.0], [22.0, 18.0], [13.0, 11.0]])

@@ -32,7 +32,7 @@ def distances(
     import numpy as np
 
     from codegen.batch.executors.team import team_size
-    from codegen.registration.batches.distances import geodesic_distances, read_specimens, write_distances, write_mean
+    from codegen.registration.distances import geodesic_distances, read_specimens, write_distances, write_mean
     from codegen.solving.results import output
 
     if out is None:

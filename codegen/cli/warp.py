@@ -14,8 +14,8 @@ from codegen.errors import ArgumentError, one_line
 from codegen.terminal import console, progress, working
 
 if TYPE_CHECKING:
-    from codegen.registration.batches.outcome import Batch
-    from codegen.registration.jobs import Options
+    from codegen.registration.batch import Batch
+    from codegen.registration.job import Options
 
 # Nothing of codegen.registration may be imported before the command runs: it brings numba.
 
@@ -140,7 +140,7 @@ def warp(
         raise ArgumentError(
             f"--landmarks was given {len(landmarks)} times", "give one file, or a moving and a fixed one"
         )
-    from codegen.registration.jobs import Options
+    from codegen.registration.job import Options
 
     if loss is not Loss.LINEAR and sigma == "0":
         raise ArgumentError(f"--loss {loss.value} is for landmarks that may miss", "give a --sigma as well, or auto")
@@ -173,9 +173,8 @@ def _one(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
     report: Path | None, options: Options, json: bool,
 ) -> None:  # fmt: skip
-    from codegen.registration import job
-    from codegen.registration.batches import page
-    from codegen.registration.jobs import Job
+    from codegen.registration import batch, job
+    from codegen.registration.job import Job
     from codegen.solving.results import output
 
     if out is None or not landmarks:
@@ -187,7 +186,7 @@ def _one(
     if json:
         typer.echo(output.as_json(result.record))
     else:
-        console().print(page.table(result.record))
+        console().print(batch.table(result.record))
     if result.record["summary"].get("sigma_message"):
         typer.echo(f"codegen: {result.record['summary']['sigma_message']}", err=True)
     if not result.passed:
@@ -200,39 +199,39 @@ def _many(
     report: Path | None, options: Options, json: bool, who: Who,
 ) -> None:  # fmt: skip
     from codegen.batch.executors.team import team_size
-    from codegen.registration.batches import page, pairing, work
-    from codegen.registration.batches.outcome import BatchRequest, outcome_of
+    from codegen.registration import batch, batch_pairs
+    from codegen.registration.batch import BatchRequest, outcome_of
     from codegen.solving.results import output
 
     workers = team_size(who.workers, who.cluster)
-    places = pairing.Places(out, field, report)
+    places = batch_pairs.Places(out, field, report)
     if moving.is_dir():
         if out is None or out.resolve() == moving.resolve():
             raise ArgumentError(f"--out is missing, or is {moving} itself", "give a folder for the warped images")
-        jobs, without = pairing.jobs_in_folder(moving, places, fixed, landmarks)
+        jobs, without = batch_pairs.jobs_in_folder(moving, places, fixed, landmarks)
         if without:
             names = ", ".join(path.name for path in without[:3]) + (", ..." if len(without) > 3 else "")
             typer.echo(f"codegen: {len(without)} images have no landmarks and are left out: {names}", err=True)
     elif landmarks:
         raise ArgumentError(f"{moving} names the landmarks of its pairs", "leave --landmarks out")
     else:
-        jobs = pairing.jobs_in_table(moving, places, fixed)
+        jobs = batch_pairs.jobs_in_table(moving, places, fixed)
     for option, folder in (("--out", out), ("--field", field), ("--report", report)):
         if folder is not None:
             output.require_folder(folder, option, may_be_made=True)
-    summary = (out / work.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
+    summary = (out / batch_pairs.SUMMARY) if out is not None else moving.with_suffix(".summary.csv")
     if report is not None:
-        pairing.require_free(jobs, report / page.NAME)
+        batch_pairs.require_free(jobs, report / batch.NAME)
     request = BatchRequest(jobs, options, places, summary, workers, who.cluster, who.resume)
     done = outcome_of(request, working, progress)
     if report is not None:
-        page.write_batch_report(report, done, [job.report for job in jobs])
-    for line in done.said:
+        batch.write_batch_report(report, done, [job.report for job in jobs])
+    for line in done.notes:
         typer.echo(line, err=True)
     if json:
-        typer.echo(output.as_json(page.record(done, summary)))
+        typer.echo(output.as_json(batch.record(done, summary)))
     else:
-        console().print(page.overview(done, summary))
+        console().print(batch.overview(done, summary))
     _finish(done)
 
 

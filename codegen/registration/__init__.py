@@ -1,21 +1,19 @@
-"""Registration of images by landmarks: maps that do not fold, their true inverses, and what certifies both.
+"""Registration of images by landmarks: maps that do not fold, their exact inverses, and certificates of both.
 
 Points are (x, y) in pixels, x to the right and y down, with the origin at the centre of the top-left pixel; arrays of
-points have shape (n, 2). Forward is from the moving image to the fixed one. For volumes points are (x, y, z) in the
+points have shape (n, 2). Maps lead from the moving to the fixed image. Points of volumes are (x, y, z) in the
 coordinates of a `codegen.registration.grid.Grid`.
 """
 
 from codegen.registration.alignment import Alignment, align
 from codegen.registration.certificate import Certificate, certify
-from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.grid import Frame
-from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
 from codegen.registration.linear import AlignmentChoice, chosen_alignment
 from codegen.registration.maps import Registration
 from codegen.registration.noise import Outliers, SigmaEstimate, choose_sigma, estimate_sigma, find_outliers
 from codegen.registration.pairs import LandmarkPairs, flipped
-from codegen.registration.register import register
-from codegen.registration.warp import WarpReport, warp, warp_reported
+from codegen.registration.register import LeaveOneOut, leave_one_out, register
+from codegen.registration.warp import WarpReport, displacement_field, warp, warp_reported, write_field
 
 __all__ = [
     "Alignment",

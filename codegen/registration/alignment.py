@@ -1,14 +1,14 @@
-"""Alignment before the flow: the similarity or the affine map that fits the landmarks best.
+"""Alignment before the flow: the similarity or affine map that fits the landmarks best.
 
-The flow keeps the rim of its disc, so a rotation or a change of size would be charged to it as a deformation. A fitted
-map takes them out first, and its inverse is exact. Similarities follow Umeyama (1991), IEEE Trans. Pattern Anal. Mach.
-Intell. 13(4), without reflections; affine maps are fitted by least squares.
-In space, turns are matrices from a singular value decomposition; in the plane they are complex numbers.
+The flow keeps the rim of its disc, so that a rotation or a change of size would count as a deformation. The alignment
+removes them, and its inverse is exact. Similarities follow Umeyama (1991), IEEE Trans. Pattern Anal. Mach. Intell.
+13(4), without reflections; affine maps are fitted by least squares. Rotations in space are matrices from a singular
+value decomposition; in the plane they are complex numbers.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -20,27 +20,26 @@ from codegen.registration.pairs import LandmarkPairs, PointArray
 
 Kind: TypeAlias = Literal["auto", "none", "similarity", "affine"]
 KINDS: tuple[Kind, ...] = ("none", "similarity", "affine")
-"""What can be fitted; "auto" is one of these, which is chosen before."""
+"""The alignments of `align`; "auto" chooses one of them."""
 
 MIRRORED = 0.2
-"""Landmarks are mirrored where a mirrored similarity leaves less than this share of what the best one leaves."""
+"""Landmarks are mirrored if this is the ratio of the residuals of a mirrored and a proper similarity, or less."""
 
 _NEEDED = {
     2: ("two landmarks", "three landmarks that are not on one line"),
     3: ("three landmarks that are not on one line", "four landmarks that are not in one plane"),
 }
-"""What determines a similarity, and an affine map."""
+"""The landmarks that a similarity and an affine map need."""
 
 THIN = 1e-6
-"""Landmarks whose width across the line that fits them best is less than this share of their length are collinear."""
+"""The largest ratio of width to length of collinear landmarks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """The map x -> matrix x + shift from the moving to the fixed image, in pixels, in d dimensions.
 
-    `kind` is what was fitted, "none", "translation", "similarity" or "affine", and `message` says why, where it is not
-    what was asked for.
+    `kind` is "none", "translation", "similarity" or "affine". `message` is the reason if another kind was requested.
     """
 
     kind: str
@@ -50,30 +49,30 @@ class Alignment:
 
     @property
     def is_identity(self) -> bool:
-        """Whether the map leaves every point where it is, to the last bit."""
+        """True if the map leaves every point exactly unchanged."""
         return bool((self.matrix == np.eye(len(self.shift))).all() and not self.shift.any())
 
     @property
     def parameters(self) -> int:
-        """How many numbers were fitted."""
+        """The number of fitted parameters."""
         d = len(self.shift)
         turns = d * (d - 1) // 2
         return {"none": 0, "translation": d, "similarity": d + turns + 1, "affine": d * (d + 1)}[self.kind]
 
     @property
     def determinant(self) -> float:
-        """The factor by which areas, or volumes, grow."""
+        """The growth of areas, or of volumes."""
         if len(self.shift) == 3:
             return float(np.linalg.det(self.matrix))
         (a, b), (c, d) = self.matrix
         return float(a * d - b * c)
 
     def apply(self, points: PointArray) -> PointArray:
-        """Moving to fixed, points of shape (n, d)."""
+        """Map points of the moving image, shape (n, d), to the fixed image."""
         return points if self.is_identity else points @ self.matrix.T + self.shift
 
     def apply_inverse(self, points: PointArray) -> PointArray:
-        """Fixed to moving, points of shape (n, d)."""
+        """Map points of the fixed image, shape (n, d), to the moving image."""
         return points if self.is_identity else (points - self.shift) @ self.inverse_matrix.T
 
     @property
@@ -85,7 +84,7 @@ class Alignment:
         return np.array([[d, -b], [-c, a]]) / self.determinant
 
     def tangent(self, points: PointArray) -> NDArray[np.float64]:
-        """How a change of what was fitted moves points, shape (n, d): an orthonormal basis, shape (n, d, number)."""
+        """Return an orthonormal basis, shape (n, d, number), of the motions of points by changes of the parameters."""
         count, d = points.shape
         units = np.eye(d * d).reshape(-1, d, d)
         turns = [units[d * i + j] - units[d * j + i] for i in range(d) for j in range(i)]
@@ -97,31 +96,44 @@ class Alignment:
         return np.asarray(basis[:, sizes > THIN * sizes.max(initial=0.0)].reshape(count, d, -1))
 
     def part(self, fraction: float, centre: PointArray) -> Alignment:
-        """A fraction of the way from the identity: about `centre`, turned and stretched by powers, shifted evenly."""
+        """Return a fraction of the map: powers of rotation and stretching about `centre`, a fraction of the shift."""
         if self.is_identity or fraction == 1.0:
             return self
         left, stretches, right = np.linalg.svd(self.matrix)
-        turned = _turned(left @ right, fraction)
-        matrix = turned @ (right.T * stretches**fraction) @ right
-        moved = centre + fraction * (self.matrix @ centre + self.shift - centre)
-        return Alignment(self.kind, matrix, moved - matrix @ centre)
-
-
-def _turned(turn: NDArray[np.float64], fraction: float) -> NDArray[np.float64]:
-    """A fraction of a rotation about its axis."""
-    if len(turn) == 3:
-        return np.asarray(Rotation.from_rotvec(fraction * Rotation.from_matrix(turn).as_rotvec()).as_matrix())
-    angle = np.arctan2(turn[1, 0], turn[0, 0]) * fraction
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turn = left @ right
+        if len(turn) == 3:
+            rotation = Rotation.from_rotvec(fraction * Rotation.from_matrix(turn).as_rotvec()).as_matrix()
+        else:
+            angle = np.arctan2(turn[1, 0], turn[0, 0]) * fraction
+            rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        matrix = rotation @ (right.T * stretches**fraction) @ right
+        shifted = centre + fraction * (self.matrix @ centre + self.shift - centre)
+        return Alignment(self.kind, matrix, shifted - matrix @ centre)
 
 
 def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
-    """Fit a map of the given kind to landmarks, or the next simpler one where they do not determine it.
+    """Fit a map of the given kind to landmarks, or a simpler one if they do not determine it.
 
-    An affine map needs three landmarks that are not on one line, a similarity two; one landmark gives a translation. In
-    space an affine map needs four that are not in one plane, and a similarity three that are not on one line.
-    Raises ArgumentError for an unknown kind, and LandmarkError where the landmarks mirror the image, or where the best
-    affine map turns it over.
+    Parameters
+    ----------
+    pairs : LandmarkPairs
+        The landmarks.
+    kind : {"none", "similarity", "affine"}
+        An affine map needs three landmarks that are not on one line, a similarity two; one landmark gives a
+        translation. In space an affine map needs four landmarks that are not in one plane, and a similarity three that
+        are not on one line.
+
+    Returns
+    -------
+    Alignment
+        The map from moving to fixed.
+
+    Raises
+    ------
+    ArgumentError
+        For an unknown kind.
+    LandmarkError
+        If the landmarks mirror the image, or if the best affine map does.
     """
     if kind not in KINDS:
         raise ArgumentError(f"alignment is {kind!r}", f"use {', '.join(KINDS)}")
@@ -130,31 +142,45 @@ def align(pairs: LandmarkPairs, kind: Kind = "similarity") -> Alignment:
         return Alignment("none" if kind == "none" else kind, np.eye(pairs.dimension), np.zeros(pairs.dimension))
     if kind == "affine":
         if len(pairs) > pairs.dimension and not (_is_thin(pairs.moving) or _is_thin(pairs.fixed)):
-            return _affine(pairs)
-        found = _similarity(pairs) if _turns(pairs) else _translation(pairs)
-        reason = f"needs {_NEEDED[pairs.dimension][1]}"
-        return Alignment(found.kind, found.matrix, found.shift, f"an affine map {reason}; {found.kind} instead")
-    if _turns(pairs):
+            before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
+            transposed = np.linalg.lstsq(pairs.moving - before, pairs.fixed - after, rcond=None)[0]
+            affine = Alignment("affine", transposed.T, after - transposed.T @ before)
+            if not affine.determinant > 0.0:
+                determinant = f"(det {affine.determinant:.3g})"
+                finding = f"the affine map that fits the landmarks best turns the image over {determinant}"
+                raise LandmarkError(finding, "mirror the moving image and its landmarks, or correct the landmarks")
+            return affine
+        simpler = _similarity(pairs) if _determine_similarity(pairs) else _translation(pairs)
+        reason = f"an affine map needs {_NEEDED[pairs.dimension][1]}; {simpler.kind} instead"
+        return replace(simpler, message=reason)
+    if _determine_similarity(pairs):
         return _similarity(pairs)
-    found, needed = _translation(pairs), _NEEDED[pairs.dimension][0]
-    return Alignment(found.kind, found.matrix, found.shift, f"a similarity needs {needed}; translation instead")
+    reason = f"a similarity needs {_NEEDED[pairs.dimension][0]}; translation instead"
+    return replace(_translation(pairs), message=reason)
 
 
-def _turns(pairs: LandmarkPairs) -> bool:
-    """Whether landmarks determine a similarity."""
+def _determine_similarity(pairs: LandmarkPairs) -> bool:
     if pairs.dimension == 2:
         return len(pairs) > 1
     return len(pairs) > 2 and not (_is_thin(pairs.moving, 1) or _is_thin(pairs.fixed, 1))
 
 
 def require_unmirrored(pairs: LandmarkPairs) -> None:
-    """Refuse landmarks that a mirrored similarity fits and no other does: LandmarkError.
+    """Raise LandmarkError for landmarks that only a mirrored similarity fits.
 
-    Squared residuals are those of Umeyama's equation (33), which in the plane are two sums of complex numbers.
+    Squared residuals are those of Umeyama's equation (33), which in the plane are sums of complex numbers.
     """
     if len(pairs) <= pairs.dimension or _is_thin(pairs.moving) or _is_thin(pairs.fixed):
         return
-    turned, mirrored = _left_in_plane(pairs) if pairs.dimension == 2 else _left_in_space(pairs)
+    x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
+    if pairs.dimension == 2:
+        before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
+        whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
+        turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
+    else:
+        left, (a, b, c), right = np.linalg.svd(y.T @ x)
+        whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
+        turned, mirrored = (whole - (a + b + s * c) ** 2 / spread for s in (sign, -sign))
     if mirrored < MIRRORED * turned:
         remedy = "use --flip, or mirror the moving image and its landmarks (codegen.registration.flipped)"
         if pairs.dimension == 3:
@@ -162,25 +188,8 @@ def require_unmirrored(pairs: LandmarkPairs) -> None:
         raise LandmarkError("the landmarks mirror the image, and no map without a fold does that", remedy)
 
 
-def _left_in_plane(pairs: LandmarkPairs) -> tuple[float, float]:
-    """What the best similarity leaves, and the best mirrored one."""
-    x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
-    before, after = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
-    whole, spread = float((np.abs(after) ** 2).sum()), float((np.abs(before) ** 2).sum())
-    turned, mirrored = (whole - abs((z * after).sum()) ** 2 / spread for z in (before.conj(), before))
-    return turned, mirrored
-
-
-def _left_in_space(pairs: LandmarkPairs) -> tuple[float, float]:
-    x, y = (points - points.mean(axis=0) for points in (pairs.moving, pairs.fixed))
-    left, (a, b, c), right = np.linalg.svd(y.T @ x)
-    whole, spread, sign = float((y**2).sum()), float((x**2).sum()), np.linalg.det(left) * np.linalg.det(right)
-    turned, mirrored = (whole - (a + b + s * c) ** 2 / spread for s in (sign, -sign))
-    return float(turned), float(mirrored)
-
-
 def _is_thin(points: PointArray, axis: int = -1) -> bool:
-    """Whether points are on a line, or in space in a plane; by `axis` 1, in space, whether they are on a line."""
+    """Return True for points on a line, or in space in a plane; with `axis` 1 in space, for points on a line."""
     widths = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(widths[axis] <= THIN * widths[0])
 
@@ -190,7 +199,7 @@ def _translation(pairs: LandmarkPairs) -> Alignment:
 
 
 def _similarity(pairs: LandmarkPairs) -> Alignment:
-    """Equations (40) to (42) of Umeyama; in the plane, turn and size are one complex number."""
+    """Equations (40) to (42) of Umeyama; in the plane rotation and size are one complex number."""
     before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
     x, y = pairs.moving - before, pairs.fixed - after
     spread = float((x**2).sum())
@@ -201,18 +210,7 @@ def _similarity(pairs: LandmarkPairs) -> Alignment:
         return Alignment("similarity", matrix, after - matrix @ before)
     cosine, sine = (x * y).sum() / spread, (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / spread
     if np.hypot(cosine, sine) * np.sqrt(spread) <= THIN * np.sqrt((y**2).sum()):
-        # No turn is better than another, as where landmarks are mirrored.
-        found = _translation(pairs)
-        return Alignment(found.kind, found.matrix, found.shift, "no similarity fits the landmarks; translation instead")
+        # All rotations fit equally well, for instance if landmarks are mirrored.
+        return replace(_translation(pairs), message="no similarity fits the landmarks; translation instead")
     matrix = np.array([[cosine, -sine], [sine, cosine]])
     return Alignment("similarity", matrix, after - matrix @ before)
-
-
-def _affine(pairs: LandmarkPairs) -> Alignment:
-    before, after = pairs.moving.mean(axis=0), pairs.fixed.mean(axis=0)
-    transposed = np.linalg.lstsq(pairs.moving - before, pairs.fixed - after, rcond=None)[0]
-    found = Alignment("affine", transposed.T, after - transposed.T @ before)
-    if not found.determinant > 0.0:
-        finding = f"the affine map that fits the landmarks best turns the image over (det {found.determinant:.3g})"
-        raise LandmarkError(finding, "mirror the moving image and its landmarks, or correct the landmarks")
-    return found

@@ -1,17 +1,16 @@
-"""Grids of samples: how the columns, rows and slices of an image lie in the coordinates of its landmarks.
+"""Coordinates: the grids of samples of images, and the frame of the flow.
 
 Pictures are grids of size (width, height) whose coordinates are pixels. Volumes are grids of size (columns, rows,
-slices) whose coordinates are those of their file, LPS in millimetres as a rule, by ITK's rule
+slices) in the coordinates of their files, usually LPS in millimetres, by the rule of ITK
 
     place = origin + direction (spacing * index).
 
-The frame: from pixels of the fixed image to the unit disc in which the flow moves points, and back. For volumes it is
-the unit ball, and pixels are units of the volumes' coordinates. The disc contains both images whole, corners and all,
-with a margin. A disc about the landmarks alone would be smaller, but its rim, beyond which nothing moves, would then
-lie within the picture, as a circle at which the deformation is forced to end whatever the landmarks say; and moving one
-landmark at the edge would change what the others do. Images whose landmarks are crowded in a corner pay nothing for the
-larger disc, because distances between points and from the rim enter the Green's function without differences of nearly
-equal numbers.
+The frame maps pixels of the fixed image to the unit disc in which the flow moves points. For volumes it is the unit
+ball, and pixels are units of the coordinates. The disc contains both images with a margin. A disc around the landmarks
+alone would be smaller. But its rim, beyond which nothing moves, would lie within the picture and force the deformation
+to end there; and moving one landmark at the edge would change the effect of the others. The larger disc causes no loss
+of accuracy for landmarks that are crowded in a corner: distances between points and from the rim enter the Green's
+function without differences of nearly equal numbers.
 """
 
 from __future__ import annotations
@@ -29,16 +28,17 @@ from codegen.errors import LandmarkError
 from codegen.registration.pairs import PointArray
 
 COSINES = 1e-3
-"""How far the axes of a grid may be from orthogonal unit vectors, by rounding in files."""
+"""Tolerance of the orthogonality of axes, because of rounding in files."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """`size` counts samples along each axis, columns first; `origin` is the place of the first one.
+    """A grid of samples in the coordinates of landmarks.
 
-    `spacing` is the distance of neighbours along each axis, and the columns of `direction`, a tuple of rows, are the
-    axes' unit vectors. `unit` is what coordinates are counted in. Raises LandmarkError for a grid that has no samples
-    or no extent, and for axes that are not orthogonal to each other.
+    `size` is the number of samples along each axis, columns first, and `origin` the position of the first sample.
+    `spacing` is the distance of neighbours along each axis. The columns of `direction`, a tuple of rows, are the unit
+    vectors of the axes. `unit` is the unit of coordinates. Raises LandmarkError for a grid without samples or extent,
+    and for axes that are not orthogonal.
     """
 
     size: tuple[int, ...]
@@ -48,9 +48,9 @@ class Grid:
     unit: str = "pixels"
 
     def __post_init__(self) -> None:
-        said = " x ".join(map(str, self.size))
         if min(self.size, default=0) < 1:
-            raise LandmarkError(f"the image's size is {said}", "give its extent in pixels along each axis")
+            size = " x ".join(map(str, self.size))
+            raise LandmarkError(f"the image's size is {size}", "give its extent in pixels along each axis")
         if not (np.isfinite(self.origin).all() and np.isfinite(self.spacing).all() and min(self.spacing) > 0.0):
             finding = f"the image's spacing is {self.spacing} and its origin {self.origin}"
             raise LandmarkError(finding, "give positive spacings and a finite origin")
@@ -60,7 +60,7 @@ class Grid:
 
     @classmethod
     def plain(cls, shape: Sequence[int]) -> Grid:
-        """That of a picture of shape (height, width, ...), in pixels."""
+        """Return the grid of a picture of shape (height, width, ...), in pixels."""
         height, width = (int(length) for length in tuple(shape)[:2])
         if height < 1 or width < 1:
             raise LandmarkError(f"the image's shape is {tuple(shape)}", "give its height and width in pixels")
@@ -73,60 +73,60 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of its array of samples: (height, width), or (slices, rows, columns)."""
+        """The shape of the array of samples: (height, width), or (slices, rows, columns)."""
         return self.size[::-1]
 
     @property
     def count(self) -> int:
-        """How many samples it has."""
+        """The number of samples."""
         return int(np.prod(self.size, dtype=object))
 
     @property
     def pixel(self) -> float:
-        """The finest spacing, in units of which errors are judged."""
+        """The finest spacing, the unit of tolerances."""
         return min(self.spacing)
 
     @cached_property
     def matrix(self) -> NDArray[np.float64]:
-        """The derivative of places by indices, shape (d, d)."""
+        """The derivative of positions by indices, shape (d, d)."""
         return np.asarray(np.array(self.direction) * np.array(self.spacing))
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether places are indices."""
+        """True if positions are indices."""
         return bool((self.matrix == np.eye(self.dimension)).all()) and not any(self.origin)
 
     def to_places(self, indices: PointArray) -> PointArray:
-        """Places for indices (column, row, ...), shape (n, d)."""
+        """Convert indices (column, row, ...), shape (n, d), to positions."""
         return indices if self.is_plain else indices @ self.matrix.T + self.origin
 
     def to_indices(self, places: PointArray) -> PointArray:
-        """Indices (column, row, ...), which are no whole numbers as a rule, for places, shape (n, d)."""
+        """Convert positions, shape (n, d), to indices (column, row, ...), which need not be integers."""
         return places if self.is_plain else (places - self.origin) @ np.linalg.inv(self.matrix).T
 
     def said(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A place, shape (d,), as people are told it: of a picture that is counted in pixels, in pixels."""
+        """Convert a position, shape (d,), to the coordinates of messages: pixels for pictures."""
         in_pixels = self.dimension == 2 and self.unit == "pixels"
         return self.to_indices(place[None])[0] if in_pixels else place
 
     def contains(self, places: PointArray, slack: float = 0.0) -> NDArray[np.bool_]:
-        """Which places lie in a sample, or at most `slack` samples beyond the outermost, shape (n,)."""
+        """Mark positions in a sample, or at most `slack` samples beyond the outermost ones, shape (n,)."""
         indices = self.to_indices(places)
         low, high = -0.5 - slack, np.array(self.size) - 0.5 + slack
         return np.asarray(((indices >= low) & (indices <= high)).all(axis=1))
 
     def corners(self) -> PointArray:
-        """The places of the outer corners, half a sample beyond the samples' centres."""
+        """Return the outer corners, half a sample beyond the centres of samples."""
         ends = [(-0.5, length - 0.5) for length in self.size[::-1]]
         return self.to_places(np.array([corner[::-1] for corner in product(*ends)]))
 
     def coarse(self, count: int) -> PointArray:
-        """`count` places along each axis, from edge to edge, columns fastest."""
+        """Return a grid of `count` positions along each axis, from edge to edge, columns fastest."""
         lines = [np.linspace(-0.5, length - 0.5, count) for length in self.size]
         return self.to_places(mesh(lines))
 
     def samples(self, most: int) -> PointArray:
-        """The places of at most so many samples along each axis, the first and the last among them."""
+        """Return the positions of at most `most` samples along each axis, including the first and the last."""
         lines = [np.unique(np.linspace(0, length - 1, min(most, length)).round()) for length in self.size]
         return self.to_places(mesh(lines))
 
@@ -136,37 +136,37 @@ Extent: TypeAlias = Sequence[int] | Grid
 
 
 def grid_of(extent: Extent) -> Grid:
-    """The grid of an extent; LandmarkError where a shape has no extent."""
+    """Return the grid of an extent; LandmarkError for a shape without pixels."""
     return extent if isinstance(extent, Grid) else Grid.plain(extent)
 
 
 def mesh(lines: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """All points whose coordinates, the first one changing fastest, are on lines; shape (n, d)."""
+    """Return all combinations of the coordinates on lines, the first one changing fastest, shape (n, d)."""
     axes = np.meshgrid(*lines[::-1], indexing="ij")[::-1]
     return np.stack([axis.ravel() for axis in axes], axis=1)
 
 
 def slabs(length: int, thickness: int) -> Iterator[slice]:
-    """Slices of so many samples at most, one after the other."""
+    """Yield successive slices of at most `thickness` samples."""
     for begin in range(0, length, thickness):
         yield slice(begin, min(begin + thickness, length))
 
 
 def short(unit: str) -> str:
-    """A unit as tables have it."""
+    """Return the abbreviation of a unit."""
     return "px" if unit == "pixels" else unit
 
 
 def place_text(place: NDArray[np.float64], digits: int = 1) -> str:
-    """A point in words, rounded."""
+    """Format a point, rounded."""
     return f"({', '.join(f'{x:.{digits}f}' for x in place)})"
 
 
 MARGINS = {2: 0.25, 3: 1.0}
-"""How much the radius exceeds the farthest corner's distance, as a fraction, by dimension.
+"""The margin of the disc, relative to the distance of the farthest corner, by dimension.
 
-In space, where the Green's function falls off more slowly, errors between 40 or 150 landmarks of smooth maps were a
-tenth to a quarter larger with 0.25, and with 1 about those of thin plates.
+In space the Green's function decays more slowly. Errors between 40 or 150 landmarks of smooth maps were 10 to 25 %
+larger with 0.25; with 1 they were about those of thin plates.
 """
 
 
@@ -179,23 +179,22 @@ class Frame:
 
     @property
     def scale(self) -> float:
-        """Units of the disc to a pixel."""
+        """Units of the disc per pixel."""
         return 1.0 / self.radius
 
     def to_disc(self, points: PointArray) -> PointArray:
-        """Points of the disc for points in pixels, shape (n, d)."""
+        """Convert points in pixels, shape (n, d), to points of the disc."""
         return (points - self.centre) / self.radius
 
     def to_pixels(self, points: PointArray) -> PointArray:
-        """Points in pixels for points of the disc, shape (n, d)."""
+        """Convert points of the disc, shape (n, d), to pixels."""
         return points * self.radius + self.centre
 
     @classmethod
     def around(cls, points: PointArray, margin: float = MARGINS[2]) -> Frame:
-        """The frame whose disc contains points, shape (n, d), and in which they are at most at 1/(1 + margin).
+        """Return the frame in which points, shape (n, d), are within the radius 1/(1 + margin).
 
-        Its centre is that of the points' bounding box. LandmarkError when the margin is not positive, or when all the
-        points are one.
+        Its centre is that of the bounding box. LandmarkError if the margin is not positive, or if all points coincide.
         """
         if not 0.0 < margin < np.inf:
             raise LandmarkError(f"the margin is {margin!r}", "give a positive number")
@@ -208,12 +207,12 @@ class Frame:
 
 
 def corners(extent: Extent) -> PointArray:
-    """The outer corners of an image of shape (height, width, ...) or of a grid, half a pixel beyond pixels' centres."""
+    """Return the outer corners of an image, half a pixel beyond the centres of pixels."""
     return grid_of(extent).corners()
 
 
 def pixel_grid(shape: Sequence[int]) -> PointArray:
-    """The centres of all pixels of an image of shape (height, width, ...), row by row, shape (height * width, 2)."""
+    """Return all pixels of an image of shape (height, width, ...), row by row, shape (height * width, 2)."""
     height, width = shape[:2]
     grid = np.empty((height, width, 2))
     grid[..., 0] = np.arange(width)
@@ -222,5 +221,5 @@ def pixel_grid(shape: Sequence[int]) -> PointArray:
 
 
 def coarse_grid(extent: Extent, count: int = 17) -> PointArray:
-    """`count` points along each axis of an image of shape (height, width, ...) or of a grid, from edge to edge."""
+    """Return `count` points along each axis of an image, from edge to edge."""
     return grid_of(extent).coarse(count)

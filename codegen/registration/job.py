@@ -1,11 +1,8 @@
-"""One registration from files to files: images and landmarks in; warped image, field, report and a record out.
+"""Registration of one pair from files to files: images and landmarks in; warped image, field, report and record out.
 
-Whatever could be wrong with the input is found before anything is solved, and the warped image is written last, so that
-where it stands everything stands. A map that folds, or that misses its round trip, writes no image.
-
-One registration of volumes from files to files: volumes and landmarks in; warped volume, field, report, record out. As
-with pictures, whatever could be wrong with the input is found before anything is solved, and the warped volume is
-written last. A map that folds, or that misses its round trip, writes no volume.
+Pictures and volumes follow the same steps. All input is checked before anything is solved. The warped image is written
+last, so that its presence means that all outputs are complete. A map that folds, or whose round trip is inaccurate,
+writes no image.
 """
 
 from __future__ import annotations
@@ -15,81 +12,238 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from codegen.errors import ArgumentError, LandmarkError, PointsError, RegistrationError
-from codegen.registration import fields
-from codegen.registration.certificate import Certificate, certificate_of, in_provable_steps
+from codegen.registration import volumes
+from codegen.registration.alignment import Kind
+from codegen.registration.certificate import certificate_of, in_provable_steps
 from codegen.registration.formats import read_landmarks
 from codegen.registration.formats.base import Frames
 from codegen.registration.grid import Extent, Grid, place_text
-from codegen.registration.images import Image, Limits, read_image, require_fitting, require_kind, write_image
-from codegen.registration.images.spacing import Spacing
-from codegen.registration.jobs import LARGE, MOST_LEFT_OUT, Job, Options, Outcome, Result, out_of_place
-from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
+from codegen.registration.images import read_image, require_fitting, require_kind, write_image
 from codegen.registration.linear import chosen_alignment
-from codegen.registration.maps import Registration
+from codegen.registration.maps import in_pixels, in_squares, square_grid
 from codegen.registration.matching import Matching
-from codegen.registration.noise import Outliers, estimate_sigma, outliers_of
-from codegen.registration.pair_report import RESIDUALS, write_page, write_report
-from codegen.registration.pairs import LandmarkPairs, PointArray, flipped
-from codegen.registration.pixels import in_pixels, in_squares, square_grid
-from codegen.registration.register import register
-from codegen.registration.solver import registration_module
-from codegen.registration.volumes import files, pictures
-from codegen.registration.volumes.files import Volume, is_volume
-from codegen.registration.volumes.warp import Nodes, VolumeResult, warped
-from codegen.registration.warp import Positions, sources, warp_reported
+from codegen.registration.noise import Loss, estimate_sigma, outliers_of
+from codegen.registration.pair_report import RESIDUALS, Outcome, Result, write_page, write_report
+from codegen.registration.pairs import LandmarkPairs, flipped
+from codegen.registration.register import MOST_LEFT_OUT, leave_one_out, register
+from codegen.registration.solver import DEFAULT_SCHEME, registration_module
+from codegen.registration.volume_pictures import VolumeResult, volume_pictures
+from codegen.registration.volumes import Nodes, is_volume, read_volume, warped
+from codegen.registration.warp import (
+    FIELD_KINDS,
+    Interpolation,
+    Positions,
+    displacements,
+    read_with,
+    sources,
+    warp_reported,
+    write_field,
+    written_with,
+)
 from codegen.solving.results import output
 
+LARGE = 1 << 22
+"""Pixels of an image above which positions are interpolated from a coarse grid by default."""
 
-def run(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> Outcome:
-    """Do a job; CodegenError for wrong input, and an outcome that has not passed where the numerics failed."""
-    if is_volume(job.moving):
-        return run_volumes(job, job.own(options), progress)
-    return run_pictures(job, job.own(options), progress=progress)
-
-
-def dimension_of(job: Job) -> int:
-    """3 for volumes, 2 for pictures and for what cannot be read."""
-    return 3 if is_volume(job.moving) else 2
+Progress = Callable[[str], None]
+R = TypeVar("R", bound=Outcome)
 
 
-def run_pictures(
-    job: Job, options: Options, limits: Limits | None = None, progress: Callable[[str], None] | None = None
-) -> Result:
-    """Do a job; CodegenError for wrong input, and a result that has not passed where the numerics failed.
+@dataclass(frozen=True)
+class Options:
+    """Options of the registration and the warp of pairs.
 
-    `progress` is told a line after each solve, where there are several.
+    `sigma` is in pixels. `coarse` interpolates positions from a coarse grid; None: for more than `LARGE` pixels. `flip`
+    mirrors the moving image left to right first. The other options are arguments of `register` and `warp`.
     """
+
+    inverse: bool = False
+    sigma: float | Literal["auto"] = 0.0
+    align: Kind = "auto"
+    scheme: str = DEFAULT_SCHEME
+    steps: int | None = None
+    interpolation: Interpolation = "linear"
+    coarse: bool | None = None
+    loss: Loss = "linear"
+    flip: bool = False
+
+
+@dataclass(frozen=True)
+class Job:
+    """The input and output files of one pair.
+
+    `landmarks` is one file, or a moving and a fixed one. `interpolation` is that of this pair, for instance for labels
+    among other images; None: that of the options.
+    """
+
+    moving: Path
+    landmarks: tuple[Path, ...]
+    out: Path
+    fixed: Path | None = None
+    field: Path | None = None
+    report: Path | None = None
+    interpolation: Interpolation | None = None
+
+    @property
+    def read(self) -> tuple[Path, ...]:
+        """All input files."""
+        fixed = [self.fixed] if self.fixed is not None else []
+        samples = [file for path in (self.moving, *fixed) if (file := read_with(path)) is not None]
+        return (self.moving, *self.landmarks, *fixed, *samples)
+
+    @property
+    def written(self) -> tuple[Path, ...]:
+        """All output files, the image last."""
+        files = tuple(path for path in (self.field, self.report, self.out) if path is not None)
+        return (*(samples for path in files if (samples := written_with(path)) is not None), *files)
+
+    def absolute(self) -> Job:
+        """Replace all names by absolute ones, which are unique and valid in any process."""
+
+        def absolute(path: Path) -> Path:
+            return path.parent.resolve() / path.name  # a link is a file of its own
+
+        fixed, field, report = (path and absolute(path) for path in (self.fixed, self.field, self.report))
+        moving, landmarks, out = absolute(self.moving), tuple(map(absolute, self.landmarks)), absolute(self.out)
+        return replace(self, moving=moving, landmarks=landmarks, out=out, fixed=fixed, field=field, report=report)
+
+
+def run(job: Job, options: Options, progress: Progress | None = None) -> Outcome:
+    """Register one pair of pictures or volumes.
+
+    `progress` receives a line after each solve if there are several. Raises CodegenError for wrong input; after a
+    failure of the numerics the outcome has not `passed`.
+    """
+    return (run_volumes if is_volume(job.moving) else run_pictures)(job, options, progress)
+
+
+def run_pictures(job: Job, options: Options, progress: Progress | None = None) -> Result:
+    """Register one pair of pictures, as `run`."""
+    if job.interpolation is not None:
+        options = replace(options, interpolation=job.interpolation)
     seconds: dict[str, float] = {}
-    require_writable(job, options)
-    with timed(seconds, "read"):
-        moving, fixed, pairs = _read(job, options, limits)
-    with timed(seconds, "build"):
+    require_kind(job.out)
+    if job.field is not None and not job.field.name.endswith(FIELD_KINDS):
+        raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(FIELD_KINDS)}")
+    _require_outputs(job, options)
+    with _timed(seconds, "read"):
+        moving = read_image(job.moving)
+        fixed = read_image(job.fixed) if job.fixed is not None else None
+        names = job.moving.name, job.fixed.name if job.fixed is not None else ""
+        frames = Frames(moving.shape, (fixed or moving).shape, *names)
+        pairs = read_landmarks(*job.landmarks, frames=frames)
+        if options.flip:
+            moving = replace(moving, pixels=np.ascontiguousarray(moving.pixels[:, ::-1]))
+            pairs = flipped(pairs, moving.shape[1])
+        source = fixed if options.inverse and fixed is not None else moving
+        require_fitting(job.out, source.pixels)
+    with _timed(seconds, "build"):
         registration_module(options.scheme)
-    result = _solved(job, options, moving, fixed, pairs, seconds, progress)
+    record = _record(job, options, len(pairs), seconds)
+    target, summary = fixed or moving, record["summary"]
+    grids = square_grid(moving.shape, moving.spacing), square_grid(target.shape, target.spacing)
+    result = Result(record=record, pairs=pairs, moving=moving, fixed=fixed)
+    result, positions = _registered(job, options, result, in_squares(pairs, *grids), *grids, progress)
+    registration, certificate, left_out = result.registration, result.certificate, result.left_out
+    if registration is not None and certificate is not None:
+        if target.spacing is not None:
+            residuals = target.spacing.lengths(registration.misses)
+            lengths = {
+                "length_unit": target.spacing.unit, "pixel_lengths": [target.spacing.x, target.spacing.y],
+                "residual_lengths": residuals.tolist(),
+                "deviation_length": float(np.sqrt((residuals**2).mean() / 2.0)),
+            }  # fmt: skip
+            if left_out is not None:
+                lengths["leave_one_out_lengths"] = target.spacing.lengths(left_out.misses).tolist()
+            summary |= _strict(lengths)
+        if certificate.passed:
+            with _timed(seconds, "warp"):
+                if options.coarse or positions is None:
+                    shape = registration.shape if options.inverse else registration.fixed_shape
+                    coarse = math.prod(shape) > LARGE if options.coarse is None else options.coarse
+                    positions = sources(registration, shape, options.inverse, "auto" if coarse else None)
+                pixels, report = warp_reported(
+                    source.pixels, registration, interpolation=options.interpolation, inverse=options.inverse,
+                    positions=positions,
+                )  # fmt: skip
+            summary |= {"spacing": report.spacing, "spacing_bound": report.bound, "outside": report.outside}
+            result = replace(result, warped=pixels)
     if job.report is not None:
-        with timed(seconds, "report"):
+        with _timed(seconds, "report"):
             write_report(job.report, result)
     if result.passed:
-        with timed(seconds, "write"):
-            _write(job, options, result)
+        with _timed(seconds, "write"):
+            if job.field is not None and positions is not None:
+                # The field of the image: from each of its pixels to the position of its value.
+                write_field(job.field, displacements(positions), _field_direction(options))
+            write_image(job.out, result.warped, source.profile)
     return result
 
 
-def require_writable(job: Job, options: Options) -> None:
-    """Refuse outputs of unknown kinds, in folders that are not there, or in place of an input."""
-    require_kind(job.out)
-    if job.field is not None and not job.field.name.endswith(fields.KINDS):
-        raise ArgumentError(f"--field {job.field}: unknown kind of file", f"let it end in {', '.join(fields.KINDS)}")
-    require_places(job, options)
+NOTE = (
+    f"Places and errors are in the coordinates of the files, LPS as a rule, x to the left of the patient. {RESIDUALS}"
+)
 
 
-def require_places(job: Job, options: Options) -> None:
-    """Refuse outputs in folders that are not there, or in place of an input, whatever they hold."""
+def run_volumes(job: Job, options: Options, progress: Progress | None = None) -> VolumeResult:
+    """Register one pair of volumes, as `run`."""
+    if job.interpolation is not None:
+        options = replace(options, interpolation=job.interpolation)
+    seconds: dict[str, float] = {}
+    if options.flip:
+        raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
+    volumes.require_written(job.out)
+    if job.field is not None:
+        volumes.require_field(job.field)
+    _require_outputs(job, options)
+    with _timed(seconds, "read"):
+        moving = read_volume(job.moving)
+        fixed = read_volume(job.fixed) if job.fixed is not None else None
+        grids = moving.grid, (fixed or moving).grid
+        if grids[0].unit != grids[1].unit:
+            finding = f"{job.moving} is in {grids[0].unit} and {job.fixed} in {grids[1].unit}"
+            raise ArgumentError(finding, "give volumes in the same unit")
+        pairs = read_landmarks(*job.landmarks, frames=Frames(grids=grids))
+        _require_inside(job, pairs, grids)
+        volumes.require_written(job.out, (fixed if options.inverse and fixed else moving).samples.dtype)
+    with _timed(seconds, "build"):
+        registration_module(options.scheme, 3)
+    record = _record(job, options, len(pairs), seconds)
+    result = VolumeResult(record=record, pairs=pairs, moving=moving, fixed=fixed, inverse=options.inverse)
+    result, _ = _registered(job, options, result, pairs, *grids, progress)
+    registration, certificate = result.registration, result.certificate
+    if registration is not None and certificate is not None and certificate.passed:
+        with _timed(seconds, "warp"):
+            inverse = options.inverse
+            function = registration.map_points if inverse else registration.map_points_inverse
+            landmarks = registration.pairs.moving if inverse else registration.pairs.fixed
+            nodes = Nodes.of(function, registration.grid if inverse else registration.fixed_grid, landmarks)
+            made = warped(result.source, nodes, options.interpolation, job.field is not None)
+            record["summary"] |= {
+                "spacing": list(nodes.steps), "spacing_bound": nodes.bound, "exact": nodes.exact,
+                "outside": made.outside,
+            }  # fmt: skip
+            result = replace(result, warped=made)
+    if job.report is not None:
+        with _timed(seconds, "report"):
+            write_page(job.report, result, volume_pictures(result), NOTE)
+    if result.passed and result.warped is not None:
+        with _timed(seconds, "write"):
+            grid = grids[0] if options.inverse else grids[1]
+            if job.field is not None and result.warped.field is not None:
+                volumes.write_field(job.field, result.warped.field, grid, _field_direction(options))
+            volumes.write_volume(job.out, result.warped.samples, grid)
+    return result
+
+
+def _require_outputs(job: Job, options: Options) -> None:
+    """Refuse outputs in missing folders, outputs that would replace an input, and outputs of the same name."""
     output.require_folder(job.out.absolute().parent, "--out")
     if job.field is not None:
         output.require_folder(job.field.absolute().parent, "--field")
@@ -107,113 +261,27 @@ def require_places(job: Job, options: Options) -> None:
         raise ArgumentError("--inverse brings the fixed image into the frame of the moving one", "give it with --fixed")
 
 
-def _read(job: Job, options: Options, limits: Limits | None) -> tuple[Image, Image | None, LandmarkPairs]:
-    moving = read_image(job.moving, limits)
-    fixed = read_image(job.fixed, limits) if job.fixed is not None else None
-    frames = Frames(
-        moving.shape, fixed.shape if fixed is not None else moving.shape, job.moving.name,
-        job.fixed.name if job.fixed is not None else "",
-    )  # fmt: skip
-    pairs = read_landmarks(*job.landmarks, frames=frames)
-    if options.flip:
-        moving = replace(moving, pixels=np.ascontiguousarray(moving.pixels[:, ::-1]))
-        pairs = flipped(pairs, moving.shape[1])
-    require_fitting(job.out, (fixed if options.inverse and fixed is not None else moving).pixels)
-    return moving, fixed, pairs
+def _require_inside(job: Job, pairs: LandmarkPairs, grids: tuple[Grid, Grid]) -> None:
+    """Refuse landmarks outside their volume; the remedy is the most likely cause."""
+    for side, grid, points in zip(("moving", "fixed"), grids, (pairs.moving, pairs.fixed), strict=True):
+        outside = np.flatnonzero(~grid.contains(points, slack=0.5))
+        if not outside.size:
+            continue
+        if grid.contains(points * [-1.0, -1.0, 1.0], slack=0.5).all():
+            remedy = "turn the signs of x and y: they are RAS, and LPS is expected"
+        elif grid.contains(grid.to_places(points), slack=0.5).all():
+            remedy = "they look like indices of voxels: give coordinates in LPS"
+        elif grid.unit != "mm":
+            remedy = "give column, row and slice times the spacing"
+        else:
+            remedy = "give coordinates in LPS, as the volume's header has them"
+        first, others = outside[0], f" and {len(outside) - 1} others" if len(outside) > 1 else ""
+        finding = f"{side} landmark {pairs.names[first]} at {place_text(points[first])}{others} lies outside"
+        raise PointsError(f"{job.landmarks[0]}: {finding} the {side} volume", remedy)
 
 
-def _solved(
-    job: Job, options: Options, moving: Image, fixed: Image | None, pairs: LandmarkPairs, seconds: dict[str, float],
-    progress: Callable[[str], None] | None = None,
-) -> Result:  # fmt: skip
-    """Register, certify and warp; a result without an image where that fails."""
-    record = heading(job, options, len(pairs), seconds)
-    result = Result(record=record, pairs=pairs, moving=moving, fixed=fixed)
-    other = fixed or moving
-    grids = square_grid(moving.shape, moving.spacing), square_grid(other.shape, other.spacing)
-    solved = solve(job, options, in_squares(pairs, *grids), *grids, record, progress)
-    if solved is None:
-        return result
-    found, positions, summary, warped = solved.registration, solved.positions, record["summary"], None
-    summary |= _lengths(other.spacing, found, solved.left_out)
-    if solved.certificate.passed:
-        with timed(seconds, "warp"):
-            if options.coarse or positions is None:
-                frame = found.shape if options.inverse else found.fixed_shape
-                coarse = math.prod(frame) > LARGE if options.coarse is None else options.coarse
-                positions = sources(found, frame, options.inverse, "auto" if coarse else None)
-            source = fixed if options.inverse and fixed is not None else moving
-            warped, how = warp_reported(
-                source.pixels, found, interpolation=options.interpolation, inverse=options.inverse,
-                positions=positions,
-            )  # fmt: skip
-        summary |= {"spacing": how.spacing, "spacing_bound": how.bound, "outside": how.outside}
-    return replace(
-        result, registration=found, certificate=solved.certificate, left_out=solved.left_out, warped=warped,
-        outliers=solved.outliers, positions=positions,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A map that was found, and what is known of it; where pixels come from if all had to be evaluated."""
-
-    registration: Registration
-    certificate: Certificate
-    positions: Positions | None
-    left_out: LeaveOneOut | None
-    outliers: Outliers
-
-
-def solve(
-    job: Job, options: Options, pairs: LandmarkPairs, shape: Extent, fixed_shape: Extent, record: dict[str, Any],
-    progress: Callable[[str], None] | None = None,
-) -> Solved | None:  # fmt: skip
-    """Register pictures or volumes and certify the map, and say so in the record; None where no map is found."""
-    seconds, summary = record["seconds"], record["summary"]
-    method: dict[str, Any] = {"fixed_shape": fixed_shape, "align": options.align, "scheme": options.scheme}
-    try:
-        with timed(seconds, "solve"):
-            if options.align == "auto":
-                choice = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=options.scheme)
-                method["align"], summary["alignment_choice"] = choice.kind, choice.text
-            sigma = options.sigma
-            if sigma == "auto":
-                estimate = estimate_sigma(pairs, shape, **method)
-                sigma, summary["sigma_message"] = estimate.sigma, estimate.message
-            method |= {"steps": options.steps, "loss": options.loss}
-            outliers = outliers_of(Matching.of(pairs, shape, fixed_shape=fixed_shape, align=method["align"]))
-            found = register(pairs, shape, **method, sigma=sigma, progress=progress)
-        with timed(seconds, "certify"):
-            found = in_pixels(found)
-            if pairs.dimension == 3 and options.steps is None:
-                found = in_provable_steps(found)
-            certificate, positions = certificate_of(found, inverse=options.inverse)
-        with timed(seconds, "leave one out"):
-            left_out = _left_out(found, shape, method)
-    except RegistrationError as error:
-        record |= {"status": "not converged", "message": str(error)}
-        return None
-    except LandmarkError as error:
-        raise PointsError(f"{job.landmarks[0]}: {error.finding}", error.remedy) from error
-    solved = Solved(found, certificate, positions, left_out, outliers)
-    findings = _findings(found, certificate, left_out)
-    summary |= findings.pop("summary") | {"sigma_chosen": options.sigma == "auto"}
-    named = out_of_place(outliers, left_out)
-    summary["outliers"] = [pairs.names[k] for k in named]
-    record |= findings
-    return solved
-
-
-def _left_out(found: Registration, shape: Extent, method: dict[str, Any]) -> LeaveOneOut | None:
-    """Errors of landmarks that are left out in turn; None where there are too few or too many."""
-    if not 2 <= len(found.pairs) <= MOST_LEFT_OUT:
-        return None
-    return leave_one_out(found.matching.pairs, shape, start=found, sigma=found.sigma, **method)
-
-
-def heading(job: Job, options: Options, count: int, seconds: dict[str, float]) -> dict[str, Any]:
-    """A record before anything is solved."""
+def _record(job: Job, options: Options, count: int, seconds: dict[str, float]) -> dict[str, Any]:
+    """The record before the solve."""
     direction = "fixed to moving" if options.inverse else "moving to fixed"
     return {
         "problem": "image_registration", "task": "warp", "direction": direction, "moving": str(job.moving),
@@ -224,43 +292,75 @@ def heading(job: Job, options: Options, count: int, seconds: dict[str, float]) -
     }  # fmt: skip
 
 
-def _findings(found: Registration, certificate: Certificate, left_out: LeaveOneOut | None) -> dict[str, Any]:
-    """What the record says of a map; distances in pixels, or in the unit of volumes."""
+def _field_direction(options: Options) -> str:
+    """The direction of the displacement field, which is opposite to that of the image."""
+    return "moving to fixed" if options.inverse else "fixed to moving"
+
+
+def _registered(
+    job: Job, options: Options, result: R, pairs: LandmarkPairs, shape: Extent, fixed_shape: Extent,
+    progress: Progress | None,
+) -> tuple[R, Positions | None]:  # fmt: skip
+    """Register and certify pictures or volumes, and complete the record; without a map the result stays as it is.
+
+    The second value has the positions of all pixels if the certificate needed them.
+    """
+    record, seconds, summary = result.record, result.record["seconds"], result.record["summary"]
+    method: dict[str, Any] = {"fixed_shape": fixed_shape, "align": options.align, "scheme": options.scheme}
+    try:
+        with _timed(seconds, "solve"):
+            if options.align == "auto":
+                choice = chosen_alignment(pairs, shape, fixed_shape=fixed_shape, scheme=options.scheme)
+                method["align"], summary["alignment_choice"] = choice.kind, choice.text
+            sigma = options.sigma
+            if sigma == "auto":
+                estimate = estimate_sigma(pairs, shape, **method)
+                sigma, summary["sigma_message"] = estimate.sigma, estimate.message
+            method |= {"steps": options.steps, "loss": options.loss}
+            outliers = outliers_of(Matching.of(pairs, shape, fixed_shape=fixed_shape, align=method["align"]))
+            registration = register(pairs, shape, **method, sigma=sigma, progress=progress)
+        with _timed(seconds, "certify"):
+            registration = in_pixels(registration)
+            if pairs.dimension == 3 and options.steps is None:
+                registration = in_provable_steps(registration)
+            certificate, positions = certificate_of(registration, inverse=options.inverse)
+        with _timed(seconds, "leave one out"):
+            left_out = None
+            if 2 <= len(pairs) <= MOST_LEFT_OUT:
+                known = registration.matching.pairs
+                left_out = leave_one_out(known, shape, start=registration, sigma=registration.sigma, **method)
+    except RegistrationError as error:
+        record |= {"status": "not converged", "message": str(error)}
+        return result, None
+    except LandmarkError as error:
+        raise PointsError(f"{job.landmarks[0]}: {error.finding}", error.remedy) from error
+    result = replace(result, registration=registration, certificate=certificate, left_out=left_out, outliers=outliers)
     status = "solved" if certificate.passed else "folded" if certificate.folded else "inaccurate"
-    summary: dict[str, Any] = {
-        "landmarks": len(found.pairs), "names": list(found.pairs.names), "residuals": found.residuals.tolist(),
+    record |= {
+        "align": registration.alignment.kind, "sigma": registration.sigma, "steps": registration.steps,
+        "status": status, "message": certificate.message, "residual": _strict(certificate.residual_max),
+    }  # fmt: skip
+    residuals = registration.residuals
+    findings: dict[str, Any] = {
+        "landmarks": len(pairs), "names": list(registration.pairs.names), "residuals": residuals.tolist(),
         "det_min": certificate.det_min, "det_max": certificate.det_max, "det_min_at": certificate.det_min_at,
         "folded": certificate.folded, "first_fold": certificate.first_fold, "round_trip": certificate.round_trip,
-        "proved": certificate.proved,
-        "scheme_error": found.error, "alignment": found.alignment.kind, "rung": found.rung,
-        "deviation": float(np.sqrt((found.residuals**2).mean() / found.dimension)), "strength": found.matching.strength,
-        "solves": found.solves, "unit": found.matching.unit,
+        "proved": certificate.proved, "scheme_error": registration.error, "alignment": registration.alignment.kind,
+        "rung": registration.rung, "deviation": float(np.sqrt((residuals**2).mean() / registration.dimension)),
+        "strength": registration.matching.strength, "solves": registration.solves, "unit": registration.matching.unit,
     }  # fmt: skip
     if left_out is not None:
-        summary["leave_one_out"] = left_out.errors.tolist()
-    summary = {name: _strict(value) for name, value in summary.items()}
-    return {
-        "align": found.alignment.kind, "sigma": found.sigma, "steps": found.steps, "status": status,
-        "message": certificate.message, "residual": _strict(certificate.residual_max), "summary": summary,
-    }  # fmt: skip
-
-
-def _lengths(spacing: Spacing | None, found: Registration, left_out: LeaveOneOut | None) -> dict[str, Any]:
-    """Residuals and errors of landmarks that are left out in the unit that the fixed picture carries, if it does."""
-    if spacing is None:
-        return {}
-    residuals = spacing.lengths(found.misses)
-    lengths = {
-        "length_unit": spacing.unit, "pixel_lengths": [spacing.x, spacing.y], "residual_lengths": residuals.tolist(),
-        "deviation_length": float(np.sqrt((residuals**2).mean() / 2.0)),
-    }  # fmt: skip
-    if left_out is not None:
-        lengths["leave_one_out_lengths"] = spacing.lengths(left_out.misses).tolist()
-    return {name: _strict(value) for name, value in lengths.items()}
+        findings["leave_one_out"] = left_out.errors.tolist()
+    summary |= _strict(findings)
+    summary["sigma_chosen"] = options.sigma == "auto"
+    summary["outliers"] = [pairs.names[k] for k in result.out_of_place]
+    return result, positions
 
 
 def _strict(value: Any) -> Any:
-    """The value for strict JSON: no NaN and no infinity."""
+    """Convert a value for strict JSON: NaN and infinity become None."""
+    if isinstance(value, dict):
+        return {name: _strict(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_strict(entry) for entry in value]
     if isinstance(value, float | np.floating):
@@ -268,115 +368,11 @@ def _strict(value: Any) -> Any:
     return value
 
 
-def _write(job: Job, options: Options, result: Result) -> None:
-    if job.field is not None and result.positions is not None:
-        # The field that makes the image: from each of its pixels to where its value comes from.
-        direction = "moving to fixed" if options.inverse else "fixed to moving"
-        fields.write_field(job.field, fields.displacements(result.positions), direction)
-    source = result.fixed if options.inverse and result.fixed is not None else result.moving
-    write_image(job.out, result.warped, source.profile)
-
-
 @contextmanager
-def timed(seconds: dict[str, float], name: str) -> Iterator[None]:
-    """Note how long the block takes."""
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Record the time of the block."""
     begin = time.perf_counter()
     try:
         yield
     finally:
         seconds[name] = round(time.perf_counter() - begin, 6)
-
-
-NOTE = (
-    f"Places and errors are in the coordinates of the files, LPS as a rule, x to the left of the patient. {RESIDUALS}"
-)
-
-
-def run_volumes(job: Job, options: Options, progress: Callable[[str], None] | None = None) -> VolumeResult:
-    """Do a job; CodegenError for wrong input, and a result that has not passed where the numerics failed."""
-    seconds: dict[str, float] = {}
-    if options.flip:
-        raise ArgumentError("--flip mirrors pictures", "mirror the volume and its landmarks where they were made")
-    files.require_written(job.out)
-    if job.field is not None:
-        files.require_field(job.field)
-    require_places(job, options)
-    with timed(seconds, "read"):
-        moving, fixed, pairs = _read_volumes(job)
-        files.require_written(job.out, (fixed if options.inverse and fixed else moving).samples.dtype)
-    with timed(seconds, "build"):
-        registration_module(options.scheme, 3)
-    record = heading(job, options, len(pairs), seconds)
-    result = VolumeResult(record=record, pairs=pairs, moving=moving, fixed=fixed, inverse=options.inverse)
-    solved = solve(job, options, pairs, moving.grid, (fixed or moving).grid, record, progress)
-    if solved is not None:
-        result = replace(
-            result, registration=solved.registration, certificate=solved.certificate, left_out=solved.left_out,
-            outliers=solved.outliers,
-        )  # fmt: skip
-        if solved.certificate.passed:
-            with timed(seconds, "warp"):
-                result = _warped_volume(result, options, job.field is not None)
-    if job.report is not None:
-        with timed(seconds, "report"):
-            write_page(job.report, result, pictures.of(result), NOTE)
-    if result.passed:
-        with timed(seconds, "write"):
-            _write_volume(job, result)
-    return result
-
-
-def _read_volumes(job: Job) -> tuple[Volume, Volume | None, LandmarkPairs]:
-    moving = files.read_volume(job.moving)
-    fixed = files.read_volume(job.fixed) if job.fixed is not None else None
-    other = (fixed or moving).grid
-    if moving.grid.unit != other.unit:
-        finding = f"{job.moving} is in {moving.grid.unit} and {job.fixed} in {other.unit}"
-        raise ArgumentError(finding, "give volumes in the same unit")
-    pairs = read_landmarks(*job.landmarks, frames=Frames(grids=(moving.grid, other)))
-    for what, grid, points in (("moving", moving.grid, pairs.moving), ("fixed", other, pairs.fixed)):
-        _require_inside(str(job.landmarks[0]), what, grid, points, pairs.names)
-    return moving, fixed, pairs
-
-
-def _require_inside(file: str, what: str, grid: Grid, points: PointArray, names: tuple[str, ...]) -> None:
-    """Refuse landmarks outside their volume, with a guess at what is wrong with them."""
-    outside = np.flatnonzero(~grid.contains(points, slack=0.5))
-    if not outside.size:
-        return
-    remedy = "give coordinates in LPS, as the volume's header has them"
-    if grid.unit != "mm":
-        remedy = "give column, row and slice times the spacing"
-    if grid.contains(points * [-1.0, -1.0, 1.0], slack=0.5).all():
-        remedy = "turn the signs of x and y: they are RAS, and LPS is expected"
-    elif grid.contains(grid.to_places(points), slack=0.5).all():
-        remedy = "they look like indices of voxels: give coordinates in LPS"
-    number, place = len(outside), place_text(points[outside[0]])
-    others = f" and {number - 1} others" if number > 1 else ""
-    raise PointsError(
-        f"{file}: {what} landmark {names[outside[0]]} at {place}{others} lies outside the {what} volume", remedy
-    )
-
-
-def _warped_volume(result: VolumeResult, options: Options, with_field: bool) -> VolumeResult:
-    """The same with the source in the frame of the other volume."""
-    found, inverse, summary = result.registration, options.inverse, result.record["summary"]
-    assert found is not None
-    function = found.map_points if inverse else found.map_points_inverse
-    singular = found.pairs.moving if inverse else found.pairs.fixed
-    nodes = Nodes.of(function, found.grid if inverse else found.fixed_grid, singular)
-    made = warped(result.source, nodes, options.interpolation, with_field)
-    summary |= {
-        "spacing": list(nodes.steps), "spacing_bound": nodes.bound, "exact": nodes.exact, "outside": made.outside,
-    }  # fmt: skip
-    return replace(result, warped=made)
-
-
-def _write_volume(job: Job, result: VolumeResult) -> None:
-    assert result.warped is not None
-    assert result.registration is not None
-    grid = result.registration.grid if result.inverse else result.registration.fixed_grid
-    if job.field is not None and result.warped.field is not None:
-        direction = "moving to fixed" if result.inverse else "fixed to moving"
-        files.write_field(job.field, result.warped.field, grid, direction)
-    files.write_volume(job.out, result.warped.samples, grid)

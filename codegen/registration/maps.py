@@ -1,8 +1,15 @@
-"""Maps that carry landmarks where they belong, their inverses, and how many steps they take."""
+"""Registrations: the maps from the moving to the fixed image, their inverses, and the number of steps.
+
+Pictures whose pixels are not square are registered on grids, as volumes are, and their maps are between pixels.
+Distances in such pixels are not isotropic: rotations, the disc, roughness and errors would be those of a stretched
+picture. Landmarks are therefore registered in coordinates whose unit is the side of a square with the area of a pixel.
+Areas, and so det J, are the same in both coordinates. For square pixels, and for files without a spacing, the
+coordinates are exactly pixels.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,17 +18,18 @@ from numpy.typing import NDArray
 
 from codegen.errors import LandmarkError, RegistrationError
 from codegen.registration.alignment import Alignment
-from codegen.registration.grid import Frame, Grid, coarse_grid, place_text, short
+from codegen.registration.grid import Extent, Frame, Grid, coarse_grid, grid_of, place_text, short
+from codegen.registration.images import Spacing
 from codegen.registration.matching import Matching
 from codegen.registration.pairs import LandmarkPairs, PointArray, as_points
 from codegen.registration.solver import Flow
 
 TOLERANCE = 0.01
-"""Largest error of the map, in pixels, that the automatic choice of steps leaves to the scheme."""
+"""Largest error of the scheme, in pixels, for the automatic number of steps."""
 ROUND_TRIP = 1e-8
-"""Largest distance in pixels at which a point may come back from the way forwards and backwards."""
+"""Largest error of a round trip in pixels."""
 MISSED = 1e-4
-"""Distance in pixels by which landmarks are missed that should be met."""
+"""Largest residual, in pixels, of landmarks that are met."""
 PROBED = {2: 17, 3: 9}
 """Points along each axis of the grid at which maps are compared."""
 FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
@@ -29,16 +37,16 @@ FIRST_STEPS, MOST_FIRST_STEPS, MOST_STEPS = 4, 32, 256
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Registration:
-    """A map from the moving image to the fixed one, and its inverse: alignment, then the flow backwards.
+    """A map from the moving image to the fixed one, and its inverse: the alignment, then the reversed flow.
 
     The flow itself runs from the fixed image to the moving one; see `Matching`.
 
-    `misses` lead from the fixed landmarks to where the moving ones arrive, in pixels of the fixed image, shape (n, d),
-    and `residuals`, shape (n,), are their lengths. `error` estimates how far the map is from that of infinitely many
-    steps, in pixels, NaN where steps were given. `round_trip` is the farthest from where it was, in pixels, that a
-    landmark or a point of a coarse grid comes back. `rung` says which of the solver's attempts succeeded, and `message`
-    how; `solves` counts those of a search for the strength of roughness. The `status` is "solved", or "folded" where a
-    map that should meet the landmarks misses some, because its few steps have no inverse there.
+    `misses` lead from the fixed landmarks to the carried moving ones, in pixels of the fixed image, shape (n, d).
+    `error` estimates the distance from the map of infinitely many steps, in pixels; NaN for a given number of steps.
+    `round_trip` is the largest error of the round trip of landmarks and of a coarse grid, in pixels. `rung` is the
+    successful attempt of the solver, `message` its message, and `solves` the number of solves of the search for a
+    strength. The `status` is "solved", or "folded" if the map should meet the landmarks but misses some, because its
+    few steps have no inverse there.
     """
 
     matching: Matching
@@ -52,16 +60,15 @@ class Registration:
     solves: int = 1
 
     def __repr__(self) -> str:
-        found = f"{self.status} in {self.steps} steps of {self.scheme}"
         unit = short(self.matching.unit)
-        errors = (
-            f"residuals at most {self.residuals.max(initial=0.0):.2g} {unit}, round trip {self.round_trip:.2g} {unit}"
-        )
-        return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {found}, {errors}>"
+        residuals = f"residuals at most {self.residuals.max(initial=0.0):.2g} {unit}"
+        errors = f"{residuals}, round trip {self.round_trip:.2g} {unit}"
+        solution = f"{self.status} in {self.steps} steps of {self.scheme}"
+        return f"<Registration of {len(self.pairs)} landmarks, moving to fixed: {solution}, {errors}>"
 
     @cached_property
     def residuals(self) -> NDArray[np.float64]:
-        """How far from the fixed landmarks the moving ones arrive, in pixels of the fixed image, shape (n,)."""
+        """Distances of the carried moving landmarks from the fixed ones, in pixels of the fixed image, shape (n,)."""
         return np.asarray(np.linalg.norm(self.misses, axis=1))
 
     @property
@@ -76,12 +83,12 @@ class Registration:
 
     @property
     def fixed_shape(self) -> tuple[int, ...]:
-        """Those of the fixed image."""
+        """The shape of the fixed image."""
         return self.matching.fixed_shape
 
     @property
     def grid(self) -> Grid:
-        """The grid of the moving image, in whose coordinates landmarks are: pixels for a picture."""
+        """The grid of the moving image, which defines the coordinates of landmarks: pixels for a picture."""
         return self.matching.grid
 
     @property
@@ -111,37 +118,54 @@ class Registration:
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """What the landmarks' velocities are at the start of the flow, in units of the disc, shape (n, d)."""
+        """Initial velocities of the landmarks in the flow, in units of the disc, shape (n, d)."""
         return self.flow.velocities[self.matching.groups]
 
     @property
     def scheme(self) -> str:
-        """The name of the scheme that makes the flow's steps."""
+        """The name of the scheme of the flow."""
         return self.matching.scheme
 
     @property
     def steps(self) -> int:
-        """The number of the flow's steps."""
+        """The number of steps of the flow."""
         return self.flow.steps
 
     @property
     def distance(self) -> float:
-        """The length of the motion: the square root of its cost, in units in which the disc's radius is 1."""
+        """The length of the motion, the square root of its cost, in units of the radius of the disc."""
         pulls = (self.flow.velocities * self.flow.path[0, 1]).sum()
         return float(np.sqrt(max(0.0, pulls) * self.flow.case.duration))
 
     def map_points(self, xy: Any) -> PointArray:
-        """Moving to fixed, points in pixels of shape (n, d)."""
+        """Map points of the moving image, in pixels, shape (n, d), to the fixed image."""
         return self.positions(1.0, xy)
 
     def map_points_inverse(self, xy: Any) -> PointArray:
-        """Fixed to moving, points in pixels of shape (n, d)."""
+        """Map points of the fixed image, in pixels, shape (n, d), to the moving image."""
         return self.positions(1.0, xy, inverse=True)
 
     def positions(self, time: float, xy: Any, inverse: bool = False) -> PointArray:
-        """Where points of the moving image are at a time from 0, where they were, to 1, where `map_points` has them.
+        """Return the positions of points of the moving image at a time.
 
-        With `inverse`, where points are from that are at given places at that time. Shape (n, d), pixels.
+        Parameters
+        ----------
+        time : float
+            From 0, the identity, to 1, the map.
+        xy : array, shape (n, d)
+            Points in pixels.
+        inverse : bool
+            Return the points of the moving image that are at the positions `xy` at this time.
+
+        Returns
+        -------
+        array, shape (n, d)
+            Positions in pixels.
+
+        Raises
+        ------
+        LandmarkError
+            For a time outside 0 to 1.
         """
         if not 0.0 <= time <= 1.0:
             raise LandmarkError(f"the time is {time!r}", "give a number from 0 to 1")
@@ -153,7 +177,7 @@ class Registration:
         return carried if part is self.alignment else part.apply(self.alignment.apply_inverse(carried))
 
     def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
-        """The derivative of the map, or of its inverse, at points in pixels: shape (n, d, d), rows are x, y, ...."""
+        """Return the derivative of the map or of its inverse at points in pixels, shape (n, d, d), rows x, y, ..."""
         points = as_points(xy, self.dimension)
         if inverse:
             jacobians = self.flow.carry_with_jacobian(self.frame.to_disc(points))[1]
@@ -162,14 +186,13 @@ class Registration:
         return np.asarray(self.flow.carry_with_jacobian(aligned, 1.0, 0.0)[1] @ self.alignment.matrix)
 
     def determinant(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
-        """The factor by which the map, or its inverse, enlarges areas at points in pixels, shape (n,)."""
+        """Return the growth of areas by the map, or by its inverse, at points in pixels, shape (n,)."""
         return _determinant(self.jacobian(xy, inverse))
 
     def arriving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
-        """Where what arrives at points of the fixed image, in pixels, is from, and by which factor areas have grown.
+        """Map points of the fixed image, in pixels, to the moving image, and return the growth of areas by the map.
 
-        The factor, shape (n,), is that of the inverse map turned over, which costs less than `determinant` where points
-        come from.
+        The growth, shape (n,), is the reciprocal of that of the inverse map, which costs less than `determinant`.
         """
         points = as_points(xy, self.dimension)
         before = self.frame.to_disc(points)
@@ -180,7 +203,7 @@ class Registration:
         return self.alignment.apply_inverse(self._moved(points, before, after)), factors
 
     def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
-        """Where points of the moving image, in pixels, are carried, and by which factor areas grow, shape (n,)."""
+        """Map points of the moving image, in pixels, to the fixed image, and return the growth of areas, shape (n,)."""
         points = as_points(xy, self.dimension)
         aligned = self.alignment.apply(points)
         before = self.frame.to_disc(aligned)
@@ -188,21 +211,21 @@ class Registration:
         return self._moved(aligned, before, after), _determinant(jacobians @ self.alignment.matrix)
 
     def arriving_determinant(self, xy: Any) -> NDArray[np.float64]:
-        """The factors of `arriving`, shape (n,)."""
+        """Return the growth of areas of `arriving`, shape (n,)."""
         return self.arriving(xy)[1]
 
     def _carried(self, points: PointArray, start: float, stop: float) -> PointArray:
-        """Points in pixels of the fixed image carried by the flow."""
+        """Carry points in pixels of the fixed image by the flow."""
         before = self.frame.to_disc(points)
         return self._moved(points, before, self.flow.carry(before, start, stop))
 
     def _moved(self, points: PointArray, before: PointArray, after: PointArray) -> PointArray:
-        """Points in pixels moved as they were in the disc: what does not move keeps its every bit."""
+        """Move points in pixels as in the disc, so that fixed points remain exactly unchanged."""
         return points + self.frame.radius * (after - before)
 
 
 def _determinant(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of 2 by 2 or 3 by 3 matrices, shape (n, d, d)."""
+    """Determinants of 2 by 2 or 3 by 3 matrices, shape (n, d, d)."""
     if matrices.shape[1] == 3:
         first, second, third = (matrices[:, k] for k in range(3))
         return np.asarray((first * np.cross(second, third)).sum(axis=1))
@@ -216,44 +239,41 @@ def solved(
     velocities: NDArray[np.float64] | None = None,
     quick: bool = False,
 ) -> Registration:
-    """The registration in a given number of steps, or in as many as leave an error below `tolerance` pixels."""
+    """Register in a given number of steps, or in as many as an error below `tolerance` pixels takes."""
     return refined(matching, tolerance, velocities) if steps is None else in_steps(matching, steps, velocities, quick)
 
 
 def in_steps(
     matching: Matching, steps: int, velocities: NDArray[np.float64] | None = None, quick: bool = False
 ) -> Registration:
-    """The registration in a given number of steps; `velocities` and `quick` are those of `Matching.solve`."""
+    """Register in a given number of steps; `velocities` and `quick` are arguments of `Matching.solve`."""
     flow, solution, rung = matching.solve(steps, velocities, quick)
     nothing = np.empty((0, matching.pairs.dimension))
-    found = Registration(matching, flow, nothing, np.nan, np.nan, solution.status, rung, solution.message)
+    result = Registration(matching, flow, nothing, np.nan, np.nan, solution.status, rung, solution.message)
     probe = _probe(matching)
-    there = found.map_points(probe)
-    back = np.linalg.norm(found.map_points_inverse(there) - probe, axis=1).max()
-    found = replace(found, misses=there[: len(matching.pairs)] - matching.pairs.fixed, round_trip=float(back))
-    missed = _missed(matching, steps, found.residuals)
-    return replace(found, status="folded", message=missed) if missed else found
-
-
-def _missed(matching: Matching, steps: int, residuals: NDArray[np.float64]) -> str:
-    """What is said of a map whose inverse meets the landmarks, as the solver found, but which itself misses them."""
-    worst = int(np.argmax(residuals))
-    if matching.sigma > 0.0 or residuals[worst] <= MISSED * matching.pixel:
-        return ""
+    carried = result.map_points(probe)
+    back = np.linalg.norm(result.map_points_inverse(carried) - probe, axis=1).max()
+    result = replace(result, misses=carried[: len(matching.pairs)] - matching.pairs.fixed, round_trip=float(back))
+    worst = int(np.argmax(result.residuals))
+    residual = result.residuals[worst]
+    if matching.sigma > 0.0 or residual <= MISSED * matching.pixel:
+        return result
+    # The solver has met the landmarks by the inverse map, but the map itself misses them.
     place = place_text(matching.grid.said(matching.pairs.moving[worst]))
-    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residuals[worst]:.2g} {matching.unit}"
-    return f"the map folds in {steps} steps and misses {where}; take more steps"
+    where = f"landmark {matching.pairs.names[worst]}, at {place}, by {residual:.2g} {matching.unit}"
+    message = f"the map folds in {steps} steps and misses {where}; take more steps"
+    return replace(result, status="folded", message=message)
 
 
 def _probe(matching: Matching) -> PointArray:
-    """The points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
+    """Points at which maps are compared: moving landmarks, then a coarse grid over the moving image."""
     return np.vstack([matching.pairs.moving, coarse_grid(matching.grid, PROBED[matching.pairs.dimension])])
 
 
 def refined(
     matching: Matching, tolerance: float, velocities: NDArray[np.float64] | None, first: int = FIRST_STEPS
 ) -> Registration:
-    """Double the steps until the map no longer changes, and keep the smallest number whose error is small enough."""
+    """Double the number of steps until the error is below the tolerance; the smallest sufficient number is kept."""
     if not tolerance > 0.0:
         raise LandmarkError(f"the tolerance is {tolerance!r}", "give a number of pixels")
     coarse, steps, probe = None, first, _probe(matching)
@@ -262,23 +282,105 @@ def refined(
         try:
             fine = in_steps(matching, steps, velocities if coarse is None else coarse.velocities, quick=True)
         except RegistrationError:
-            # A few steps may have no solution, or one that has nothing to do with that of more steps.
+            # A few steps may have no solution, or one that is unrelated to the solution of more steps.
             if 2 * steps > MOST_FIRST_STEPS:
                 raise
             coarse, steps = None, 2 * steps
             continue
         if coarse is not None:
-            coarse, fine = _with_errors(coarse, fine, probe)
-            for found in (coarse, fine):
-                if found.error <= least and found.round_trip <= back:
-                    return found
+            # Richardson's estimate of the errors of both.
+            change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
+            gain = 2.0 ** float(fine.flow.module.metadata.order)
+            coarse, fine = (
+                replace(coarse, error=change * gain / (gain - 1.0)),
+                replace(fine, error=change / (gain - 1.0)),
+            )
+            for candidate in (coarse, fine):
+                if candidate.error <= least and candidate.round_trip <= back:
+                    return candidate
         if 2 * steps > MOST_STEPS:
             return fine
         coarse, steps = fine, 2 * steps
 
 
-def _with_errors(coarse: Registration, fine: Registration, probe: PointArray) -> tuple[Registration, Registration]:
-    """The same registrations, of which the second has twice the steps, with their errors by Richardson's estimate."""
-    change = float(np.linalg.norm(fine.map_points(probe) - coarse.map_points(probe), axis=1).max())
-    gain = 2.0 ** float(fine.flow.module.metadata.order)
-    return replace(coarse, error=change * gain / (gain - 1.0)), replace(fine, error=change / (gain - 1.0))
+SQUARE = 1e-6
+"""Relative difference of the sides of a pixel up to which it is square, because of rounding in files."""
+
+
+def square_grid(extent: Extent, spacing: Spacing | None) -> Grid:
+    """Return the grid of a picture of shape (height, width, ...), in sides of a square of the area of a pixel."""
+    plain = grid_of(extent)
+    if spacing is None or abs(spacing.x / spacing.y - 1.0) <= SQUARE:
+        return plain
+    return Grid(plain.size, plain.origin, (spacing.x / spacing.side, spacing.y / spacing.side), plain.direction)
+
+
+def in_squares(pairs: LandmarkPairs, grid: Grid, fixed_grid: Grid) -> LandmarkPairs:
+    """Convert landmarks in pixels to the coordinates of such grids."""
+    if grid.is_plain and fixed_grid.is_plain:
+        return pairs
+    return LandmarkPairs(grid.to_places(pairs.moving), fixed_grid.to_places(pairs.fixed), pairs.names)
+
+
+def in_pixels(registration: Registration) -> Registration:
+    """Convert the map of pictures that were registered on grids to pixels; maps of volumes are unchanged."""
+    if registration.dimension != 2 or (registration.grid.is_plain and registration.fixed_grid.is_plain):
+        return registration
+    return PixelRegistration(**{part.name: getattr(registration, part.name) for part in fields(Registration)})
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PixelRegistration(Registration):
+    """A map whose points are in pixels that are not square.
+
+    Distances, sigma, the alignment and the frame are in sides of a square of the area of a pixel. All else is as in
+    `Registration`, with shapes for grids.
+    """
+
+    @property
+    def pairs(self) -> LandmarkPairs:
+        """The landmarks in pixels."""
+        pairs = self.matching.pairs
+        moving = self.matching.grid.to_indices(pairs.moving)
+        return LandmarkPairs(moving, self.matching.fixed_grid.to_indices(pairs.fixed), pairs.names)
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the moving picture, in pixels."""
+        return Grid.plain(self.shape)
+
+    @property
+    def fixed_grid(self) -> Grid:
+        """The grid of the fixed picture, in pixels."""
+        return Grid.plain(self.fixed_shape)
+
+    @property
+    def _moving_sides(self) -> NDArray[np.float64]:
+        return np.array(self.matching.grid.spacing)
+
+    @property
+    def _fixed_sides(self) -> NDArray[np.float64]:
+        return np.array(self.matching.fixed_grid.spacing)
+
+    def positions(self, time: float, xy: Any, inverse: bool = False) -> PointArray:
+        """As `Registration.positions`; the sides of pixels change from those of one picture to those of the other."""
+        points, moving = as_points(xy), self._moving_sides
+        sides = moving * (self._fixed_sides / moving) ** time
+        before, after = (sides, moving) if inverse else (moving, sides)
+        return np.asarray(super().positions(time, points * before, inverse) / after)
+
+    def jacobian(self, xy: Any, inverse: bool = False) -> NDArray[np.float64]:
+        """As `Registration.jacobian`."""
+        moving, fixed = self._moving_sides, self._fixed_sides
+        before, after = (fixed, moving) if inverse else (moving, fixed)
+        return np.asarray(super().jacobian(as_points(xy) * before, inverse) * (before / after[:, None]))
+
+    def arriving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+        """As `Registration.arriving`."""
+        places, factors = super().arriving(as_points(xy) * self._fixed_sides)
+        return places / self._moving_sides, factors
+
+    def leaving(self, xy: Any) -> tuple[PointArray, NDArray[np.float64]]:
+        """As `Registration.leaving`."""
+        places, factors = super().leaving(as_points(xy) * self._moving_sides)
+        return places / self._fixed_sides, factors

@@ -1,4 +1,4 @@
-"""One page about one pair: pictures, certificate and landmarks, in an HTML file that needs no other."""
+"""The outcome of one registration, and its report: an HTML page with pictures, certificate and landmarks."""
 
 from __future__ import annotations
 
@@ -23,10 +23,13 @@ from numpy.typing import NDArray
 
 from codegen import __version__
 from codegen.files import rendered, write_text
+from codegen.registration.certificate import Certificate
 from codegen.registration.grid import short
-from codegen.registration.jobs import MOST_LEFT_OUT, Outcome, Result
+from codegen.registration.images import Image
 from codegen.registration.maps import Registration
-from codegen.registration.pairs import PointArray
+from codegen.registration.noise import Outliers
+from codegen.registration.pairs import LandmarkPairs, PointArray
+from codegen.registration.register import MOST_LEFT_OUT, LeaveOneOut, out_of_place
 from codegen.show.figures.style import AMBER, BLUE, CRIMSON, RED
 
 LONGEST = 560
@@ -34,12 +37,56 @@ LONGEST = 560
 INCHES, DPI = 4.6, 125
 CELLS, FIELDS = 24, 8
 """Cells of the deformed grid along the longer side, and of the checkerboard."""
+LINE_POINTS = 241
+"""Points of a line of the deformed grid."""
 COARSE = 80
-"""Points along each side at which it is looked up what lies outside, for pictures only."""
+"""Points along each side of the coarse grid by which pixels from outside the image are masked."""
 MOST_NAMES = 60
+"""Landmarks whose names are shown in a picture."""
+MOST_ROWS = 2_000
+"""Landmarks in the table; its last row counts the others."""
+RESIDUALS = (
+    "Residual: how far a moving landmark arrives from the fixed one. Left out: how far it would arrive if the other "
+    "landmarks alone made the map."
+)
+NOTE = f"Places and errors are in pixels, x to the right and y down from the centre of the top-left pixel. {RESIDUALS}"
 
 Shape: TypeAlias = tuple[int, ...]
 Painter: TypeAlias = Callable[[Any], None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome:
+    """The outcome of a job, of pictures or of volumes.
+
+    `record` is the JSON record. The map and its certificate are None if no map exists.
+    """
+
+    record: dict[str, Any]
+    pairs: LandmarkPairs
+    registration: Registration | None = None
+    certificate: Certificate | None = None
+    left_out: LeaveOneOut | None = None
+    outliers: Outliers | None = None
+
+    @property
+    def out_of_place(self) -> tuple[int, ...]:
+        """The numbers of the outliers among the landmarks, counted from zero."""
+        return out_of_place(self.outliers, self.left_out)
+
+    @property
+    def passed(self) -> bool:
+        """True if the image was warped by a map that does not fold."""
+        return bool(self.record["status"] == "solved")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result(Outcome):
+    """The outcome of a job of pictures, with the images of its report."""
+
+    moving: Image
+    fixed: Image | None
+    warped: Any = None
 
 
 @dataclass(frozen=True)
@@ -51,16 +98,146 @@ class Picture:
     data: str
 
 
-def of(result: Result) -> list[Picture]:
-    """All pictures that a result allows: the images alone where no map was found."""
-    found = [_input("Moving", result.moving.pixels, result.pairs.moving, result.pairs.names, RED)]
-    if result.fixed is not None:
-        found.append(_input("Fixed", result.fixed.pixels, result.pairs.fixed, result.pairs.names, BLUE))
-    if result.registration is None:
+@dataclass(frozen=True)
+class Row:
+    """The cells of a landmark; `outlier` highlights the row."""
+
+    cells: tuple[str, ...]
+    outlier: bool
+
+
+def write_report(path: Path, result: Result) -> None:
+    """Write the page of a pair of pictures; FileError if the file system refuses."""
+    write_page(path, result, _pictures(result), NOTE)
+
+
+def write_page(path: Path, result: Outcome, pictures: list[Picture], note: str) -> None:
+    """Write a page with pictures and a note about its numbers; FileError if the file system refuses."""
+    record, pairs = result.record, result.pairs
+    summary, outliers = record["summary"], set(result.out_of_place)
+    # Names of files without folders: a page may be sent to others.
+    files = [f"moving: {Path(record['moving']).name}"]
+    files += [f"fixed: {Path(record['fixed']).name}"] if record["fixed"] else []
+    files.append("landmarks: " + " and ".join(Path(name).name for name in record["landmarks"]))
+    if record["status"] == "solved":
+        files.append(f"written to: {Path(record['out']).name}")
+    unknown = np.full(len(pairs), np.nan)
+    residuals = result.registration.residuals if result.registration is not None else unknown
+    errors = [residuals, result.left_out.errors if result.left_out is not None else unknown]
+    unit = summary.get("length_unit", "")
+    if unit:
+        errors += [summary["residual_lengths"], summary.get("leave_one_out_lengths", [None] * len(pairs))]
+    lengths = (f"residual, {unit}", f"left out, {unit}") if unit else ()
+    axes = [f"{image} {axis}" for image in ("moving", "fixed") for axis in "xyz"[: pairs.dimension]]
+    table = []
+    for k in range(min(len(pairs), MOST_ROWS)):
+        points = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]
+        cells = (pairs.names[k], *points, *(number(error[k]) for error in errors), "outlier" if k in outliers else "")
+        table.append(Row(cells, k in outliers))
+    if len(pairs) > MOST_ROWS:
+        table.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(table[0].cells) - 1)), False))
+    message = record["message"]
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
+    seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
+    page = rendered(
+        Path(__file__).parent / "templates/pair.html.j2", title=f"{Path(record['moving']).name}, {record['direction']}",
+        subtitle=", ".join(files), passed=result.passed, status=record["status"],
+        message=message[:1].upper() + message[1:] + "." if message else "", facts=facts(record), pictures=pictures,
+        columns=("landmark", *axes, "residual", "left out", *lengths, ""), rows=table, note=note,
+        environment=f"codegen {__version__}, Python {platform.python_version()}, {versions}. {seconds}.",
+    )  # fmt: skip
+    write_text(path, page)
+
+
+def facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Names and values of the findings; distances in pixels, and in the unit of a picture if its file has one."""
+    summary = record["summary"]
+    found = [("landmarks", str(summary["landmarks"]))]
+    if "det_min" not in summary:
         return found
+    unit = short(summary.get("unit", "pixels"))
+    sigma = f", sigma {record['sigma']:.3g} {unit}" if record["sigma"] or summary["sigma_chosen"] else ""
+    sigma += " by likelihood" if summary["sigma_chosen"] else ""
+    found += [
+        (name, summary[key]) for name, key in (("alignment", "alignment_choice"), ("sigma", "sigma_message"))
+        if summary.get(key)
+    ]  # fmt: skip
+    residual = f"{number(record['residual'])} {unit} at most, standard deviation {number(summary['deviation'])} {unit}"
+    if "length_unit" in summary:
+        largest, deviation = number(max(summary["residual_lengths"])), number(summary["deviation_length"])
+        residual += f" ({largest} and {deviation} {summary['length_unit']})"
+    place = ", ".join(f"{x:g}" for x in summary["det_min_at"])
+    samples = "pixels" if len(summary["det_min_at"]) == 2 else "voxels"
+    found += [
+        ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
+        ("residual", residual),
+        ("det J", f"{number(summary['det_min'])} at ({place}) to {number(summary['det_max'])}"),
+        ("folded", "nowhere, which is proved" if summary["proved"] else f"{summary['folded']} {samples}"),
+        ("round trip", f"{number(summary['round_trip'])} {unit}"),
+    ]
+    if summary["scheme_error"] is not None:
+        found.append(("error of the scheme", f"{number(summary['scheme_error'])} {unit}"))
+    if summary.get("leave_one_out"):
+        text = f"{_median(summary['leave_one_out'])} {unit} (median)"
+        if "length_unit" in summary:
+            text += f", {_median(summary['leave_one_out_lengths'])} {summary['length_unit']}"
+        found.append(("leave one out", text))
+    elif summary["landmarks"] > MOST_LEFT_OUT:
+        found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
+    found.append(("outliers", ", ".join(summary["outliers"]) or "none"))
+    if summary.get("spacing", 1) != 1:
+        text = f"every {summary['spacing']} pixels, error below {number(summary['spacing_bound'])} {unit}"
+        if not isinstance(summary["spacing"], int):
+            steps = " x ".join(map(str, summary["spacing"]))
+            exact = f"{summary['exact']:.0%} of the voxels exactly"
+            text = f"every {steps} voxels, error below {number(summary['spacing_bound'])} {unit}; {exact}"
+        found.append(("grid", text))
+    return found
+
+
+def number(value: float | None) -> str:
+    """Format a number in few characters; a dash if it is missing."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def as_png(title: str, caption: str, figure: Figure) -> Picture:
+    """Draw a figure."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", metadata={"Software": None})
+    return Picture(title, caption, base64.b64encode(file.getvalue()).decode("ascii"))
+
+
+def determinant_scale(values: NDArray[np.float64]) -> dict[str, Any]:
+    """Colours of determinants by their logarithms; values that are not positive have their own colour."""
+    positive = values[values > 0.0]
+    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
+    colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER)
+    return {"cmap": colours, "norm": LogNorm(1.0 / reach, reach)}
+
+
+def style_bar(bar: Any, name: str) -> None:
+    """Label a colour bar, in small letters and without minor ticks."""
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=8, length=2)
+    bar.set_label(name, fontsize=9)
+
+
+def _median(errors: list[float | None]) -> str:
+    finite = [error for error in errors if error is not None]
+    return number(statistics.median(finite)) if finite else "–"
+
+
+def _pictures(result: Result) -> list[Picture]:
+    """All pictures of a result: the images alone if no map exists."""
+    pairs, registration = result.pairs, result.registration
+    pictures = [_input("Moving", result.moving.pixels, pairs.moving, pairs.names, RED)]
+    if result.fixed is not None:
+        pictures.append(_input("Fixed", result.fixed.pixels, pairs.fixed, pairs.names, BLUE))
+    if registration is None:
+        return pictures
     if result.warped is not None:
-        found += _compared(result, result.warped)
-    return [*found, _grid(result, result.registration), _determinants(result, result.registration)]
+        pictures += _comparison(result, registration, result.warped)
+    return [*pictures, _deformed_grid(result, registration), _determinants(result, registration)]
 
 
 def _input(title: str, pixels: Any, points: PointArray, names: tuple[str, ...], colour: str) -> Picture:
@@ -73,76 +250,64 @@ def _input(title: str, pixels: Any, points: PointArray, names: tuple[str, ...], 
     return _picture(title, f"With its {len(points)} landmarks.", pixels.shape, paint)
 
 
-def _compared(result: Result, warped: Any) -> list[Picture]:
-    """The result, and beside the image in whose frame it is: their difference, and both in a checkerboard."""
+def _comparison(result: Result, registration: Registration, warped: Any) -> list[Picture]:
+    """The warped image and, with the image of the same frame, a checkerboard and the difference."""
     inverse = result.record["direction"] == "fixed to moving"
-    target = result.pairs.moving if inverse else result.pairs.fixed
+    landmarks = result.pairs.moving if inverse else result.pairs.fixed
     source, frame = ("fixed", "moving") if inverse else ("moving", "fixed")
     other = result.moving if inverse else result.fixed
 
     def paint(axes: Any) -> None:
         _show(axes, warped)
-        _mark(axes, target, RED if inverse else BLUE)
+        _mark(axes, landmarks, RED if inverse else BLUE)
 
     caption = f"The {source} image in the frame of the {frame} one, with the landmarks of the latter."
-    found = [_picture("Warped", caption, warped.shape, paint)]
+    pictures = [_picture("Warped", caption, warped.shape, paint)]
     if other is None:
-        return found
+        return pictures
     one, two = (_shown(_thinned(pixels)) for pixels in (warped, other.pixels))
     if one.ndim != two.ndim:
         one, two = _grey(one), _grey(two)
     y, x = np.indices(one.shape[:2])
     cell = max(one.shape) / FIELDS
-    first = (x // cell + y // cell) % 2 == 0
-    assert result.registration is not None
-    inside = _inside(result.registration, inverse, warped.shape, one.shape)
+    is_first = (x // cell + y // cell) % 2 == 0
+    # Pixels from inside the source image, by interpolation of their sources on a coarse grid.
+    rows, columns = (np.linspace(0.0, length - 1.0, COARSE) for length in warped.shape[:2])
+    nodes = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    carry = registration.map_points if inverse else registration.map_points_inverse
+    sources = carry(nodes).reshape(COARSE, COARSE, 2)
+    fine = np.meshgrid(*(np.linspace(0.0, COARSE - 1.0, length) for length in one.shape[:2]), indexing="ij")
+    u, v = (scipy.ndimage.map_coordinates(sources[..., k], fine, order=1) for k in (0, 1))
+    height, width = registration.fixed_shape if inverse else registration.shape
+    inside = (u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5)
 
     def checkered(axes: Any) -> None:
-        _show(axes, np.where(first if one.ndim == 2 else first[..., None], one, two), warped.shape)
+        _show(axes, np.where(is_first if one.ndim == 2 else is_first[..., None], one, two), warped.shape)
 
     def difference(axes: Any) -> None:
         values = np.where(inside, _grey(one) - _grey(two), np.nan)
         shown = axes.imshow(values, extent=_extent(warped.shape), cmap="RdBu_r", vmin=-1.0, vmax=1.0)
         _bar(axes, shown, f"warped − {frame}", (-1.0, -0.5, 0.0, 0.5, 1.0))
 
-    return [
-        *found,
-        _picture("Checkerboard", f"Fields of the warped and of the {frame} image in turn.", warped.shape, checkered),
-        _picture(
-            "Difference", f"Warped minus {frame}, as shares of the range of grey.", warped.shape, difference, True
-        ),
-    ]
+    caption = f"Fields of the warped and of the {frame} image in turn."
+    pictures.append(_picture("Checkerboard", caption, warped.shape, checkered))
+    caption = f"Warped minus {frame}, as shares of the range of grey."
+    return [*pictures, _picture("Difference", caption, warped.shape, difference, True)]
 
 
-def _inside(registration: Registration, inverse: bool, shape: Shape, thin: Shape) -> NDArray[np.bool_]:
-    """Which pixels of a thinned picture of the result come from inside the source image: by a coarse grid."""
-    rows, columns = (np.linspace(0.0, length - 1.0, COARSE) for length in shape[:2])
-    places = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    carry = registration.map_points if inverse else registration.map_points_inverse
-    coarse = carry(places).reshape(COARSE, COARSE, 2)
-    fine = np.meshgrid(*(np.linspace(0.0, COARSE - 1.0, length) for length in thin[:2]), indexing="ij")
-    x, y = (scipy.ndimage.map_coordinates(coarse[..., k], fine, order=1) for k in (0, 1))
-    height, width = registration.fixed_shape if inverse else registration.shape
-    return np.asarray((x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5))
-
-
-def _grid(result: Result, registration: Registration) -> Picture:
-    """Lines of equal x and y of the source image, where the map takes them."""
+def _deformed_grid(result: Result, registration: Registration) -> Picture:
+    """Lines of equal x and y of the source image, carried by the map."""
     inverse = result.record["direction"] == "fixed to moving"
     source, target = registration.shape, registration.fixed_shape
     if inverse:
         source, target = target, source
     height, width = source
     cell = max(height, width) / CELLS
-    fine = 241
-    lines = [
-        np.column_stack([np.full(fine, x), np.linspace(0.0, height - 1.0, fine)]) for x in np.arange(0, width, cell)
-    ]
-    lines += [
-        np.column_stack([np.linspace(0.0, width - 1.0, fine), np.full(fine, y)]) for y in np.arange(0, height, cell)
-    ]
+    across, down = np.linspace(0.0, width - 1.0, LINE_POINTS), np.linspace(0.0, height - 1.0, LINE_POINTS)
+    lines = [np.column_stack([np.full(LINE_POINTS, x), down]) for x in np.arange(0, width, cell)]
+    lines += [np.column_stack([across, np.full(LINE_POINTS, y)]) for y in np.arange(0, height, cell)]
     carry = registration.map_points_inverse if inverse else registration.map_points
-    carried = carry(np.vstack(lines)).reshape(len(lines), fine, 2)
+    carried = carry(np.vstack(lines)).reshape(len(lines), LINE_POINTS, 2)
 
     def paint(axes: Any) -> None:
         if result.warped is not None:
@@ -155,7 +320,7 @@ def _grid(result: Result, registration: Registration) -> Picture:
 
 
 def _determinants(result: Result, registration: Registration) -> Picture:
-    """The factor by which areas have grown, on the fixed image; a colour of its own where it is not positive."""
+    """The growth of areas on the fixed image; a colour of its own where det J is not positive."""
     height, width = registration.fixed_shape
     step = max(1.0, max(height, width) / 220.0)
     y, x = np.mgrid[
@@ -179,7 +344,7 @@ def _determinants(result: Result, registration: Registration) -> Picture:
 
 
 def _picture(title: str, caption: str, shape: Shape, paint: Painter, bar: bool = False) -> Picture:
-    """What `paint` draws on axes in pixels of an image, as a PNG."""
+    """Draw a picture by `paint` on axes in pixels of an image."""
     height, width = shape[:2]
     share = min(2.5, max(0.3, height / width))
     size = (INCHES, INCHES * share) if share <= 1.3 else (INCHES * 1.3 / share, INCHES * 1.3)
@@ -190,28 +355,6 @@ def _picture(title: str, caption: str, shape: Shape, paint: Painter, bar: bool =
     paint(axes)
     _frame(axes, shape)
     return as_png(title, caption, figure)
-
-
-def as_png(title: str, caption: str, figure: Figure) -> Picture:
-    """The picture of a figure."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", metadata={"Software": None})
-    return Picture(title, caption, base64.b64encode(file.getvalue()).decode("ascii"))
-
-
-def determinant_scale(values: NDArray[np.float64]) -> dict[str, Any]:
-    """Colours of determinants by their logarithms; those that are not positive have a colour of their own."""
-    positive = values[values > 0.0]
-    reach = max(1.05, float(np.exp(np.abs(np.log(positive)).max()))) if positive.size else 2.0
-    colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad=AMBER)
-    return {"cmap": colours, "norm": LogNorm(1.0 / reach, reach)}
-
-
-def style_bar(bar: Any, name: str) -> None:
-    """Name a colour bar, in small letters and without minor ticks."""
-    bar.ax.minorticks_off()
-    bar.ax.tick_params(labelsize=8, length=2)
-    bar.set_label(name, fontsize=9)
 
 
 def _frame(axes: Any, shape: Shape) -> None:
@@ -226,7 +369,7 @@ def _extent(shape: Shape) -> tuple[float, float, float, float]:
 
 
 def _show(axes: Any, pixels: Any, shape: Shape | None = None) -> None:
-    """An image in pixels of its own, or of the image that it stands for."""
+    """Show an image in its own pixels, or in the pixels of an image of another shape."""
     thin = pixels if pixels.dtype == float and pixels.max(initial=0.0) <= 1.0 else _shown(_thinned(pixels))
     axes.imshow(
         thin, extent=_extent(shape or pixels.shape), cmap="gray", vmin=0.0, vmax=1.0, interpolation="antialiased"
@@ -245,169 +388,24 @@ def _bar(axes: Any, shown: Any, name: str, ticks: Sequence[float]) -> None:
 
 
 def _thinned(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Every so-many-th pixel of an image that is larger than a picture."""
+    """Take every n-th pixel of an image that is larger than a picture."""
     stride = max(1, -(-max(pixels.shape[:2]) // LONGEST))
     return pixels[::stride, ::stride]
 
 
 def _shown(pixels: NDArray[Any]) -> NDArray[np.float64]:
-    """Samples from 0 to 1, as grey or RGB with opacity over white: 8 bits as they are, others by their range."""
+    """Scale samples to 0 to 1, as grey or RGB over white; samples of more than 8 bits by their range."""
     values = pixels.astype(float)
-    low, high = (0.0, 255.0) if pixels.dtype == np.uint8 else _range(values)
+    low, high = 0.0, 255.0
+    if pixels.dtype != np.uint8:
+        finite = values[np.isfinite(values)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        high = high if high > low else low + 1.0
     values = np.clip(np.nan_to_num((values - low) / (high - low)), 0.0, 1.0)
     if values.ndim == 3 and values.shape[2] in (2, 4):
         values = 1.0 - values[..., -1:] * (1.0 - values[..., :-1])
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
-def _range(values: NDArray[np.float64]) -> tuple[float, float]:
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return (low, high) if high > low else (low, low + 1.0)
-
-
 def _grey(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return values @ np.array([0.299, 0.587, 0.114]) if values.ndim == 3 else values
-
-
-def rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What was found, in words and numbers; distances in pixels, and in the unit that a picture carries."""
-    seen = record["summary"]
-    found = [("landmarks", str(seen["landmarks"]))]
-    if "det_min" not in seen:
-        return found
-    unit = short(seen.get("unit", "pixels"))
-    sigma = f", sigma {record['sigma']:.3g} {unit}" if record["sigma"] or seen["sigma_chosen"] else ""
-    sigma += " by likelihood" if seen["sigma_chosen"] else ""
-    found += [
-        (name, seen[key]) for name, key in (("alignment", "alignment_choice"), ("sigma", "sigma_message"))
-        if seen.get(key)
-    ]  # fmt: skip
-    place = ", ".join(f"{x:g}" for x in seen["det_min_at"])
-    found += [
-        ("method", f"{record['align']} alignment, {record['scheme']}, {record['steps']} steps{sigma}"),
-        ("residual", _residual(record, unit)),
-        ("det J", f"{number(seen['det_min'])} at ({place}) to {number(seen['det_max'])}"),
-        (
-            "folded",
-            "nowhere, which is proved"
-            if seen["proved"]
-            else f"{seen['folded']} {'pixels' if len(seen['det_min_at']) == 2 else 'voxels'}",
-        ),
-        ("round trip", f"{number(seen['round_trip'])} {unit}"),
-    ]
-    if seen["scheme_error"] is not None:
-        found.append(("error of the scheme", f"{number(seen['scheme_error'])} {unit}"))
-    if seen.get("leave_one_out"):
-        text = f"{_median(seen['leave_one_out'])} {unit} (median)"
-        if "length_unit" in seen:
-            text += f", {_median(seen['leave_one_out_lengths'])} {seen['length_unit']}"
-        found.append(("leave one out", text))
-    elif seen["landmarks"] > MOST_LEFT_OUT:
-        found.append(("leave one out", f"not done for more than {MOST_LEFT_OUT} landmarks"))
-    found.append(("outliers", ", ".join(seen["outliers"]) or "none"))
-    if seen.get("spacing", 1) != 1:
-        text = f"every {seen['spacing']} pixels, error below {number(seen['spacing_bound'])} {unit}"
-        if not isinstance(seen["spacing"], int):
-            steps = " x ".join(map(str, seen["spacing"]))
-            exact = f"{seen['exact']:.0%} of the voxels exactly"
-            text = f"every {steps} voxels, error below {number(seen['spacing_bound'])} {unit}; {exact}"
-        found.append(("grid", text))
-    return found
-
-
-def _residual(record: Mapping[str, Any], unit: str) -> str:
-    seen = record["summary"]
-    text = f"{number(record['residual'])} {unit} at most, standard deviation {number(seen['deviation'])} {unit}"
-    if "length_unit" not in seen:
-        return text
-    largest, deviation = number(max(seen["residual_lengths"])), number(seen["deviation_length"])
-    return f"{text} ({largest} and {deviation} {seen['length_unit']})"
-
-
-def _median(errors: list[float | None]) -> str:
-    finite = [error for error in errors if error is not None]
-    return number(statistics.median(finite)) if finite else "–"
-
-
-def number(value: float | None) -> str:
-    """A number in few characters."""
-    return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
-
-
-RESIDUALS = (
-    "Residual: how far a moving landmark arrives from the fixed one. Left out: how far it would arrive if the other "
-    "landmarks alone made the map."
-)
-NOTE = f"Places and errors are in pixels, x to the right and y down from the centre of the top-left pixel. {RESIDUALS}"
-MOST_ROWS = 2_000
-"""Landmarks beyond are left out of the table, which says so."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """The cells of a landmark, and whether it stands out."""
-
-    cells: tuple[str, ...]
-    outlier: bool
-
-
-def write_report(path: Path, result: Result) -> None:
-    """Write the page; FileError where the file system refuses."""
-    write_page(path, result, of(result), NOTE)
-
-
-def write_page(path: Path, result: Outcome, shown: list[Picture], note: str) -> None:
-    """Write a page with pictures, and a note about its numbers; FileError where the file system refuses."""
-    write_text(path, render(result, shown, note))
-
-
-def render(result: Outcome, shown: list[Picture], note: str) -> str:
-    """The text of the page, of a registration that succeeded or failed."""
-    template = Path(__file__).parent / "templates/pair.html.j2"
-    record = result.record
-    # The files, by their names alone: a page may travel.
-    names = [f"moving: {Path(record['moving']).name}"]
-    names += [f"fixed: {Path(record['fixed']).name}"] if record["fixed"] else []
-    names.append("landmarks: " + " and ".join(Path(name).name for name in record["landmarks"]))
-    if record["status"] == "solved":
-        names.append(f"written to: {Path(record['out']).name}")
-    pairs = result.pairs
-    residuals = result.registration.residuals if result.registration is not None else np.full(len(pairs), np.nan)
-    left_out = result.left_out.errors if result.left_out is not None else np.full(len(pairs), np.nan)
-    errors = [residuals, left_out]
-    seen, outliers = result.record["summary"], set(result.out_of_place)
-    if "length_unit" in seen:
-        unknown = [None] * len(pairs)
-        errors += [seen["residual_lengths"], seen.get("leave_one_out_lengths", unknown)]
-    made = []
-    for k in range(min(len(pairs), MOST_ROWS)):
-        places = [f"{value:.2f}" for value in (*pairs.moving[k], *pairs.fixed[k])]
-        cells = (pairs.names[k], *places, *(number(of[k]) for of in errors), "outlier" if k in outliers else "")
-        made.append(Row(cells, k in outliers))
-    if len(pairs) > MOST_ROWS:
-        made.append(Row((f"and {len(pairs) - MOST_ROWS} more", *[""] * (len(made[0].cells) - 1)), False))
-    return rendered(
-        template, title=f"{Path(record['moving']).name}, {record['direction']}", subtitle=", ".join(names),
-        passed=result.passed, status=record["status"], message=_sentence(record["message"]), facts=rows(record),
-        pictures=shown, columns=columns(result.pairs.dimension, record["summary"].get("length_unit", "")),
-        rows=made, note=note,
-        environment=_environment(record),
-    )  # fmt: skip
-
-
-def columns(dimension: int, unit: str = "") -> tuple[str, ...]:
-    """The headings of the table of landmarks; errors have more columns in the unit that a picture carries."""
-    places = [f"{image} {axis}" for image in ("moving", "fixed") for axis in "xyz"[:dimension]]
-    lengths = (f"residual, {unit}", f"left out, {unit}") if unit else ()
-    return ("landmark", *places, "residual", "left out", *lengths, "")
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + "." if text else ""
-
-
-def _environment(record: dict[str, Any]) -> str:
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
-    seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
-    return f"codegen {__version__}, Python {platform.python_version()}, {versions}. {seconds}."

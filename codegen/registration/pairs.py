@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -17,13 +16,20 @@ PointArray: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LandmarkPairs:
-    """Landmarks of the moving and the fixed image in pixels, arrays of shape (n, 2), and their names.
+    """Landmarks of the moving and the fixed image, and their names.
 
-    Those of volumes have shape (n, 3), in the coordinates of the volumes' grids.
+    Parameters
+    ----------
+    moving, fixed : array, shape (n, 2) or (n, 3)
+        Landmarks of pictures in pixels, or of volumes in the coordinates of their grids.
+    names : sequence of str, optional
+        By default "1", "2", ...
 
-    Names are "1", "2", ... where none are given. Raises LandmarkError, naming the landmark, when a coordinate is not
-    finite, when the numbers of landmarks differ or are zero, and when two landmarks of one image are at one place,
-    which no map that can be inverted separates.
+    Raises
+    ------
+    LandmarkError
+        If a coordinate is not finite, if the numbers of landmarks differ or are zero, or if two landmarks of one image
+        coincide, which no invertible map separates.
     """
 
     moving: PointArray
@@ -31,7 +37,10 @@ class LandmarkPairs:
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        dimension = 3 if _is_in_space(self.moving) else 2
+        try:
+            dimension = 3 if np.shape(self.moving)[-1:] == (3,) and np.ndim(self.moving) == 2 else 2
+        except ValueError:  # lists of different lengths
+            dimension = 2
         object.__setattr__(self, "moving", as_points(self.moving, dimension, "moving"))
         object.__setattr__(self, "fixed", as_points(self.fixed, dimension, "fixed"))
         count = len(self.moving)
@@ -44,9 +53,18 @@ class LandmarkPairs:
         if len(names) != count:
             raise LandmarkError(f"there are {len(names)} names for {count} landmarks", "name all or none")
         object.__setattr__(self, "names", names)
-        for what, points in (("moving", self.moving), ("fixed", self.fixed)):
-            _require_finite(what, points, names)
-            _require_distinct(what, points, names)
+        for side, points in (("moving", self.moving), ("fixed", self.fixed)):
+            wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+            if wrong.size:
+                finding = f"{side} landmark {names[wrong[0]]} is at ({_text(points[wrong[0]])})"
+                raise LandmarkError(finding, "give finite numbers, or leave it out")
+            order = np.lexsort(points.T)
+            same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
+            if same.size:
+                one, other = sorted(order[same[0] : same[0] + 2])
+                place = f"the same place ({_text(points[one])})"
+                finding = f"{side} landmarks {names[one]} and {names[other]} are at {place}"
+                raise LandmarkError(finding, "leave one of them out, because no map separates or joins them")
 
     def __len__(self) -> int:
         return len(self.moving)
@@ -57,34 +75,26 @@ class LandmarkPairs:
         return int(self.moving.shape[1])
 
     def without(self, k: int) -> LandmarkPairs:
-        """All pairs but number k, counted from zero; LandmarkError when none would be left."""
+        """Remove the pair number k, counted from zero; LandmarkError if it is the only one."""
         return self.chosen(np.arange(len(self)) != k)
 
     def chosen(self, kept: NDArray[np.bool_]) -> LandmarkPairs:
-        """The pairs that are marked, shape (n,); LandmarkError when there are none."""
+        """Select the marked pairs, shape (n,); LandmarkError if there are none."""
         names = tuple(name for name, is_kept in zip(self.names, kept, strict=True) if is_kept)
         return LandmarkPairs(self.moving[kept], self.fixed[kept], names)
 
     def swapped(self) -> LandmarkPairs:
-        """The pairs with the fixed image as the moving one."""
+        """Exchange the moving and the fixed image."""
         return LandmarkPairs(self.fixed, self.moving, self.names)
 
 
 def flipped(pairs: LandmarkPairs, width: int) -> LandmarkPairs:
-    """The pairs for a moving image of so many columns that is mirrored left to right."""
+    """Mirror the moving landmarks left to right, in an image with `width` columns."""
     return LandmarkPairs(pairs.moving * [-1.0, 1.0] + [width - 1.0, 0.0], pairs.fixed, pairs.names)
 
 
-def _is_in_space(values: Any) -> bool:
-    """Whether points have three coordinates, as far as numpy can tell."""
-    try:
-        return bool(np.shape(values)[-1:] == (3,) and np.ndim(values) == 2)
-    except ValueError:
-        return False
-
-
 def as_points(values: Any, dimension: int = 2, what: str = "") -> PointArray:
-    """An array of points, shape (n, dimension), from whatever numpy makes one of; LandmarkError when it makes none."""
+    """Convert values to an array of points, shape (n, dimension); LandmarkError if that is impossible."""
     axes = "x, y" if dimension == 2 else "x, y, z"
     try:
         points = np.array(values, dtype=np.float64)
@@ -101,20 +111,5 @@ def as_points(values: Any, dimension: int = 2, what: str = "") -> PointArray:
     return np.ascontiguousarray(points)
 
 
-def _require_finite(what: str, points: PointArray, names: Sequence[str]) -> None:
-    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if wrong.size:
-        place = ", ".join(f"{x:g}" for x in points[wrong[0]])
-        raise LandmarkError(
-            f"{what} landmark {names[wrong[0]]} is at ({place})", "give finite numbers, or leave it out"
-        )
-
-
-def _require_distinct(what: str, points: PointArray, names: Sequence[str]) -> None:
-    order = np.lexsort(points.T)
-    same = np.flatnonzero((points[order[1:]] == points[order[:-1]]).all(axis=1))
-    if same.size:
-        one, other = sorted(order[same[0] : same[0] + 2])
-        place = ", ".join(f"{x:g}" for x in points[one])
-        finding = f"{what} landmarks {names[one]} and {names[other]} are at the same place ({place})"
-        raise LandmarkError(finding, "leave one of them out, because no map separates or joins them")
+def _text(point: PointArray) -> str:
+    return ", ".join(f"{x:g}" for x in point)

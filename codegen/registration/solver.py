@@ -1,16 +1,15 @@
-"""The generated solver of registrations: where its problem is found, and how it is built, compiled and kept.
+"""The generated solver of registrations: its problem file, its build and compilation, and the flow of its solution.
 
-The problem file is in `problems/` of a checkout, and beside this file where the package is installed from a wheel. The
-module that is derived from it goes to the build cache ($CODEGEN_CACHE_DIR, or a folder in the user's cache directory),
-and its machine code beside it, so that only the first registration on a machine has to wait for either.
+The problem file is in `problems/` of a checkout, and in a folder next to this file in an installation from a wheel. The
+derived module is stored in the build cache ($CODEGEN_CACHE_DIR, or a folder in the cache directory of the user)
+together with its machine code. So only the first registration on a machine derives and compiles it.
 
-The flow: the generated solver that moves landmarks, and its kernels that carry any other point along. A point x without
-momentum moves by x' = sum_j G(x, q_j) p_j and disturbs no landmark, so the motion of the landmarks, once solved for,
-carries any number of points, forwards and backwards. They make the steps that the landmarks make, and on the way back
-the exact inverses of these steps.
+The flow: the generated solver moves landmarks, and its kernels carry any other point. A point x without momentum moves
+by x' = sum_j G(x, q_j) p_j and has no effect on landmarks. So the solved motion of the landmarks carries any number of
+points, forwards and backwards. Points make the same steps as landmarks, and on the way back their exact inverses.
 
-Many points are divided among threads. Generated kernels hold no lock while they run; and threads that live for one call
-alone are safe in a server with several sessions, and in a process that forks, as a pool that numba keeps would not be.
+Many points are divided among threads. Generated kernels hold no lock. Threads that live for one call are safe in a
+server with several sessions and in a process that forks; the thread pool of numba is not.
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ from codegen.solving.loading import load
 
 _THREADS: ContextVar[int] = ContextVar("threads", default=os.cpu_count() or 1)
 THREADED = 400_000
-"""Velocities that one landmark gives to one point, from which on a second thread is worth its start."""
+"""Evaluations of the kernel of a landmark and a point above which several threads are used."""
 
 
 class FlowModule(Protocol):
-    """What is used of a generated module that carries tracer points; a case is what `make_case` returns."""
+    """The interface of a generated module that carries tracer points; a case is the result of `make_case`."""
 
     metadata: ConnectRecord
 
@@ -50,7 +49,6 @@ class FlowModule(Protocol):
     momenta_of_least_action: Callable[[Any], NDArray[np.float64]]
     momentum_matrix: Callable[..., None]
     penalised: Callable[[Any, float, NDArray[np.float64]], float]
-    misses_by_far: Callable[[Any, NDArray[np.float64]], bool]
     stages_of: Callable[[Any, Any], NDArray[np.float64]]
     carry: Callable[..., tuple[PointArray, Any]]
     POINTS: int
@@ -58,7 +56,7 @@ class FlowModule(Protocol):
 
 
 def require_tracers(module: Any) -> FlowModule:
-    """The same module, if it carries tracer points; ModuleError tells if it does not."""
+    """Return the module if it carries tracer points; ModuleError otherwise."""
     if module.metadata.task != Task.CONNECT or not module.metadata.passive:
         raise ModuleError("the module carries no points", "build it with --set passive=True")
     return cast(FlowModule, module)
@@ -66,7 +64,7 @@ def require_tracers(module: Any) -> FlowModule:
 
 @contextmanager
 def threads_at_most(number: int) -> Iterator[None]:
-    """Flows that are made here use at most so many threads, as where there is a process for every processor."""
+    """Limit the threads of flows that are made in the block, for instance with one process per processor."""
     token = _THREADS.set(number)
     try:
         yield
@@ -78,8 +76,8 @@ def threads_at_most(number: int) -> Iterator[None]:
 class Flow:
     """The solved motion of landmarks in the disc, or in the ball, from t = 0 to 1 in equal steps.
 
-    `path`, shape (N + 1, 2, n, d), are the landmarks' places and momenta at the nodes; `points` the states at which the
-    scheme evaluates the field. `threads` is the most of them that work at once.
+    `path`, shape (N + 1, 2, n, d), has the positions and momenta of the landmarks at the nodes, and `points` the states
+    at which the scheme evaluates the field. `threads` is the largest number of threads.
     """
 
     module: FlowModule
@@ -95,24 +93,24 @@ class Flow:
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """The landmarks' velocities at the start, H_pp p, shape (n, d)."""
+        """The initial velocities of the landmarks, H_pp p, shape (n, d)."""
         places, momenta = self.path[0]
         matrix = np.empty((len(places), len(places)))
         self.module.momentum_matrix(self.path[0], self.case.own, self.case.parameters, matrix)
         return np.asarray(matrix @ momenta)
 
     def carry(self, points: PointArray, start: float = 0.0, stop: float = 1.0) -> PointArray:
-        """Where points of the disc, shape (n, d), that are there at time `start` are at time `stop`.
+        """Carry points of the disc, shape (n, d), from time `start` to time `stop`.
 
-        Points on the rim and outside stay where they are. A point becomes NaN when a step, too long for it, has no
-        solution there. Raises NumericsError when points or times are unusable.
+        Points on the rim and outside do not move. A point becomes NaN if a step is too long to have a solution there.
+        Raises NumericsError for unusable points or times.
         """
         return self._carried(points, start, stop, False)[0]
 
     def carry_with_jacobian(
         self, points: PointArray, start: float = 0.0, stop: float = 1.0
     ) -> tuple[PointArray, NDArray[np.float64]]:
-        """The same, and the derivative of each place by where it came from, shape (n, d, d)."""
+        """Carry points, and return the derivatives of final by initial positions, shape (n, d, d), too."""
         return self._carried(points, start, stop, True)
 
     def _carried(self, points: PointArray, start: float, stop: float, derive: bool) -> tuple[PointArray, Any]:
@@ -126,32 +124,29 @@ class Flow:
         try:
             if self.threads < 2 or work < THREADED:
                 return part(points)
-            part(points[:1])  # compiled, or read from disk, before several threads ask for it
+            part(points[:1])  # compiles the kernel, or reads it from disk, before several threads use it
+            # Whole blocks for each thread, so that results do not depend on the number of threads.
+            blocks = -(-len(points) // self.module.BLOCK)
+            ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
             with ThreadPoolExecutor(self.threads) as pool:
-                parts = list(pool.map(part, self._shares(points)))
+                parts = list(pool.map(part, np.split(points, ends)))
         except ValueError as error:
             raise NumericsError(str(error), "give points, one a row, and times between 0 and 1") from error
         places = np.concatenate([places for places, _ in parts])
         return places, np.concatenate([jacobians for _, jacobians in parts]) if derive else None
 
-    def _shares(self, points: PointArray) -> list[PointArray]:
-        """The points for each thread: whole blocks, so that results do not depend on how many threads there are."""
-        blocks = -(-len(points) // self.module.BLOCK)
-        ends = [self.module.BLOCK * (blocks * k // self.threads) for k in range(1, self.threads)]
-        return np.split(points, ends)
-
 
 def of_steps(flow: Flow, gradients: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bounds of |D Phi - I| of each step from those of the gradients at all stages, shape (N POINTS,)."""
+    """Return bounds of |D Phi - I| of each step, from bounds of the gradients at all stages, shape (N POINTS,)."""
     module: Any = flow.module
-    h, found = flow.case.duration / flow.steps, np.zeros(flow.steps)
+    h, bounds = flow.case.duration / flow.steps, np.zeros(flow.steps)
     for k, stages in enumerate(gradients.reshape(flow.steps, module.POINTS)):
         rates: list[float] = []
         for row, gradient in zip(module.ROWS, stages, strict=True):
             stretched = 1.0 + h * sum(abs(a) * rate for a, rate in zip(row, rates, strict=False))
             rates.append(float(gradient) * stretched)
-        found[k] = h * sum(abs(b) * rate for b, rate in zip(module.WEIGHTS, rates, strict=True))
-    return found
+        bounds[k] = h * sum(abs(b) * rate for b, rate in zip(module.WEIGHTS, rates, strict=True))
+    return bounds
 
 
 PROBLEM = "image_registration.py"
@@ -159,21 +154,21 @@ DEFAULT_SCHEME = "rk4"
 
 
 def arguments_of(dimension: int) -> dict[str, str]:
-    """The problem's arguments for pictures, in two dimensions, or volumes, in three."""
+    """Return the arguments of the problem for pictures (2) or volumes (3)."""
     return {"passive": "True"} if dimension == 2 else {"passive": "True", "dimension": str(dimension)}
 
 
 def problem_file() -> Path:
-    """The file of the problem whose module registers images; ModuleError when it is missing."""
-    here = Path(__file__).parent
-    for candidate in (here / "problem" / PROBLEM, here.parents[1] / "problems" / PROBLEM):
+    """Return the problem file of registrations; ModuleError if it is missing."""
+    folder = Path(__file__).parent
+    for candidate in (folder / "problem" / PROBLEM, folder.parents[1] / "problems" / PROBLEM):
         if candidate.is_file():
             return candidate
     raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
 
 
 def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
-    """Whether the module of a scheme and its machine code are on disk, so that nobody has to wait for them."""
+    """Return True if the module of a scheme and its machine code are on disk."""
     from codegen.solving.compiler import build, stored
     from codegen.solving.machine_code.compilation import has_machine_code
 
@@ -184,9 +179,9 @@ def is_compiled(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> bool:
 
 @cache
 def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> FlowModule:
-    """The generated module of a scheme, derived and compiled when it is needed for the first time on a machine.
+    """Return the generated module of a scheme; its first use on a machine derives and compiles it.
 
-    That is announced on stderr. Raises SchemeError for a scheme without fixed steps.
+    The compilation is announced on stderr. Raises SchemeError for a scheme without fixed steps.
     """
     from codegen.solving.compiler import build
     from codegen.solving.machine_code.compilation import compile_all, has_machine_code
@@ -200,5 +195,5 @@ def registration_module(scheme: str = DEFAULT_SCHEME, dimension: int = 2) -> Flo
         print("codegen: compiling the solver of registrations, once on this machine ...", file=sys.stderr)
         with compilers() as processes:
             processes.compile(made.path)
-    compile_all(module)  # reads machine code, or makes what is missing, before anything is timed
+    compile_all(module)  # reads machine code, or compiles missing kernels, before anything is timed
     return module

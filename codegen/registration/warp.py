@@ -1,24 +1,36 @@
-"""Warped images: every pixel of the result is looked up where the inverse map says that it comes from.
+"""The effect of a map on all pixels of an image: positions, warped images and displacement fields.
 
-Positions of all pixels from a coarse grid: cubic splines between exactly mapped points, with a measured error. The map
-is smooth except at landmarks, where its second derivative grows like a logarithm. So it is mapped exactly at every
-`spacing`-th pixel of a grid, and a cubic spline through these points gives all other pixels; but the cells in which the
-spline was found to err too much, about landmarks a quarter of that, and their neighbours are mapped exactly, pixel by
-pixel.
+Every pixel of a warped image is looked up at the position that the inverse map assigns to it.
 
-What is proved and what is sampled: nothing is proved. The error of the spline through every second node in each
-direction is measured at all nodes, and a quarter of it is taken for the error of the spline through all of them, since
-halving the spacing divides the error of a cubic spline by four where second derivatives are bounded and no more is
-known, and by sixteen where the map is smooth. `bound` is the largest of these errors outside the cells that were mapped
-exactly, or the largest that was found at the centres of the worst cells, which is `checked`, if that is larger.
+Positions from a coarse grid: the map is smooth except at landmarks, where its second derivative grows like a logarithm.
+The map is evaluated at every `spacing`-th pixel, and a cubic spline through these nodes gives the other pixels. Cells
+in which the error of the spline is too large are evaluated pixel by pixel, together with their neighbours. The bound is
+four times smaller in cells with landmarks.
+
+The error of the spline is estimated, not proved. The error of the spline through every second node in each direction is
+measured at all nodes. A quarter of it is the estimate for the spline through all nodes: halving the spacing divides the
+error of a cubic spline by four if second derivatives are bounded, and by sixteen where the map is smooth. In addition
+the spline is compared with the map at the centres of the worst cells.
+
+Displacement fields: a field on the fixed frame, made with `inverse=True`, is the input of resampling programs such as
+ITK. Added to the position of a fixed pixel, it gives the position in the moving image. NIfTI, MetaImage and NRRD files
+have one voxel of size 1 per pixel, the origin at the centre of the top-left pixel, and vectors (x, y) in pixels. Axes
+are those of ITK: x to the left of the patient and y to the back. So no sign changes between the array and ITK.
+
+MetaImage in two files consists of a header, `.mhd`, and the file of samples that the header names. Written headers
+name `stem.raw`, which holds numbers without compression, so that any program can read them.
 """
 
 from __future__ import annotations
 
+import gzip
+import importlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -27,209 +39,65 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter
 
-from codegen.errors import ArgumentError, ImageError
+from codegen.errors import ArgumentError, ExtraError, ImageError
+from codegen.files import replacing
+from codegen.registration.grid import pixel_grid
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
 
 Spacing: TypeAlias = int | Literal["auto"] | None
 Map: TypeAlias = Callable[[PointArray], PointArray]
+Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
+Array: TypeAlias = NDArray[np.float64]
 
+ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
 BOUND = 0.01
-"""Largest error in pixels that a coarse grid may have where positions are not exact."""
+"""Largest error, in pixels, of positions from a coarse grid."""
 LARGEST, SMALLEST = 32, 2
+"""Pixels between nodes."""
 HALVING = 4.0
 """The least factor by which half the spacing reduces the error of a cubic spline; see above."""
 SINGULAR = 4.0
-"""How many times smaller an error must be about a landmark, where it varies within a cell."""
+"""The factor by which the bound is smaller in cells with a landmark, where the error varies within a cell."""
 PORTION = 1 << 20
-"""Pixels that are mapped at once, a whole number of the blocks in which a flow carries points."""
+"""Pixels that are mapped at once: a multiple of the block size of the flow."""
 CHECKED = 256
-"""Cells at whose centres the spline is compared with exact positions."""
+"""Cells at whose centres the spline is compared with the map."""
+BAND_ROWS = 64
+"""Rows of the result that one thread looks up at a time."""
+SPLINE_PADDING = 12
+"""Pixels by which an image is continued before a spline is fitted, as in scipy.ndimage for this boundary mode."""
+
+FIELD_KINDS = (".npz", ".nii", ".nii.gz", ".mha", ".mhd", ".nrrd")
+_NIFTI_VECTOR = "vector"  # the intent whose components ITK takes without a change of sign
+_META_HEADER, _META_SAMPLES, _META_KEY = ".mhd", ".raw", "ElementDataFile"
+_SAMPLE_KEYS = {_META_HEADER: ("=", (_META_KEY,)), ".nhdr": (":", ("data file", "datafile"))}
+"""By kind of header: the text between a key and its value, and the keys of files of samples."""
+_MOST_HEADER = 1 << 16
+"""Bytes of a header that are searched."""
 
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Where each pixel of a grid is mapped to, shape (h, w, 2), and how that was found.
+    """The positions to which the pixels of a grid are mapped, shape (h, w, 2), and their accuracy.
 
-    `spacing` is 1 where all pixels were mapped exactly; otherwise `exact` is the share of pixels that were, `bound` the
-    largest estimated error of the others, and `checked` that found at the centres of the worst cells, all in pixels.
+    `spacing` is 1 if all pixels were mapped exactly. Otherwise `exact` is the share of exactly mapped pixels. `bound`
+    is the largest error of the others, in pixels: estimated, or measured at the centres of the worst cells.
     """
 
-    places: NDArray[np.float64]
+    places: Array
     spacing: int = 1
     exact: float = 1.0
     bound: float = 0.0
-    checked: float = 0.0
-
-
-def map_grid(
-    function: Map, shape: Sequence[int], singular: PointArray, spacing: Spacing = None, bound: float = BOUND
-) -> Positions:
-    """Map every pixel of an image of shape (height, width, ...) by a function of points, exactly or from a coarse grid.
-
-    `singular` are the points, shape (n, 2), at which the function is not smooth. With "auto", the spacing is halved
-    until that no longer pays. Raises ArgumentError for a spacing that is no power of two from 2 to 32 and not "auto".
-    """
-    height, width = int(shape[0]), int(shape[1])
-    largest = LARGEST
-    while largest > SMALLEST and 6 * largest > min(height, width):
-        largest //= 2
-    if spacing is None or 6 * largest > min(height, width):
-        # Where every pixel is mapped to, shape (h, w, 2), of which few are on their way at once.
-        places = np.empty((height * width, 2))
-        for begin in range(0, len(places), PORTION):
-            rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
-            places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
-        return Positions(places.reshape(height, width, 2))
-    if spacing == "auto":
-        # Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add.
-        grid = _Grid.exact(function, ((height, width)), largest)
-        while grid.spacing > SMALLEST:
-            doubtful = grid.doubtful(grid.errors(), singular, bound)
-            if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
-                break
-            grid = grid.refined(function)
-        return _completed(function, grid, singular, bound)
-    if spacing not in (2, 4, 8, 16, 32):
-        raise ArgumentError(f"the spacing is {spacing!r}", "give 2, 4, 8, 16, 32 or auto")
-    return _completed(function, _Grid.exact(function, (height, width), min(spacing, largest)), singular, bound)
-
-
-@dataclass(frozen=True, eq=False)
-class _Grid:
-    """Exactly mapped nodes, from pixel 0 to beyond the last, an even number of cells in each direction.
-
-    `shifts`, shape (rows, columns, 2), are what the function adds to the nodes: where that is nothing, splines keep it.
-    """
-
-    shape: tuple[int, int]
-    spacing: int
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    shifts: NDArray[np.float64]
-
-    @classmethod
-    def exact(cls, function: Map, shape: tuple[int, int], spacing: int) -> _Grid:
-        y, x = (_nodes(length, spacing) for length in shape)
-        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return cls(shape, spacing, x, y, (function(nodes) - nodes).reshape(y.size, x.size, 2))
-
-    def refined(self, function: Map) -> _Grid:
-        """The grid of half the spacing; only what is new is mapped."""
-        shape, spacing = self.shape, self.spacing // 2
-        y, x = (_nodes(length, spacing) for length in shape)
-        shifts = np.full((y.size, x.size, 2), np.nan)
-        rows, columns = min(self.y.size, (y.size + 1) // 2), min(self.x.size, (x.size + 1) // 2)
-        shifts[: 2 * rows : 2, : 2 * columns : 2] = self.shifts[:rows, :columns]
-        new = np.isnan(shifts[..., 0])
-        nodes = np.stack(np.meshgrid(x, y), axis=-1)
-        shifts[new] = function(nodes[new]) - nodes[new]
-        return _Grid(shape, spacing, x, y, shifts)
-
-    def errors(self) -> NDArray[np.float64]:
-        """The spline's estimated error about each node, shape (rows, columns), in pixels."""
-        coarse = spline(self.y[::2], self.x[::2], self.shifts[::2, ::2], self.y, self.x)
-        return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
-
-    def doubtful(self, errors: NDArray[np.float64], singular: PointArray, bound: float) -> NDArray[np.bool_]:
-        """Cells with a corner of large error, or a singular point and an error that is not small; and neighbours."""
-        at_cells = _at_cells(errors)
-        large = ~(at_cells <= bound)
-        columns, rows = np.floor(singular / self.spacing).astype(int).T
-        inside = (rows >= 0) & (rows < large.shape[0]) & (columns >= 0) & (columns < large.shape[1])
-        rows, columns = rows[inside], columns[inside]
-        large[rows, columns] |= ~(maximum_filter(at_cells, 3)[rows, columns] <= bound / SINGULAR)
-        return np.asarray(binary_dilation(large, np.ones((3, 3))))
-
-    def pixels(self, cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The pixels that lie in cells."""
-        wide = np.repeat(np.repeat(cells, self.spacing, axis=0), self.spacing, axis=1)
-        return np.asarray(wide[: self.shape[0], : self.shape[1]])
-
-
-def _at_cells(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
-
-
-def _nodes(length: int, spacing: int) -> NDArray[np.float64]:
-    cells = 2 * -(-length // (2 * spacing))
-    return spacing * np.arange(cells + 1.0)
-
-
-def _completed(function: Map, grid: _Grid, singular: PointArray, bound: float) -> Positions:
-    errors = grid.errors()
-    doubtful = grid.doubtful(errors, singular, bound)
-    height, width = grid.shape
-    places = spline(grid.y, grid.x, grid.shifts, np.arange(height), np.arange(width))
-    places[..., 0] += np.arange(width)
-    places[..., 1] += np.arange(height)[:, None]
-    rows, columns = np.nonzero(grid.pixels(doubtful))
-    if rows.size:
-        places[rows, columns] = function(np.stack([columns, rows], axis=1).astype(float))
-    remaining = np.where(doubtful, 0.0, _at_cells(errors))
-    checked = _checked(function, grid, remaining)
-    found = max(float(remaining.max()), checked)
-    return Positions(places, grid.spacing, rows.size / (height * width), found, checked)
-
-
-def _checked(function: Map, grid: _Grid, remaining: NDArray[np.float64]) -> float:
-    """The largest error of the spline at the centres of the cells in which the largest errors were measured."""
-    worst = np.argsort(remaining, axis=None)[-CHECKED:]
-    worst = worst[remaining.ravel()[worst] > 0.0]
-    if not worst.size:
-        return 0.0
-    rows, columns = np.unravel_index(worst, remaining.shape)
-    x, y = (columns + 0.5) * grid.spacing, (rows + 0.5) * grid.spacing
-    centres = np.stack([x, y], axis=1)
-    exact = function(centres) - centres
-    along_rows = basis(grid.y, y) @ _coefficients(grid.y, grid.x, grid.shifts).reshape(grid.y.size, -1)
-    weights = basis(grid.x, x).toarray()
-    found = np.einsum("nmc,nm->nc", along_rows.reshape(len(x), grid.x.size, 2), weights)
-    return float(np.linalg.norm(found - exact, axis=1).max())
-
-
-def spline(
-    y: NDArray[np.float64], x: NDArray[np.float64], values: NDArray[np.float64], to_y: Any, to_x: Any
-) -> NDArray[np.float64]:
-    """The cubic spline through values on a grid of y and x, shape (rows, columns, 2), at every y of every x of another.
-
-    Its ends are such that the first two cells in each direction share a cubic ("not a knot").
-    """
-    coefficients = _coefficients(y, x, values)
-    along, across = basis(y, to_y), basis(x, to_x)
-    rows, columns = len(to_y), len(to_x)
-    out = np.empty((rows, columns, 2))
-    for component in range(2):
-        out[..., component] = (across @ (along @ coefficients[..., component]).T).T
-    return out
-
-
-def _coefficients(y: NDArray[np.float64], x: NDArray[np.float64], values: NDArray[np.float64]) -> Any:
-    by_rows = make_interp_spline(y, values, k=3, axis=0).c
-    return np.moveaxis(make_interp_spline(x, np.moveaxis(by_rows, 1, 0), k=3, axis=0).c, 0, 1)
-
-
-def basis(nodes: NDArray[np.float64], at: Any) -> Any:
-    """The values of the cubic B-splines of nodes at some places, a sparse matrix."""
-    knots = np.concatenate([[nodes[0]] * 4, nodes[2:-2], [nodes[-1]] * 4])
-    return BSpline.design_matrix(np.asarray(at, dtype=float), knots, 3).tocsr()
-
-
-Interpolation: TypeAlias = Literal["nearest", "linear", "cubic"]
-ORDERS: dict[str, int] = {"nearest": 0, "linear": 1, "cubic": 3}
-
-BAND_ROWS = 64
-"""Rows of the result that one thread looks up at a time."""
-SPLINE_PADDING = 12
-"""Pixels by which an image is continued before a spline is fitted, as scipy.ndimage does it for this kind of edge."""
 
 
 @dataclass(frozen=True)
 class WarpReport:
-    """How positions were found: at every pixel, or from every `spacing`-th and a share of the others, `exact`.
+    """The accuracy of a warped image.
 
-    `bound` is the largest error, in pixels, of a position that was interpolated; see `codegen.registration.warp`.
-    `outside` counts the pixels of the result that come from outside the image.
+    Positions were evaluated at every `spacing`-th pixel and at a share `exact` of the others. `bound` is the largest
+    error of an interpolated position, in pixels; see `codegen.registration.warp`. `outside` counts the pixels of the
+    result whose position is outside the image.
     """
 
     spacing: int
@@ -251,15 +119,42 @@ def warp(
     time: float = 1.0,
     positions: Positions | None = None,
 ) -> NDArray[Any]:
-    """The moving image in the frame of the fixed one, or with `inverse` the fixed image in that of the moving one.
+    """Warp the moving image to the frame of the fixed image.
 
-    `pixels` has shape (height, width) or (height, width, channels); what is returned has the dtype of `pixels` and
-    the size `shape`, by default that of the other image. Pixels that come from outside the image are `fill`. With a
-    `spacing`, a number of pixels or "auto", positions are interpolated from a coarse grid where that errs by less than
-    `bound` pixels. `time` is that of `Registration.positions`. Where pixels come from is not computed again if it is
-    given as `positions`, as by `certify_with_positions`; then `inverse`, `shape`, `spacing` and `time` have no effect.
+    Parameters
+    ----------
+    pixels : array, shape (height, width) or (height, width, channels)
+        The moving image, or the fixed image with `inverse`.
+    registration : Registration
+        The map.
+    interpolation : {"nearest", "linear", "cubic"}
+        The order of the splines through the pixels: 0, 1 or 3.
+    inverse : bool
+        Warp the fixed image to the frame of the moving image.
+    shape : sequence of int, optional
+        Height and width of the result; by default those of the other image.
+    spacing : int or "auto", optional
+        Pixels between the nodes of a coarse grid from which positions are interpolated; by default none are.
+    bound : float
+        The largest error of an interpolated position, in pixels.
+    fill : float
+        The value of pixels whose position is outside the image.
+    time : float
+        The time of `Registration.positions`, from 0 to 1.
+    positions : Positions, optional
+        Known positions, as from `certify_with_positions`; `inverse`, `shape`, `spacing` and `time` have no effect then.
 
-    Raises ImageError for an array that is no image, ArgumentError for an unknown interpolation or spacing.
+    Returns
+    -------
+    array
+        The warped image, with the dtype of `pixels`.
+
+    Raises
+    ------
+    ImageError
+        If the array is no image.
+    ArgumentError
+        For an unknown interpolation or spacing.
     """
     return warp_reported(
         pixels, registration, interpolation=interpolation, inverse=inverse, shape=shape, spacing=spacing, bound=bound,
@@ -280,7 +175,7 @@ def warp_reported(
     time: float = 1.0,
     positions: Positions | None = None,
 ) -> tuple[NDArray[Any], WarpReport]:
-    """The same as `warp`, and a report."""
+    """Warp an image as `warp` does, and report the accuracy."""
     image = np.asarray(pixels)
     if interpolation not in ORDERS:
         raise ArgumentError(f"interpolation is {interpolation!r}", f"use {', '.join(ORDERS)}")
@@ -288,10 +183,21 @@ def warp_reported(
         raise ImageError(f"the image has shape {image.shape}", "give (height, width) or (height, width, channels)")
     if image.dtype.kind not in "uif":
         raise ImageError(f"the image's values are of type {image.dtype}", "give integers or floating-point numbers")
-    default = registration.shape if inverse else registration.fixed_shape
-    found = positions or sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
-    warped, outside = sample(image, found.places, ORDERS[interpolation], fill)
-    return warped, WarpReport(found.spacing, found.exact, found.bound, outside)
+    if positions is None:
+        default = registration.shape if inverse else registration.fixed_shape
+        positions = sources(registration, default if shape is None else shape, inverse, spacing, bound, time)
+    places, order = positions.places, ORDERS[interpolation]
+    layers = [spline_of(image[(..., *channel)], order) for channel in np.ndindex(image.shape[2:])]
+    warped = np.empty((*places.shape[:2], *image.shape[2:]), image.dtype)
+
+    def band(rows: slice) -> int:
+        return sample_band(layers, places[rows], image.shape, order, fill, warped[rows])
+
+    # Interpolation holds no lock, and the positions of a band stay in the cache of the processor.
+    bands = [slice(k, k + BAND_ROWS) for k in range(0, len(warped), BAND_ROWS)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        outside = sum(pool.map(band, bands))
+    return warped, WarpReport(positions.spacing, positions.exact, positions.bound, outside)
 
 
 def sources(
@@ -302,7 +208,7 @@ def sources(
     bound: float = BOUND,
     time: float = 1.0,
 ) -> Positions:
-    """Where each pixel of a warped image comes from: of the fixed frame by the inverse map, or the other way about."""
+    """Return the positions in the source image of the pixels of a warped image."""
     pairs = registration.pairs
     singular = pairs.moving if inverse else registration.positions(time, pairs.moving)
 
@@ -312,26 +218,279 @@ def sources(
     return map_grid(function, shape, singular, spacing, bound)
 
 
-def sample(image: NDArray[Any], sources: NDArray[np.float64], order: int, fill: float) -> tuple[NDArray[Any], int]:
-    """The image at positions (x, y), shape (h, w, 2), by splines of the given order; and how many lie outside.
+def displacement_field(
+    registration: Registration,
+    shape: Sequence[int] | None = None,
+    inverse: bool = False,
+    *,
+    spacing: Spacing = None,
+) -> Array:
+    """Return the displacements of all pixels of the moving image.
 
-    A pixel reaches half a pixel about its centre; what lies beyond the outermost centres, but within their pixels, has
-    the value at the edge.
+    Parameters
+    ----------
+    registration : Registration
+        The map.
+    shape : sequence of int, optional
+        Height and width; by default those of the image.
+    inverse : bool
+        Return the displacements of the inverse map at the pixels of the fixed image.
+    spacing : int or "auto", optional
+        The spacing of a coarse grid, as in `warp`.
+
+    Returns
+    -------
+    array, shape (h, w, 2)
+        (dx, dy) in pixels.
     """
-    layers = [spline_of(image[(..., *channel)], order) for channel in np.ndindex(image.shape[2:])]
-    warped = np.empty((*sources.shape[:2], *image.shape[2:]), image.dtype)
+    default = registration.fixed_shape if inverse else registration.shape
+    height, width = (int(length) for length in tuple(default if shape is None else shape)[:2])
+    function = registration.map_points_inverse if inverse else registration.map_points
+    singular = registration.pairs.fixed if inverse else registration.pairs.moving
+    return displacements(map_grid(function, (height, width), singular, spacing))
 
-    def band(rows: slice) -> int:
-        return sample_band(layers, sources[rows], image.shape, order, fill, warped[rows])
 
-    # Interpolation holds no lock, and a band's places stay in the processor's cache.
-    bands = [slice(k, k + BAND_ROWS) for k in range(0, len(warped), BAND_ROWS)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return warped, sum(pool.map(band, bands))
+def displacements(positions: Positions) -> Array:
+    """Subtract the pixels from their positions, shape (h, w, 2)."""
+    return np.asarray(positions.places - pixel_grid(positions.places.shape).reshape(positions.places.shape))
+
+
+def write_field(path: Path | str, field: Array, direction: str = "") -> None:
+    """Write a displacement field in the format of its suffix.
+
+    Parameters
+    ----------
+    path : Path or str
+        The name ends in .npz, .nii, .nii.gz, .mha, .mhd or .nrrd.
+    field : array, shape (h, w, 2)
+        The displacements (dx, dy) in pixels.
+    direction : str
+        A note in the file.
+
+    Raises
+    ------
+    ArgumentError
+        For another suffix.
+    ImageError
+        If the array is no field.
+    ExtraError
+        If the library is missing: nibabel for NIfTI, SimpleITK for MetaImage and NRRD.
+    FileError
+        If the file cannot be written.
+    """
+    path, values = Path(path), np.asarray(field, dtype=np.float64)
+    if values.ndim != 3 or values.shape[2] != 2:
+        raise ImageError(f"the displacement field has shape {values.shape}", "give (height, width, 2)")
+    kind = next((kind for kind in reversed(FIELD_KINDS) if path.name.endswith(kind)), None)
+    if kind is None:
+        raise ArgumentError(f"{path}: unknown kind of displacement field", f"let it end in {', '.join(FIELD_KINDS)}")
+    with replacing_volume(path) as temporary:
+        if kind == ".npz":
+            np.savez_compressed(temporary, displacement=values, direction=np.array(direction))
+        elif kind in (".nii", ".nii.gz"):
+            # Axes x, y, z, t, component; x and y of NIfTI are opposite to those of ITK.
+            data = np.ascontiguousarray(values.transpose(1, 0, 2)[:, :, None, None, :])
+            nifti = _library("nibabel").Nifti1Image(data, np.diag([-1.0, -1.0, 1.0, 1.0]))
+            nifti.header.set_intent(_NIFTI_VECTOR)
+            nifti.header["descrip"] = f"displacement {direction}".strip().encode()[:79]
+            content = nifti.to_bytes()
+            temporary.write_bytes(gzip.compress(content, 6) if temporary.suffix.lower() == ".gz" else content)
+        else:
+            itk = _library("SimpleITK")
+            image = itk.GetImageFromArray(np.ascontiguousarray(values), isVector=True)
+            if direction:
+                image.SetMetaData("Comment", f"displacement {direction}")
+            itk.WriteImage(image, str(temporary), useCompression=written_with(temporary) is None)
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        remedy = "install the extra: pip install 'variational-codegen[fields]'"
+        raise ExtraError(f"{name}, which writes this kind of file, is not installed", remedy) from error
+
+
+def written_with(path: Path) -> Path | None:
+    """Return the file of samples that is written together with a header; None for volumes in one file."""
+    return path.with_suffix(_META_SAMPLES) if path.suffix.lower() == _META_HEADER else None
+
+
+def read_with(path: Path) -> Path | None:
+    """Return the file of samples that a header names; None if it names none or is not readable."""
+    separator, keys = _SAMPLE_KEYS.get(path.suffix.lower(), ("", ()))
+    if not keys:
+        return None
+    try:
+        with path.open("rb") as file:
+            lines = file.read(_MOST_HEADER).decode("latin-1").splitlines()
+    except OSError:
+        return None  # reading the volume reports the error
+    parts = (line.partition(separator) for line in lines)
+    names = [value.strip() for key, _, value in parts if key.strip() in keys]
+    return path.parent / names[-1] if names and names[-1] not in ("", "LOCAL", "LIST") else None
+
+
+@contextmanager
+def replacing_volume(path: Path) -> Iterator[Path]:
+    """Replace a volume as `codegen.files.replacing` does; a header is replaced after its samples."""
+    samples = written_with(path)
+    if samples is None:
+        with replacing(path) as temporary:
+            yield temporary
+        return
+    with replacing(path) as header, replacing(samples) as temporary:
+        made = header.with_suffix(_META_SAMPLES)
+        try:
+            yield header
+            made.replace(temporary)
+            text = header.read_text(encoding="latin-1")
+            line = f"{_META_KEY} = {made.name}"
+            header.write_text(text.replace(line, f"{_META_KEY} = {samples.name}"), encoding="latin-1")
+        finally:
+            made.unlink(missing_ok=True)
+
+
+def map_grid(
+    function: Map, shape: Sequence[int], singular: PointArray, spacing: Spacing = None, bound: float = BOUND
+) -> Positions:
+    """Map every pixel of an image of shape (height, width, ...) by a function of points.
+
+    `singular` are the points, shape (n, 2), at which the function is not smooth. Without a `spacing` all pixels are
+    mapped exactly. With "auto" the spacing is halved while that reduces the number of evaluations. Raises ArgumentError
+    for a spacing other than "auto" and the powers of two from 2 to 32.
+    """
+    height, width = int(shape[0]), int(shape[1])
+    largest = LARGEST
+    while largest > SMALLEST and 6 * largest > min(height, width):
+        largest //= 2
+    if spacing is None or 6 * largest > min(height, width):
+        places = np.empty((height * width, 2))
+        for begin in range(0, len(places), PORTION):
+            rows, columns = np.divmod(np.arange(begin, min(begin + PORTION, len(places))), width)
+            places[begin : begin + PORTION] = function(np.stack([columns, rows], axis=1).astype(float))
+        return Positions(places.reshape(height, width, 2))
+    if spacing == "auto":
+        # Halve the spacing while the pixels to be mapped exactly are more than the nodes that halving would add.
+        grid = _Grid.exact(function, (height, width), largest)
+        while grid.spacing > SMALLEST:
+            doubtful = grid.doubtful(grid.errors(), singular, bound)
+            if doubtful.sum() * grid.spacing**2 <= 3 * grid.shifts[..., 0].size:
+                break
+            grid = grid.refined(function)
+        return grid.completed(function, singular, bound)
+    if spacing not in (2, 4, 8, 16, 32):
+        raise ArgumentError(f"the spacing is {spacing!r}", "give 2, 4, 8, 16, 32 or auto")
+    return _Grid.exact(function, (height, width), min(spacing, largest)).completed(function, singular, bound)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Exactly mapped nodes, from pixel 0 to beyond the last one, with an even number of cells in each direction.
+
+    `shifts`, shape (rows, columns, 2), are the displacements of the nodes; splines preserve zero displacements.
+    """
+
+    shape: tuple[int, int]
+    spacing: int
+    x: Array
+    y: Array
+    shifts: Array
+
+    @classmethod
+    def exact(cls, function: Map, shape: tuple[int, int], spacing: int) -> _Grid:
+        """Map all nodes."""
+        y, x = (_nodes(length, spacing) for length in shape)
+        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return cls(shape, spacing, x, y, (function(nodes) - nodes).reshape(y.size, x.size, 2))
+
+    def refined(self, function: Map) -> _Grid:
+        """Halve the spacing; only new nodes are mapped."""
+        shape, spacing = self.shape, self.spacing // 2
+        y, x = (_nodes(length, spacing) for length in shape)
+        shifts = np.full((y.size, x.size, 2), np.nan)
+        rows, columns = min(self.y.size, (y.size + 1) // 2), min(self.x.size, (x.size + 1) // 2)
+        shifts[: 2 * rows : 2, : 2 * columns : 2] = self.shifts[:rows, :columns]
+        new = np.isnan(shifts[..., 0])
+        nodes = np.stack(np.meshgrid(x, y), axis=-1)
+        shifts[new] = function(nodes[new]) - nodes[new]
+        return _Grid(shape, spacing, x, y, shifts)
+
+    def errors(self) -> Array:
+        """Estimate the error of the spline at each node, shape (rows, columns), in pixels."""
+        coefficients = _coefficients(self.y[::2], self.x[::2], self.shifts[::2, ::2])
+        coarse = _spline(self.y[::2], self.x[::2], coefficients, self.y, self.x)
+        return np.asarray(np.linalg.norm(coarse - self.shifts, axis=-1) / HALVING)
+
+    def doubtful(self, errors: Array, singular: PointArray, bound: float) -> NDArray[np.bool_]:
+        """Mark cells with a large error, cells with a singular point and an error that is not small, and neighbours."""
+        in_cells = _at_cells(errors)
+        large = ~(in_cells <= bound)
+        columns, rows = np.floor(singular / self.spacing).astype(int).T
+        inside = (rows >= 0) & (rows < large.shape[0]) & (columns >= 0) & (columns < large.shape[1])
+        rows, columns = rows[inside], columns[inside]
+        large[rows, columns] |= ~(maximum_filter(in_cells, 3)[rows, columns] <= bound / SINGULAR)
+        return np.asarray(binary_dilation(large, np.ones((3, 3))))
+
+    def completed(self, function: Map, singular: PointArray, bound: float) -> Positions:
+        """Interpolate all pixels, and map the pixels of doubtful cells exactly."""
+        height, width = self.shape
+        errors, coefficients = self.errors(), _coefficients(self.y, self.x, self.shifts)
+        doubtful = self.doubtful(errors, singular, bound)
+        places = _spline(self.y, self.x, coefficients, np.arange(height), np.arange(width))
+        places[..., 0] += np.arange(width)
+        places[..., 1] += np.arange(height)[:, None]
+        pixels = np.repeat(np.repeat(doubtful, self.spacing, axis=0), self.spacing, axis=1)[:height, :width]
+        rows, columns = np.nonzero(pixels)
+        if rows.size:
+            places[rows, columns] = function(np.stack([columns, rows], axis=1).astype(float))
+        exact = rows.size / (height * width)
+        # The largest error of the spline at the centres of the cells with the largest errors.
+        remaining, checked = np.where(doubtful, 0.0, _at_cells(errors)), 0.0
+        worst = np.argsort(remaining, axis=None)[-CHECKED:]
+        worst = worst[remaining.ravel()[worst] > 0.0]
+        if worst.size:
+            rows, columns = np.unravel_index(worst, remaining.shape)
+            x, y = (columns + 0.5) * self.spacing, (rows + 0.5) * self.spacing
+            centres = np.stack([x, y], axis=1)
+            in_rows = (basis(self.y, y) @ coefficients.reshape(self.y.size, -1)).reshape(len(x), self.x.size, 2)
+            interpolated = np.einsum("nmc,nm->nc", in_rows, basis(self.x, x).toarray())
+            checked = float(np.linalg.norm(interpolated - (function(centres) - centres), axis=1).max())
+        return Positions(places, self.spacing, exact, max(float(remaining.max()), checked))
+
+
+def _at_cells(errors: Array) -> Array:
+    return np.asarray(maximum_filter(errors, size=(2, 2), origin=-1)[:-1, :-1])
+
+
+def _nodes(length: int, spacing: int) -> Array:
+    cells = 2 * -(-length // (2 * spacing))
+    return spacing * np.arange(cells + 1.0)
+
+
+def _coefficients(y: Array, x: Array, values: Array) -> Any:
+    """Fit the cubic spline ("not a knot" at its ends) through values on a grid, shape (rows, columns, 2)."""
+    by_rows = make_interp_spline(y, values, k=3, axis=0).c
+    return np.moveaxis(make_interp_spline(x, np.moveaxis(by_rows, 1, 0), k=3, axis=0).c, 0, 1)
+
+
+def _spline(y: Array, x: Array, coefficients: Any, to_y: Any, to_x: Any) -> Array:
+    """Evaluate a spline at every y of every x of another grid."""
+    along, across = basis(y, to_y), basis(x, to_x)
+    out = np.empty((len(to_y), len(to_x), 2))
+    for component in range(2):
+        out[..., component] = (across @ (along @ coefficients[..., component]).T).T
+    return out
+
+
+def basis(nodes: Array, at: Any) -> Any:
+    """Evaluate the cubic B-splines of nodes at points: a sparse matrix."""
+    knots = np.concatenate([[nodes[0]] * 4, nodes[2:-2], [nodes[-1]] * 4])
+    return BSpline.design_matrix(np.asarray(at, dtype=float), knots, 3).tocsr()
 
 
 def spline_of(layer: NDArray[Any], order: int) -> NDArray[Any]:
-    """What is interpolated: the values, or the coefficients of the cubic spline through them, beyond the edges, too."""
+    """Return the values, or the coefficients of the cubic spline through the continued values."""
     if order < 2:
         return layer
     wide = np.pad(layer.astype(np.float64), SPLINE_PADDING, mode="edge")
@@ -339,10 +498,13 @@ def spline_of(layer: NDArray[Any], order: int) -> NDArray[Any]:
 
 
 def sample_band(
-    layers: Sequence[NDArray[Any]], sources: NDArray[np.float64], shape: Sequence[int], order: int, fill: float,
-    warped: NDArray[Any],
-) -> int:  # fmt: skip
-    """Fill some rows of the result, or of a slice, from places (x, y, ...); how many pixels come from outside."""
+    layers: Sequence[NDArray[Any]], sources: Array, shape: Sequence[int], order: int, fill: float, warped: NDArray[Any]
+) -> int:
+    """Fill rows of the result, or of a slice, from positions (x, y, ...); return the number of pixels from outside.
+
+    A pixel reaches half a pixel from its centre. Beyond the outermost centres, but within their pixels, the image has
+    the value at the edge.
+    """
     axes = sources.shape[-1]
     places = np.moveaxis(sources[..., ::-1], -1, 0).copy()
     outside = np.zeros(sources.shape[:-1], np.bool_)
@@ -355,14 +517,14 @@ def sample_band(
             layer, places, order=order, mode="nearest", prefilter=False,
             output=warped.dtype if order == 0 else np.float64,
         )  # fmt: skip
-        warped[(..., *channel)] = as_type(values, warped.dtype)
+        warped[(..., *channel)] = _as_type(values, warped.dtype)
     if outside.any():
-        warped[outside] = as_type(np.float64(fill), warped.dtype)
+        warped[outside] = _as_type(np.float64(fill), warped.dtype)
     return int(outside.sum())
 
 
-def as_type(values: Any, dtype: np.dtype[Any]) -> Any:
-    """Values of another type: rounded to the nearest integer and clipped to what the type holds."""
+def _as_type(values: Any, dtype: np.dtype[Any]) -> Any:
+    """Convert values: for integers round to nearest and clip to the range of the type."""
     if values.dtype == dtype or not np.issubdtype(dtype, np.integer):
         return values.astype(dtype, copy=False)
     limits = np.iinfo(dtype)

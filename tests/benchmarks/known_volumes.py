@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import Volume, read_volume
+from codegen.registration.volumes import Volume, read_volume
 
 Points = NDArray[np.float64]
 Map = Callable[[Points], Points]

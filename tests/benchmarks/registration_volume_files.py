@@ -14,7 +14,7 @@ from known_volumes import UPRIGHT, inner_points, known_map, texture, thin_plate
 from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import write_volume
+from codegen.registration.volumes import write_volume
 
 
 def size(repeat: int) -> None:

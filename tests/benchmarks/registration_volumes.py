@@ -45,8 +45,7 @@ from codegen.registration import register
 from codegen.registration.certificate import certify, in_provable_steps
 from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import Volume, write_field
-from codegen.registration.volumes.warp import Nodes, warped
+from codegen.registration.volumes import Nodes, Volume, warped, write_field
 
 
 def measured(function: Map, pairs: LandmarkPairs, truth: Map | None, points: Points, pixel: float) -> list[float]:

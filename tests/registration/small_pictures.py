@@ -5,8 +5,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from codegen.registration.app.session import Session
-from codegen.registration.app.state import Picture
+from codegen.registration.app.session import Picture, Session
 from codegen.registration.images import write_image
 
 SHAPE = (40, 60)

@@ -7,7 +7,7 @@ import pytest
 from small_pictures import picture, two_pictures
 
 from codegen.registration.app.autosave import MOST_WORKS, OtherWriterError, Saved, Store, new_token
-from codegen.registration.app.state import Settings, Work
+from codegen.registration.app.session import Settings, Work
 
 
 @pytest.fixture

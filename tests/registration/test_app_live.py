@@ -14,8 +14,7 @@ from codegen.errors import ModuleError
 from codegen.registration.app import page, solving, worker
 from codegen.registration.app.autosave import Store
 from codegen.registration.app.live import LiveWork, Works
-from codegen.registration.app.session import Session
-from codegen.registration.app.state import Picture
+from codegen.registration.app.session import Picture, Session
 
 SHAPE = (30, 40)
 WINDOW = [0.0, 0.0, 40.0, 30.0, 40, 30]

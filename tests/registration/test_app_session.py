@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from small_pictures import picture, two_pictures
 
 from codegen.errors import LandmarkError
-from codegen.registration.app.session import History
-from codegen.registration.app.state import MOST_PAIRS, Settings
+from codegen.registration.app.session import MOST_PAIRS, History, Settings
 from codegen.registration.pairs import LandmarkPairs
 
 

@@ -10,8 +10,7 @@ from small_pictures import SHAPE, two_pictures
 from codegen.errors import CodegenError, RegistrationError
 from codegen.registration import certificate, register, warp
 from codegen.registration.app import reading, solving
-from codegen.registration.app.session import Session
-from codegen.registration.app.state import SIDE, Picture, Settings, pairs_of, tile
+from codegen.registration.app.session import SIDE, Picture, Session, Settings, pairs_of, tile
 from codegen.registration.images import read_image
 from codegen.registration.linear import chosen_alignment
 from codegen.registration.pairs import LandmarkPairs

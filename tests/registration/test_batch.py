@@ -12,11 +12,20 @@ from codegen.batch.executors.journal import journal_of
 from codegen.batch.executors.work import Abandoned
 from codegen.errors import ArgumentError, FileError, ImageError
 from codegen.files import refused, replacing
-from codegen.registration.batches.outcome import BatchRequest, outcome_of
-from codegen.registration.batches.pairing import Places, jobs_in_folder, jobs_in_table
-from codegen.registration.batches.work import COLUMNS, BatchWork, Pair, Place, read_summary
+from codegen.registration.batch import BatchRequest, outcome_of
+from codegen.registration.batch_pairs import (
+    COLUMNS,
+    BatchWork,
+    Pair,
+    Places,
+    SharedFile,
+    jobs_in_folder,
+    jobs_in_table,
+    read_summary,
+)
 from codegen.registration.images import write_image
-from codegen.registration.jobs import Options, Result
+from codegen.registration.job import Options
+from codegen.registration.pair_report import Result
 
 HEADER = "moving_x,moving_y,fixed_x,fixed_y\n"
 
@@ -155,7 +164,7 @@ def test_what_was_killed_is_gone_on_with_from_the_journal(folder, tmp_path, monk
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     summary = tmp_path / "summary.csv"
     with monkeypatch.context() as patched:
-        patched.setattr("codegen.registration.batches.outcome.write_summary", lambda path, lines: None)
+        patched.setattr("codegen.registration.batch.write_summary", lambda path, lines: None)
         patched.setattr("pathlib.Path.unlink", lambda path, missing_ok=False: None)
         with pytest.raises(KeyboardInterrupt):
             done([*jobs[:1], *jobs[2:]], Options(), summary, interrupted)
@@ -195,7 +204,7 @@ def test_a_full_disk_ends_a_batch_and_what_is_written_stays(folder, tmp_path):
 def test_a_chunk_that_nobody_wants_is_left(folder, tmp_path):
     jobs, _ = jobs_in_folder(folder, Places(tmp_path), None, ())
     pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
-    work = BatchWork(pairs, Options(), 3, 1, Place.of(folder), run_one=stand_in)
+    work = BatchWork(pairs, Options(), 3, 1, SharedFile.of(folder), run_one=stand_in)
     assert [len(work.piece(number).pairs) for number in work.chunks] == [3, 1]
     with pytest.raises(Abandoned):
         work.solve(work.piece(0), lambda: False)

@@ -22,10 +22,9 @@ from codegen.batch.executors.journal import journal_of
 from codegen.batch.executors.processes import TRIES
 from codegen.batch.executors.work import LOST
 from codegen.errors import ClusterError
-from codegen.registration.batches.pairing import Places, jobs_in_folder
-from codegen.registration.batches.work import BatchWork, Pair, Place, read_summary
+from codegen.registration.batch_pairs import BatchWork, Pair, Places, SharedFile, jobs_in_folder, read_summary
+from codegen.registration.job import Options
 from codegen.registration.job import run_pictures as run_pair
-from codegen.registration.jobs import Options
 
 pytestmark = pytest.mark.usefixtures("solver")
 
@@ -69,7 +68,7 @@ def test_every_engine_does_any_chunks(source, tmp_path, name):
     """What outcomes of batches decide, which engine and how large a chunk, is no matter here."""
     jobs, _ = jobs_in_folder(source, Places(tmp_path), None, ())
     pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
-    work = BatchWork(pairs, Options(), 5, 1, Place.of(source / "000.png"))
+    work = BatchWork(pairs, Options(), 5, 1, SharedFile.of(source / "000.png"))
     with ENGINES[name].running(work, 1) as solve:
         found = {number: [own.number for own in done.rows] for number, done in solve([2, 0])}
     assert found == {0: [0, 1, 2, 3, 4], 2: [10, 11]}
@@ -192,11 +191,11 @@ class TestPlaces:
     def work(self, source, out):
         jobs, _ = jobs_in_folder(source, Places(out), None, ())
         pairs = [Pair(number, job.absolute(), {}) for number, job in enumerate(jobs)]
-        return BatchWork(pairs, Options(), 4, 1, Place.of(source / "000.png"))
+        return BatchWork(pairs, Options(), 4, 1, SharedFile.of(source / "000.png"))
 
-    @pytest.mark.parametrize("place", [Place(Path("nowhere"), 1), Place(Path(__file__), 1)])
+    @pytest.mark.parametrize("place", [SharedFile(Path("nowhere"), 1), SharedFile(Path(__file__), 1)])
     def test_a_worker_that_sees_another_file_system_refuses(self, source, tmp_path, place):
-        parcel = replace(self.work(source, tmp_path), place=place).parcel()
+        parcel = replace(self.work(source, tmp_path), shared=place).parcel()
         with pytest.raises(ClusterError, match=r"does not see .*; images travel as paths"):
             parcel.unpacked()
 
@@ -219,6 +218,6 @@ class TestPlaces:
             parcel.unpacked()
 
     def test_the_line_comes_from_a_cluster(self, source, tmp_path, monkeypatch):
-        monkeypatch.setattr(Place, "of", lambda path: Place(path, 1))
+        monkeypatch.setattr(SharedFile, "of", lambda path: SharedFile(path, 1))
         done = run("warp", source, "--out", tmp_path / "out", "--cluster", "local", "--workers", 1)
         assert_refused(done, "does not see", "give all workers the file system")

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from codegen.cli import main
 from codegen.errors import LandmarkError, PointsError
 from codegen.registration import register
-from codegen.registration.batches.distances import (
+from codegen.registration.distances import (
     Specimens,
     classical_scaling,
     geodesic_distances,
@@ -141,7 +141,7 @@ def test_specimens_without_distances_are_left_out_of_the_picture(specimens, monk
     def lacking(self, i, j):
         return (np.nan, f"{i} and {j}: none") if 2 in (i, j) and j != 4 else (whole.table[i, j], "")
 
-    monkeypatch.setattr("codegen.registration.batches.distances.DistanceWork._compared", lacking)
+    monkeypatch.setattr("codegen.registration.distances.DistanceWork._compared", lacking)
     found = geodesic_distances(specimens)
     assert len(found.failed) == 3
     kept = [0, 1, 3, 4]

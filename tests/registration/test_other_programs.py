@@ -19,7 +19,7 @@ from codegen.registration.grid import Grid
 from codegen.registration.images import read_image, write_image
 from codegen.registration.linear import chosen_alignment
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import read_volume, write_volume
+from codegen.registration.volumes import read_volume, write_volume
 
 itk = pytest.importorskip("SimpleITK")
 PACKAGES = {"ants": "antspyx", "elastix": "itk-elastix"}

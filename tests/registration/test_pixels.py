@@ -12,12 +12,12 @@ from codegen.registration import register, warp
 from codegen.registration.app.reading import session_of
 from codegen.registration.app.solving import Wanted, certified, estimated_sigma, field, found
 from codegen.registration.certificate import certify, certify_with_positions
-from codegen.registration.fields import displacement_field
-from codegen.registration.images.spacing import Spacing
-from codegen.registration.leave_one_out import leave_one_out
+from codegen.registration.images import Spacing
+from codegen.registration.maps import PixelRegistration, in_pixels, in_squares, square_grid
 from codegen.registration.noise import estimate_sigma
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.pixels import PixelRegistration, in_pixels, in_squares, square_grid
+from codegen.registration.register import leave_one_out
+from codegen.registration.warp import displacement_field
 
 tifffile = pytest.importorskip("tifffile")
 pytestmark = pytest.mark.usefixtures("solver")

@@ -10,12 +10,12 @@ from dask_parts import cluster
 from typer.testing import CliRunner
 
 from codegen.cli import main
-from codegen.registration.batches.pairing import Places, jobs_in_folder, jobs_in_table
+from codegen.registration.batch_pairs import Places, jobs_in_folder, jobs_in_table
 from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
 from codegen.registration.images import read_image, write_image
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import read_volume, write_volume
+from codegen.registration.volumes import read_volume, write_volume
 
 itk = pytest.importorskip("SimpleITK")
 

@@ -13,7 +13,7 @@ from codegen.cli import main
 from codegen.errors import ExtraError
 from codegen.registration.images import write_image
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import is_volume, read_volume, write_volume
+from codegen.registration.volumes import is_volume, read_volume, write_volume
 
 itk = pytest.importorskip("SimpleITK")
 tifffile = pytest.importorskip("tifffile")

@@ -9,8 +9,7 @@ from volume_samples import FIXED, MOVING, OBLIQUE, asked, filled, pairs_of, refu
 from codegen.registration import register
 from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import read_volume, write_volume
-from codegen.registration.volumes.warp import Nodes
+from codegen.registration.volumes import Nodes, read_volume, write_volume
 
 itk = pytest.importorskip("SimpleITK")
 tifffile = pytest.importorskip("tifffile")
@@ -150,7 +149,7 @@ def test_stacks_of_tiff_have_the_spacing_of_imagej(files):
 def test_memory_is_used_in_slabs_and_the_result_does_not_depend_on_them(files, monkeypatch):
     run(*asked(files, "--field", files / "a.mha", "--json"))
     whole, field = read_volume(files / "out.nii.gz").samples, itk.GetArrayFromImage(itk.ReadImage(str(files / "a.mha")))
-    monkeypatch.setattr("codegen.registration.volumes.warp.BLOCKS_PORTION", 3 * 28 * 27)
+    monkeypatch.setattr("codegen.registration.volumes.BLOCKS_PORTION", 3 * 28 * 27)
     run(*asked(files, "--field", files / "a.mha", "--json"))
     np.testing.assert_array_equal(read_volume(files / "out.nii.gz").samples, whole)
     # The flow works on blocks of points, which are others; rounding is all that may differ.
@@ -158,7 +157,7 @@ def test_memory_is_used_in_slabs_and_the_result_does_not_depend_on_them(files, m
 
 
 def test_slices_are_named_by_the_axes_of_the_patient():
-    from codegen.registration.volumes.pictures import Plane
+    from codegen.registration.volume_pictures import Plane
 
     lying = Grid(
         (9, 8, 7), (0.0, 0.0, 0.0), (1.0, 1.0, 2.0), ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)), "mm"

@@ -9,10 +9,9 @@ from registered_images import SHAPE
 
 from codegen.errors import ArgumentError, ExtraError, FileError, ImageError
 from codegen.registration import register, warp
-from codegen.registration.fields import displacement_field, write_field
 from codegen.registration.grid import pixel_grid
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.warp import map_grid, warp_reported
+from codegen.registration.warp import displacement_field, map_grid, warp_reported, write_field
 
 TYPES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 

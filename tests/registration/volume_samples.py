@@ -7,7 +7,7 @@ from codegen.cli import main
 from codegen.registration.formats import landmark_texts
 from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
-from codegen.registration.volumes.files import write_volume
+from codegen.registration.volumes import write_volume
 
 C, S = np.cos(0.3), np.sin(0.3)
 OBLIQUE = ((C, -S, 0.0), (S, C, 0.0), (0.0, 0.0, 1.0))

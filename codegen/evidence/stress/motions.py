@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from codegen.discretise import schemes
-from codegen.discretise.schemes import particles
+from codegen.discretise import particles
 from codegen.discretise.schemes.base import Scheme
 from codegen.evidence.stress.cases import Case, Setup
 from codegen.evidence.stress.systems import TEXTBOOK, limit, swing
@@ -44,7 +44,7 @@ def setup(problem: str, scheme: SchemeOf | None = None, **arguments: Any) -> Set
 def registered(scheme: SchemeOf) -> Scheme:
     """The scheme of the registry."""
     method, name = scheme
-    return schemes.find(name, method) if method else particles.find(name, "connect")
+    return schemes.find(name, method) if method else particles.particle_scheme(name, "connect")
 
 
 def of_order(low: int, high: float = math.inf) -> tuple[SchemeOf, ...]:

@@ -1,7 +1,7 @@
 """The web page of registration: click pairs of points on two images and see one warped onto the other.
 
-`serve` runs it on this machine, `page` shows it in a notebook. What it does without a browser is `session.Session`.
-Needs the extra `app` (tornado).
+`serve` runs it on this machine, `page` shows it in a notebook. `session.Session` has all operations without a browser.
+The page needs the extra `app` (tornado).
 """
 
 from __future__ import annotations
@@ -14,30 +14,45 @@ from codegen.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from codegen.registration.app.notebook import NotebookPage
+    from codegen.registration.app.server import NotebookPage
     from codegen.registration.app.session import Session
 
 __all__ = ["page", "prepare", "serve"]
 
 
 def page(*images: Path | str, session: Session | None = None) -> NotebookPage:
-    """The page as an object that a notebook shows: of a session of one's own, or on images as `codegen app` takes them.
+    """Return the page as an object that a notebook shows.
 
-    Nothing is saved automatically. Raises ArgumentError when the extra `app` is missing, and the errors of reading
-    images.
+    Parameters
+    ----------
+    *images : Path or str
+        No image (the example), one, or a moving and a fixed one.
+    session : Session, optional
+        The session of the page instead of images.
+
+    Raises
+    ------
+    ArgumentError
+        If the extra `app` is missing.
+    ImageError
+        If an image cannot be read.
+
+    Notes
+    -----
+    Nothing is saved automatically.
     """
     _require_tornado()
-    from codegen.registration.app.notebook import shown
     from codegen.registration.app.reading import session_of
+    from codegen.registration.app.server import shown
 
     return shown(session or session_of([Path(image) for image in images]))
 
 
 def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
-    """Read the images, and begin to make the solver ready, which goes on while the page is being served.
+    """Read the images, and start the preparation of the solver, which goes on while the page is served.
 
-    Raises ArgumentError when the extra `app` is missing, FileError when works cannot be saved in the folder `state`,
-    and the errors of reading images.
+    Raises ArgumentError if the extra `app` is missing, FileError if works cannot be saved in the folder `state`, and
+    the errors of reading images.
     """
     _require_tornado()
     from codegen.registration.app.autosave import Store, default_folder
@@ -51,10 +66,10 @@ def prepare(images: Sequence[Path] = (), state: Path | None = None) -> None:
 
 
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, state: Path | None = None) -> None:
-    """Serve the page on localhost until it is interrupted; `show` opens a browser, `state` is where works are saved.
+    """Serve the page on localhost until it is interrupted.
 
-    Raises ArgumentError when the extra `app` is missing or the port is in use, FileError when works cannot be saved,
-    and the errors of reading images.
+    `show` opens a browser; works are saved in the folder `state`. Raises ArgumentError if the extra `app` is missing or
+    the port is in use, FileError if works cannot be saved, and the errors of reading images.
     """
     _require_tornado()
     from codegen.registration.app import server

@@ -1,7 +1,7 @@
-"""Work that survives a reload: every visitor's pairs and images, in a folder of the user who runs the server.
+"""Saved works: the pairs and images of every visitor, in a folder of the user who runs the server.
 
-A work is found by a random name that the page keeps in its address, and all tabs with that name share it. Images are
-stored once, by the hash of their content, however their files were called.
+The address of the page contains the random name of its work. All tabs with this name share the work. Images are stored
+once, under the hash of their content.
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ from typing import Any
 from codegen.errors import CodegenError, ImageError
 from codegen.files import refused, replacing
 from codegen.registration.app.reading import picture_from
-from codegen.registration.app.state import Picture, Work, as_record, from_record
+from codegen.registration.app.session import Picture, Work, as_record, from_record
 from codegen.registration.app.worker import Deliver, Worker, saving
 
 MOST_WORKS = 50
-"""The oldest works beyond these are deleted."""
+"""Works that are kept; older ones are deleted."""
 PROBE = 4096
-"""Bytes that are written to see whether a folder takes any."""
+"""Bytes that are written to test a folder."""
 TOKEN = re.compile(r"[0-9a-f]{32}")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def default_folder() -> Path:
-    """$CODEGEN_STATE_DIR, or a folder in the user's state directory."""
+    """Return $CODEGEN_STATE_DIR, or a folder in the state directory of the user."""
     given = os.environ.get("CODEGEN_STATE_DIR")
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     return Path(given) if given else state / "codegen" / "app"
 
 
 def new_token() -> str:
-    """A name for a work that nobody guesses."""
+    """Return a random name of a work."""
     return secrets.token_hex(16)
 
 
 class OtherWriterError(CodegenError):
-    """Another server has written to the same work meanwhile."""
+    """Another server has changed the same work meanwhile."""
 
 
 @dataclass(frozen=True)
 class Saved:
-    """A work as it was left; `heard` is the number of the last edit of every page that had a part in it.
+    """A saved work; `heard` has the number of the last edit of every page.
 
-    `edition` names the state of the file: whoever goes on from it knows whether somebody else wrote meanwhile.
+    `edition` identifies the state of the file, so that changes by another server are detected.
     """
 
     moving: Picture
@@ -63,12 +63,12 @@ class Saved:
 
 @dataclass(frozen=True)
 class Store:
-    """The folder of works; nothing outside it is ever read or written."""
+    """The folder of works; nothing outside it is read or written."""
 
     folder: Path
 
     def require_writable(self) -> None:
-        """FileError, which names the option that chooses another folder, where works cannot be saved in this one."""
+        """Raise FileError, with the option that selects another folder, if works cannot be saved in this one."""
         remedy = "choose another folder with --state, or $CODEGEN_STATE_DIR"
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -78,32 +78,34 @@ class Store:
             raise refused(error, self.folder, remedy) from error
 
     def save(self, token: str, saved: Saved) -> Saved:
-        """Write a work, its images only where they are new, and return it with its new edition.
+        """Write a work and its new images, and return it with its new edition.
 
-        OtherWriterError where the file is no longer of the edition that was read or written last, and FileError where
-        the file system refuses: the file is then as it was.
+        OtherWriterError if the edition of the file has changed, and FileError if the file system refuses; the file is
+        then unchanged.
         """
         path = self._path(token)
         if path is None:
             return saved
-        with suppress(OSError):  # a folder that cannot be made is named when a file is written
+        with suppress(OSError):  # writing a file reports a missing folder
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if (there := self._edition(path)) and there != saved.edition:
             finding = "another codegen app has changed this work meanwhile"
             raise OtherWriterError(finding, "both states are kept, this one under a new address")
+        labels: list[dict[str, str] | None] = []
         for picture in (saved.moving, saved.fixed):
-            if picture is not None:
-                self._keep(picture)
-        fixed = None if saved.fixed is None else _label(saved.fixed)
+            labels.append(None if picture is None else {"digest": picture.digest, "name": picture.name})
+            if picture is not None and picture.source and not (self.folder / picture.digest).exists():
+                with replacing(self.folder / picture.digest) as temporary:
+                    temporary.write_bytes(picture.source)
         written = replace(saved, edition=secrets.token_hex(8))
-        own = {"moving": _label(saved.moving), "fixed": fixed, "heard": saved.heard, "edition": written.edition}
+        images = {"moving": labels[0], "fixed": labels[1], "heard": saved.heard, "edition": written.edition}
         with replacing(path) as temporary:
-            temporary.write_text(json.dumps(as_record(saved.work) | own))
+            temporary.write_text(json.dumps(as_record(saved.work) | images))
         self._tidy()
         return written
 
     def load(self, token: str) -> Saved | None:
-        """A work by its name; None where there is none, or where it cannot be read any more."""
+        """Return the work of a name; None if there is none, or if it is not readable."""
         path = self._path(token)
         if path is None or not path.is_file():
             return None
@@ -117,7 +119,7 @@ class Store:
             return None
 
     def _edition(self, path: Path) -> str:
-        """That of the file; empty where there is none that can be read."""
+        """Return the edition of the file; empty if the file is not readable."""
         try:
             return str(json.loads(path.read_text())["edition"])
         except (OSError, ValueError, KeyError, TypeError):
@@ -126,12 +128,6 @@ class Store:
     def _path(self, token: str) -> Path | None:
         return self.folder / f"{token}.json" if TOKEN.fullmatch(token) else None
 
-    def _keep(self, picture: Picture) -> None:
-        path = self.folder / picture.digest
-        if picture.source and not path.exists():
-            with replacing(path) as temporary:
-                temporary.write_bytes(picture.source)
-
     def _picture(self, label: dict[str, Any]) -> Picture:
         digest = str(label["digest"])
         if not DIGEST.fullmatch(digest):
@@ -139,28 +135,24 @@ class Store:
         return picture_from((self.folder / digest).read_bytes(), str(label["name"]))
 
     def _tidy(self) -> None:
-        """Delete the oldest works, and images that no work names."""
+        """Delete the oldest works, and images without a work."""
         with suppress(OSError, ValueError):
             works = sorted(self.folder.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
             if len(works) <= MOST_WORKS:
                 return
-            kept = "".join(path.read_text() for path in works[:MOST_WORKS])
+            texts = "".join(path.read_text() for path in works[:MOST_WORKS])
             for path in works[MOST_WORKS:]:
                 path.unlink(missing_ok=True)
             for path in self.folder.iterdir():
-                if DIGEST.fullmatch(path.name) and path.name not in kept:
+                if DIGEST.fullmatch(path.name) and path.name not in texts:
                     path.unlink(missing_ok=True)
 
 
-def _label(picture: Picture) -> dict[str, str]:
-    return {"digest": picture.digest, "name": picture.name}
-
-
 class Keeper:
-    """Keeps a work under `token`, from the state that was read, if one was; without a store nothing is kept.
+    """Saves a work under `token`, in the background; without a store nothing is saved.
 
-    `safe` are the last edits of pages that are in what is kept, and `problem` says why the last attempt failed, if it
-    did. `told` is called after every attempt; `renamed` hears why the work has got another name.
+    `read` is the saved state at the start. `safe` has the last saved edit of every page, and `problem` is the reason of
+    a failed attempt. `told` is called after every attempt, and `renamed` with the reason of another name of the work.
     """
 
     def __init__(
@@ -181,11 +173,11 @@ class Keeper:
 
     @property
     def busy(self) -> bool:
-        """Whether anything is being saved, or could not be."""
+        """True if a save is in progress or has failed."""
         return self._worker.busy or self.problem is not None
 
     def save(self, state: Saved) -> None:
-        """Save a state soon; of several that wait only the newest."""
+        """Save a state in the background; of several waiting states only the newest."""
         store, token = self._store, self.token
         if store is None:
             self.safe = state.heard
@@ -193,7 +185,7 @@ class Keeper:
             return
 
         def job() -> tuple[str, Saved, str]:
-            # What was written last is what this state goes on from, even where it was asked for before.
+            # The edition of the last write, which may be newer than the request.
             newest = replace(state, edition=self._edition)
             try:
                 return token, store.save(token, newest), ""

@@ -1,7 +1,7 @@
-"""One work while it is open: its session, the tabs that show it, and what is solved, drawn and saved for them.
+"""An open work: its session, its tabs, and the solving, drawing and saving for them.
 
-All tabs with the same work share one session. Each edit of a page has a number, is done once however often it arrives,
-and is kept by the page until it has been saved; so neither a second tab nor the end of the server loses any.
+All tabs of a work share one session. Each edit of a page has a number, is applied once, and is kept by the page until
+it has been saved. So neither a second tab nor the end of the server loses an edit.
 """
 
 from __future__ import annotations
@@ -18,24 +18,23 @@ from codegen.errors import CodegenError, RegistrationError
 from codegen.registration.app import messages, solving, worker
 from codegen.registration.app.autosave import TOKEN, Keeper, Saved, Store, new_token
 from codegen.registration.app.messages import Line, Tab, operate
-from codegen.registration.app.session import Session
+from codegen.registration.app.session import Session, Work
 from codegen.registration.app.solving import Certified, Look, Shown, Wanted
-from codegen.registration.app.state import Work
 from codegen.registration.app.worker import Deliver, Worker, delivered, slow
 from codegen.registration.maps import Registration
 from codegen.registration.noise import SigmaEstimate
 
 MOST_CLIENTS = 50
-"""The last edits of so many pages are remembered."""
+"""Pages whose last edits are remembered."""
 MOST_PIXELS = 1 << 23
-"""Pixels of a window that are drawn at the most."""
+"""Most pixels of a window."""
 
 
 class LiveWork:
     """A session with its tabs.
 
-    `deliver` runs a function in the thread of the session, in which all methods are called; `store` says where the work
-    is saved, if at all, and `token` what it is called there.
+    `deliver` runs a function in the thread of the session, in which all methods are called. The work is saved in
+    `store`, if there is one, under the name `token`.
     """
 
     def __init__(
@@ -52,9 +51,9 @@ class LiveWork:
         self.certified: Certified | None = None
         self.message = ""
         self.renamed: Callable[[LiveWork], None] = lambda _: None
-        """Called when the work has got another name."""
+        """Called after a change of the name of the work."""
         self._heard = dict(saved.heard) if saved else {}
-        self._told: Work | None = None  # what all tabs know
+        self._told: Work | None = None  # the work in all tabs
         self._worker = Worker(deliver, ("draw",))
         self._slow = Worker(deliver, ("sigma", "certify"), slow)
         self._keeper = Keeper(deliver, store, token, saved, self._tell_saved, self._renamed)
@@ -62,17 +61,15 @@ class LiveWork:
 
     @property
     def token(self) -> str:
-        """What the work is called where it is saved."""
+        """The name of the saved work."""
         return self._keeper.token
 
-    # --- tabs -------------------------------------------------------------------------------------------------------
-
     def join(self, client: str, line: Line) -> None:
-        """Another tab shows this work; `client` is what it calls itself."""
+        """Add a tab, whose name is `client`."""
         self.tabs[client] = Tab(line)
         hello = {"type": "hello", "token": self.token, "heard": self._heard.get(client, 0), **messages.offers()}
         line.send(hello)
-        line.send(self._is_safe(client))  # it may have been saved without the page's having heard of it
+        line.send(self._is_safe(client))  # the page may have missed the message
         line.send(messages.images(self.session))
         line.send(messages.work(self.session, None))
         if self._told is None:
@@ -84,7 +81,7 @@ class LiveWork:
         self.draw()
 
     def leave(self, client: str, line: Line) -> None:
-        """A tab was closed, or its connection was lost."""
+        """Remove a tab: it was closed, or its connection was lost."""
         if client in self.tabs and self.tabs[client].line is line:
             del self.tabs[client]
 
@@ -94,7 +91,7 @@ class LiveWork:
             tab.line.send(message)
 
     def hear(self, client: str, message: Any) -> None:
-        """Do what a tab asks for; what is wrong becomes a message of that tab."""
+        """Handle a message of a tab; errors become a message to this tab."""
         tab = self.tabs.get(client)
         if tab is None or not isinstance(message, dict):
             return
@@ -116,16 +113,14 @@ class LiveWork:
 
     @property
     def busy(self) -> bool:
-        """Whether anything is being solved, made or saved, or could not be saved."""
+        """True if a computation or a save is in progress, or if the last save failed."""
         return self._worker.busy or self._slow.busy or self._keeper.busy
-
-    # --- edits ------------------------------------------------------------------------------------------------------
 
     def _edit(self, client: str, tab: Tab, message: Mapping[str, Any]) -> None:
         number = int(message["number"])
         added = None
         if number > self._heard.get(client, 0):
-            self._heard.pop(client, None)  # the newest stand last
+            self._heard.pop(client, None)  # the newest pages come last
             self._heard[client] = number
             while len(self._heard) > MOST_CLIENTS:
                 del self._heard[next(iter(self._heard))]
@@ -134,7 +129,7 @@ class LiveWork:
             except CodegenError as error:
                 tab.line.send(_message(str(error)))
         hasty = message.get("do") == "move" and not message.get("settled")
-        # First, so that the page knows by then which pair is the one that it has asked for.
+        # This message comes first: it identifies the added pair for the page.
         tab.line.send({"type": "done", "number": number, "added": added})
         self._tell_work()
         if not hasty or message.get("live", True):
@@ -143,7 +138,7 @@ class LiveWork:
             self.save()
 
     def change(self, act: Callable[[], Any], images: bool = False) -> None:
-        """Do something to the session, and show and save what comes of it; raises what that raises."""
+        """Change the session, and show and save the result; errors of `act` are raised."""
         act()
         if images:
             self.shown = self.certified = None
@@ -157,10 +152,8 @@ class LiveWork:
         self.tell(messages.work(self.session, self._told))
         self._told = self.session.work
 
-    # --- solving ----------------------------------------------------------------------------------------------------
-
     def draw(self, hasty: bool = False, only: str | None = None) -> None:
-        """Register the present pairs beside the event loop, and show what comes of it in all tabs, or in one."""
+        """Register the present pairs in the background, and show the result in all tabs, or in one."""
         wanted = Wanted(self.session.task(), hasty, waiting=not self._ready())
         if self._known(wanted) is None:
             only = None
@@ -169,13 +162,13 @@ class LiveWork:
         looks = {client: tab.look for client, tab in self.tabs.items() if only in (None, client)}
 
         def job() -> Shown:
-            # What was found since this was asked for is not found again.
+            # The registration may have been found since the request.
             return solving.shown(wanted, looks, self.session.registration, self._known(wanted))
 
         self._worker.ask("draw" if only is None else f"draw {only}", job, self._drawn, self._failed)
 
     def _known(self, wanted: Wanted) -> Registration | None:
-        """The registration that is shown, if it is the one that is wanted."""
+        """Return the present registration if it is the wanted one."""
         shown = self.shown
         if wanted.hasty or shown is None or shown.wanted.hasty:
             return None
@@ -184,7 +177,7 @@ class LiveWork:
     def _drawn(self, shown: Shown) -> None:
         task = shown.wanted.task
         if task.moving is not self.session.moving or task.fixed is not self.session.picture("fixed"):
-            return  # other images have been opened meanwhile
+            return  # other images were opened meanwhile
         is_new = self.shown is None or shown.registration is not self.shown.registration
         self.shown = shown
         self.session.registration = shown.registration
@@ -199,17 +192,19 @@ class LiveWork:
         if shown.wanted.hasty or shown.registration is None:
             return
         revision = shown.wanted.task.revision
-        if self.certified is None or self.certified.revision != revision:
-            stale = lambda: self.session.revision != revision  # noqa: E731
-            job = partial(solving.certified, shown.wanted, shown.registration, stale)
-            self._slow.ask("certify", job, partial(self._certify, shown), self._failed)
+        if self.certified is not None and self.certified.revision == revision:
+            return
 
-    def _certify(self, shown: Shown, certified: Certified | None) -> None:
-        if certified is None or certified.revision != self.session.revision:
-            return  # overtaken by another change
-        self.certified = certified
-        for tab in self.tabs.values():
-            self._send_certified(tab, certified, shown)
+        def certify(certified: Certified | None) -> None:
+            if certified is None or certified.revision != self.session.revision:
+                return  # the work has changed meanwhile
+            self.certified = certified
+            for tab in self.tabs.values():
+                self._send_certified(tab, certified, shown)
+
+        stale = lambda: self.session.revision != revision  # noqa: E731
+        job = partial(solving.certified, shown.wanted, shown.registration, stale)
+        self._slow.ask("certify", job, certify, self._failed)
 
     def _send_certified(self, tab: Tab, certified: Certified, shown: Shown) -> None:
         if certified.revision == shown.wanted.task.revision:
@@ -217,30 +212,30 @@ class LiveWork:
             tab.line.send(messages.areas(certified))
 
     def _ready(self) -> bool:
-        """Whether the solver of the present scheme is at hand, if one is needed; otherwise all is drawn when it is."""
+        """Return True if the solver of the scheme is ready or not needed; otherwise all is drawn when it is ready."""
         if not self.session.work.active:
             return True
         solver = worker.prepared(self.session.work.settings.scheme)
         if not solver.done() and self._awaited is not solver:
             self._awaited = solver
-            solver.add_done_callback(lambda _: delivered(self.deliver, self._arrived))
+
+            def arrived() -> None:
+                self._awaited = None
+                self.draw()
+
+            solver.add_done_callback(lambda _: delivered(self.deliver, arrived))
         if solver.done() and (error := solver.exception()) is not None:
             self.deliver(partial(self._failed, error))
             return False
         return solver.done()
 
-    def _arrived(self) -> None:
-        """The solver has been made ready, or could not be."""
-        self._awaited = None
-        self.draw()
-
     def require_solver(self) -> None:
-        """CodegenError while there is no solver for what takes long."""
+        """Raise CodegenError while the solver is being compiled."""
         if not self._ready():
             raise RegistrationError("the solver is still being compiled", "try again when the image is warped")
 
     def _choose_sigma(self) -> None:
-        """Ask for an estimate of sigma, which takes a while."""
+        """Estimate sigma in the background."""
         try:
             self.require_solver()
         except CodegenError as error:
@@ -249,17 +244,15 @@ class LiveWork:
         settings = self.session.work.settings
         self._say("estimating the errors of the landmarks …", wrong=False)
 
-        def take(found: SigmaEstimate) -> None:
-            said = f"landmarks are off by about {found.sigma:.3g} pixels (standard deviation)"
-            self._say(f"{said}; {found.message}" if found.message else said, wrong=False)
-            self.change(lambda: self.session.set(replace(settings, sigma=round(found.sigma, 3))))
+        def take(estimate: SigmaEstimate) -> None:
+            text = f"landmarks are off by about {estimate.sigma:.3g} pixels (standard deviation)"
+            self._say(f"{text}; {estimate.message}" if estimate.message else text, wrong=False)
+            self.change(lambda: self.session.set(replace(settings, sigma=round(estimate.sigma, 3))))
 
         self._slow.ask("sigma", partial(solving.estimated_sigma, self.session.task()), take, self._failed)
 
-    # --- saving -----------------------------------------------------------------------------------------------------
-
     def save(self) -> None:
-        """Save the work beside the event loop, and tell every tab which of its edits are safe."""
+        """Save the work in the background, and tell every tab which of its edits are saved."""
         session = self.session
         self._keeper.save(Saved(session.moving, session.fixed, session.work, dict(self._heard), ""))
 
@@ -268,16 +261,14 @@ class LiveWork:
             tab.line.send(self._is_safe(client))
 
     def _is_safe(self, client: str) -> dict[str, Any]:
-        """Which edits of a page need not be kept by it any longer."""
+        """Return the number of the last saved edit of a page, up to which the page may forget its edits."""
         return {"type": "saved", "number": self._keeper.safe.get(client, 0), "problem": self._keeper.problem}
 
-    def _renamed(self, said: str) -> None:
-        """The work has got another name, because another server has changed what had the old one."""
+    def _renamed(self, reason: str) -> None:
+        """Tell the tabs another name of the work: another server has changed the saved work of the old name."""
         self.renamed(self)
         self.tell({"type": "moved", "token": self.token})
-        self._say(said)
-
-    # --- what is said -----------------------------------------------------------------------------------------------
+        self._say(reason)
 
     def _tell_status(self, doing: str) -> None:
         self.tell({"type": "status", "doing": worker.COMPILING if self._awaited is not None else doing})
@@ -288,7 +279,7 @@ class LiveWork:
             self.tell(_message(text, wrong))
 
     def _failed(self, error: BaseException) -> None:
-        """Show what went wrong; the session goes on."""
+        """Show an error; the session goes on."""
         self._tell_status("")
         if isinstance(error, CodegenError):
             self._say(str(error))
@@ -302,13 +293,13 @@ def _message(text: str, wrong: bool = True) -> dict[str, Any]:
 
 
 def _look(message: Mapping[str, Any]) -> Look:
-    """A tab's window, within bounds; ValueError where it is none."""
+    """Return the view of a tab; ValueError for an invalid window."""
     time = min(max(float(message["time"]), 0.0), 1.0)
-    given = message["window"]
-    if given is None:
+    values = message["window"]
+    if values is None:
         return Look(None, time, bool(message["grid"]))
-    edges = [float(value) for value in given[:4]]
-    width, height = (int(value) for value in given[4:6])
+    edges = [float(value) for value in values[:4]]
+    width, height = (int(value) for value in values[4:6])
     left, top, right, bottom = edges
     if not (right > left and bottom > top and max(map(abs, edges)) < 1e7 and width * height <= MOST_PIXELS):
         raise ValueError("window")
@@ -316,7 +307,7 @@ def _look(message: Mapping[str, Any]) -> Look:
 
 
 def parsed(text: str | bytes) -> Any:
-    """A message of a page; None where it is none."""
+    """Parse a message of a page; None for invalid JSON."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -324,42 +315,47 @@ def parsed(text: str | bytes) -> Any:
 
 
 PATIENCE = 60.0
-"""Seconds for which a work without tabs is kept in memory; a page that is loaded again takes less."""
+"""Seconds for which a work without tabs stays in memory; reloading a page takes less."""
 
 
 @dataclass
 class Works:
-    """`begun` makes the session of a new work, `later` calls a function after so many seconds."""
+    """All open works.
+
+    `begun` makes the session of a new work, and `later` calls a function after a number of seconds. `only` is the work
+    of a notebook, which all tabs show.
+    """
 
     begun: Callable[[], Session]
     deliver: Deliver
     later: Callable[[float, Callable[[], None]], object]
     store: Store | None = None
-    only: LiveWork | None = None  # that of a notebook: all tabs show it, whatever they ask for
+    only: LiveWork | None = None
     open: dict[str, LiveWork] = field(default_factory=dict)
 
     def find(self, token: str) -> LiveWork | None:
-        """The work that is open under a name."""
+        """Return the open work of a name."""
         if self.only is not None:
             return self.only
-        found = self.open.get(token)
-        if found is not None and found.token != token:
-            return None  # it has got another name since
-        return found
+        work = self.open.get(token)
+        return None if work is not None and work.token != token else work  # a renamed work has a new token
 
     def get(self, token: str) -> LiveWork:
-        """The work of that name, as it is or as it was saved; a new one where there is none."""
-        found = self.find(token)
-        if found is not None:
-            return found
-        saved = self.store.load(token) if self.store is not None and TOKEN.fullmatch(token) else None
+        """Return the open or saved work of a name, or a new work."""
+        work = self.find(token)
+        if work is not None:
+            return work
+        is_token = TOKEN.fullmatch(token) is not None
+        saved = self.store.load(token) if self.store is not None and is_token else None
         if saved is not None:
             session = Session(saved.moving, saved.fixed, saved.work)
             work = LiveWork(session, self.deliver, self.store, token, saved)
         else:
-            # A page that comes back to a work that nobody saved keeps its name, and sends its edits again.
-            fresh = token if TOKEN.fullmatch(token) and not self._is_damaged(token) else new_token()
-            work = LiveWork(self.begun(), self.deliver, self.store, fresh)
+            # The page of an unsaved work keeps its name, and sends its edits again. A damaged file is not overwritten.
+            is_damaged = self.store is not None and (self.store.folder / f"{token}.json").exists()
+            work = LiveWork(
+                self.begun(), self.deliver, self.store, token if is_token and not is_damaged else new_token()
+            )
         work.renamed = self._enter
         self._enter(work)
         return work
@@ -367,12 +363,8 @@ class Works:
     def _enter(self, work: LiveWork) -> None:
         self.open[work.token] = work
 
-    def _is_damaged(self, token: str) -> bool:
-        """Whether there is a file that cannot be read: nothing may be written over it."""
-        return self.store is not None and (self.store.folder / f"{token}.json").exists()
-
     def left(self, work: LiveWork) -> None:
-        """A tab has gone; after a while nothing of its work is in memory unless another has come."""
+        """Forget a work without tabs after a while, unless another tab has come."""
 
         def close() -> None:
             if work.tabs:

@@ -1,11 +1,11 @@
-"""What a page is told, as values for JSON: images, changes of pairs, and the answers of the solver."""
+"""Messages between the page and the server: edits, images, changes of pairs, and results of the solver, as JSON."""
 
 from __future__ import annotations
 
 import json
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Protocol, TypeAlias
 
@@ -16,81 +16,61 @@ from codegen.errors import LandmarkError
 from codegen.registration.alignment import KINDS
 from codegen.registration.app import solving
 from codegen.registration.app.reading import LIMITS, MOST_LANDMARK_BYTES
-from codegen.registration.app.session import Session, Task
+from codegen.registration.app.session import MOST_PAIRS, SIDE, Picture, Session, Settings, Side, Task, Work
 from codegen.registration.app.solving import Certified, Look, Seen, Shown
-from codegen.registration.app.state import MOST_PAIRS, SIDE, Pair, Picture, Place, Settings, Side, Work
 from codegen.registration.formats import FORMATS
 
 Message: TypeAlias = Mapping[str, Any]
+Values: TypeAlias = dict[str, Any]
+
 SCHEMES = {"rk4": "fourth order", "midpoint": "second order", "explicit-euler": "first order"}
-"""Schemes that the page offers, and what is said of them."""
+"""Schemes in the page, with their orders."""
 ALIGNMENTS = ("auto", *KINDS)
 INTERPOLATIONS = ("linear", "cubic", "nearest")
+COLOURS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
+"""Blue for smaller, white, orange for larger areas: distinct for the colour-blind."""
 _REMEDY = "load the page again"
 
 
 def operate(session: Session, message: Message) -> int | None:
-    """Do what an edit says; the identity of the pair that was added or completed by it, if one was.
+    """Apply an edit; return the identity of the pair that it adds or completes.
 
-    LandmarkError for what is no edit, and what the session itself raises; nothing has then been changed.
+    Raises LandmarkError for an invalid edit, and the errors of the session; the session is then unchanged.
     """
-    act = _ACTS.get(str(message.get("do")))
-    if act is None:
-        raise LandmarkError(f"{str(message.get('do'))[:40]!r} is no edit", _REMEDY)
+    action = str(message.get("do"))
     try:
-        return act(session, message)
+        match action:
+            case "add":
+                awaiting = message.get("awaiting")
+                side, place = _side(message), _place(message)
+                return session.add(side, place, None if awaiting is None else int(awaiting)).identity
+            case "move":
+                session.move(int(message["id"]), _side(message), _place(message), bool(message["settled"]))
+            case "rename":
+                session.rename(int(message["id"]), str(message["name"]))
+            case "activate":
+                session.activate(_identities(message), bool(message["active"]))
+            case "remove":
+                session.remove(*_identities(message))
+            case "set":
+                values = message["settings"]
+                settings = Settings(**{f.name: type(f.default)(values[f.name]) for f in fields(Settings)})  # type: ignore[misc]
+                choices = {"align": ALIGNMENTS, "scheme": SCHEMES, "interpolation": INTERPOLATIONS}
+                for name, allowed in choices.items():
+                    if getattr(settings, name) not in allowed:
+                        raise ValueError(name)
+                session.set(settings)
+            case "undo":
+                session.undo()
+            case "redo":
+                session.redo()
+            case "settle":
+                session.settle()
+            case _:
+                raise LandmarkError(f"{action[:40]!r} is no edit", _REMEDY)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise LandmarkError(f"the edit {message['do']!r} cannot be read", _REMEDY) from error
-
-
-def _add(session: Session, message: Message) -> int:
-    awaiting = message.get("awaiting")
-    pair = session.add(_side(message), _place(message["place"]), None if awaiting is None else int(awaiting))
-    return pair.identity
-
-
-def _move(session: Session, message: Message) -> None:
-    session.move(int(message["id"]), _side(message), _place(message["place"]), bool(message["settled"]))
-
-
-def _rename(session: Session, message: Message) -> None:
-    session.rename(int(message["id"]), str(message["name"]))
-
-
-def _activate(session: Session, message: Message) -> None:
-    session.activate(_identities(message), bool(message["active"]))
-
-
-def _remove(session: Session, message: Message) -> None:
-    session.remove(*_identities(message))
-
-
-def _set(session: Session, message: Message) -> None:
-    given = message["settings"]
-    settings = Settings(**{f.name: type(f.default)(given[f.name]) for f in fields(Settings)})  # type: ignore[misc]
-    known = {"align": ALIGNMENTS, "scheme": SCHEMES, "interpolation": INTERPOLATIONS}
-    for name, choices in known.items():
-        if getattr(settings, name) not in choices:
-            raise ValueError(name)
-    session.set(settings)
-
-
-def _undo(session: Session, message: Message) -> None:
-    session.undo()
-
-
-def _redo(session: Session, message: Message) -> None:
-    session.redo()
-
-
-def _settle(session: Session, message: Message) -> None:
-    session.settle()
-
-
-_ACTS: dict[str, Callable[[Session, Message], int | None]] = {
-    "add": _add, "move": _move, "rename": _rename, "activate": _activate, "remove": _remove, "set": _set,
-    "undo": _undo, "redo": _redo, "settle": _settle,
-}  # fmt: skip
+        raise LandmarkError(f"the edit {action!r} cannot be read", _REMEDY) from error
+    return None
 
 
 def _side(message: Message) -> Side:
@@ -100,8 +80,8 @@ def _side(message: Message) -> Side:
     return "moving" if side == "moving" else "fixed"
 
 
-def _place(values: Any) -> Place:
-    x, y = values
+def _place(message: Message) -> tuple[float, float]:
+    x, y = message["place"]
     return float(x), float(y)
 
 
@@ -109,13 +89,8 @@ def _identities(message: Message) -> list[int]:
     return [int(identity) for identity in list(message["ids"])[:MOST_PAIRS]]
 
 
-Values: TypeAlias = dict[str, Any]
-ENDS = ((0, 90, 170), (247, 247, 247), (200, 85, 0))
-"""Blue for smaller, white, orange for larger: the colour-blind tell them apart."""
-
-
 def offers() -> Values:
-    """What does not change: limits and choices."""
+    """Return the limits and choices, which are constant."""
     return {
         "limits": {"image": LIMITS.bytes, "landmarks": MOST_LANDMARK_BYTES, "pairs": MOST_PAIRS},
         "tile": SIDE,
@@ -128,7 +103,7 @@ def offers() -> Values:
 
 
 def images(session: Session) -> Values:
-    """The images of a session; `alone` where there is one only."""
+    """Return the images of a session; `alone` is True for a single one."""
     pictures = {"moving": _image(session.moving), "fixed": _image(session.picture("fixed"))}
     return {"type": "images", "alone": session.fixed is None, **pictures}
 
@@ -145,58 +120,55 @@ def _image(picture: Picture) -> Values:
 
 
 def work(session: Session, before: Work | None) -> Values:
-    """The pairs that changed since `before`, or all where that is None, in short rows, and what can be undone."""
+    """Return the pairs that changed since `before`, or all pairs if it is None, as rows, and the state of undo."""
     now = session.work
-    known = {} if before is None else {pair.identity: pair for pair in before.pairs}
-    changed = [_row(pair) for pair in now.pairs if known.get(pair.identity) != pair]
+    earlier = {} if before is None else {pair.identity: pair for pair in before.pairs}
+    changed = [pair.row for pair in now.pairs if earlier.get(pair.identity) != pair]
     order = [pair.identity for pair in now.pairs]
-    same = before is not None and order == [pair.identity for pair in before.pairs]
+    same_order = before is not None and order == [pair.identity for pair in before.pairs]
     return {
         "type": "work", "revision": session.revision, "all": before is None, "changed": changed,
-        "order": None if same else order, "settings": dict(vars(now.settings)),
+        "order": None if same_order else order, "settings": dict(vars(now.settings)),
         "undo": session.history.can_undo, "redo": session.history.can_redo,
     }  # fmt: skip
 
 
-def _row(pair: Pair) -> list[Any]:
-    return [pair.identity, *pair.moving, *pair.fixed, pair.name, pair.guessed, pair.active]
-
-
 def solved(shown: Shown) -> Values:
-    """The registration in numbers: residuals by identity, and a chart of where places are in the other image."""
+    """Return the numbers of a registration: residuals by identity, and a chart of points in the other image."""
     registration, task = shown.registration, shown.wanted.task
-    told: Values = {"type": "solved", "revision": task.revision, "hasty": shown.wanted.hasty, "found": False}
+    values: Values = {"type": "solved", "revision": task.revision, "hasty": shown.wanted.hasty, "found": False}
     if registration is None:
-        return told
+        return values
     identities = [pair.identity for pair in task.work.active]
-    told |= {
+    values |= {
         "found": True, "steps": registration.steps, "met": registration.status == "solved",
         "residuals": _by_identity(identities, registration.residuals), "alignment": registration.alignment.kind,
     }  # fmt: skip
     if task.fixed.spacing is not None:
-        told["residual_lengths"] = _by_identity(identities, task.fixed.spacing.lengths(registration.misses))
+        values["residual_lengths"] = _by_identity(identities, task.fixed.spacing.lengths(registration.misses))
     if shown.chart is not None:
         charts = {"moving": shown.chart.moving, "fixed": shown.chart.fixed}
-        told["chart"] = {side: np.round(places, 3).tolist() for side, places in charts.items()}
-    return told
+        values["chart"] = {side: np.round(places, 3).tolist() for side, places in charts.items()}
+    return values
 
 
-def certified(found: Certified, task: Task) -> Values:
-    """What certifies a registration, and how well its landmarks predict each other."""
-    told: Values = {
-        "type": "certified", "revision": found.revision, "least": _number(found.det_min),
-        "most": _number(found.det_max), "folded": found.folded, "round_trip": _number(found.round_trip),
-        "left_out": None, "extreme": extreme(found),
-    }  # fmt: skip
+def certified(certificate: Certified, task: Task) -> Values:
+    """Return the certificate of a registration, leave-one-out errors and outliers."""
     identities = [pair.identity for pair in task.work.active]
-    told["outliers"] = [identities[k] for k in found.outliers]
-    if found.left_out is not None:
-        told["left_out"] = _by_identity(identities, found.left_out.errors)
+    values: Values = {
+        "type": "certified", "revision": certificate.revision, "least": _number(certificate.det_min),
+        "most": _number(certificate.det_max), "folded": certificate.folded,
+        "round_trip": _number(certificate.round_trip), "left_out": None, "extreme": _extreme(certificate),
+        "outliers": [identities[k] for k in certificate.outliers],
+    }  # fmt: skip
+    if certificate.left_out is not None:
+        values["left_out"] = _by_identity(identities, certificate.left_out.errors)
         if task.fixed.spacing is not None:
-            told["left_out_lengths"] = _by_identity(identities, task.fixed.spacing.lengths(found.left_out.misses))
+            lengths = task.fixed.spacing.lengths(certificate.left_out.misses)
+            values["left_out_lengths"] = _by_identity(identities, lengths)
     elif len(identities) > solving.MOST_LEFT_OUT:
-        told["note"] = f"of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn"
-    return told
+        values["note"] = f"of more than {solving.MOST_LEFT_OUT} pairs, none is left out in turn"
+    return values
 
 
 def _by_identity(identities: list[int], values: NDArray[np.float64]) -> dict[str, float | None]:
@@ -207,48 +179,48 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def seen(shown: Seen, number: int, revision: int) -> bytes:
-    """A picture of a window, with the grid and the landmarks on their way."""
-    look, window = shown.look, shown.look.window
+def seen(picture: Seen, number: int, revision: int) -> bytes:
+    """Return the picture of a window, with the grid and the landmarks at a time along the flow."""
+    look, window = picture.look, picture.look.window
     header: Values = {
         "type": "frame", "number": number, "revision": revision, "time": look.time,
         "window": None if window is None else [window.left, window.top, window.right, window.bottom],
-        "grid": [[np.round(axis, 2).tolist() for axis in axes] for axes in shown.grid],
-        "carried": np.round(shown.carried, 2).tolist(),
+        "grid": [[np.round(axis, 2).tolist() for axis in axes] for axes in picture.grid],
+        "carried": np.round(picture.carried, 2).tolist(),
     }  # fmt: skip
-    return packed(header, shown.image)
+    return _packed(header, picture.image)
 
 
-def areas(found: Certified) -> bytes:
-    """The map of det J as a picture, on a logarithmic scale that is the same for growth and shrinking."""
-    values = np.log2(np.clip(found.areas, 1e-6, 1e6)) / extreme(found)
+def areas(certificate: Certified) -> bytes:
+    """Return the map of det J as a picture, on a logarithmic scale that is symmetric in growth and shrinking."""
+    values = np.log2(np.clip(certificate.areas, 1e-6, 1e6)) / _extreme(certificate)
     image = np.full((*values.shape, 4), 255, np.uint8)
     for channel in range(3):
-        image[..., channel] = np.interp(values, [-1.0, 0.0, 1.0], [end[channel] for end in ENDS]).round()
-    return packed({"type": "areas", "extreme": extreme(found)}, image)
+        image[..., channel] = np.interp(values, [-1.0, 0.0, 1.0], [end[channel] for end in COLOURS]).round()
+    return _packed({"type": "areas", "extreme": _extreme(certificate)}, image)
 
 
-def extreme(found: Certified) -> float:
-    """The largest of |log2 det J| on the map, 0.1 at least."""
-    return max(0.1, float(np.abs(np.log2(np.clip(found.areas, 1e-6, 1e6))).max()))
+def _extreme(certificate: Certified) -> float:
+    """The largest |log2 det J| of the map, at least 0.1."""
+    return max(0.1, float(np.abs(np.log2(np.clip(certificate.areas, 1e-6, 1e6))).max()))
 
 
-def packed(header: Mapping[str, Any], image: NDArray[np.uint8]) -> bytes:
-    """A picture as a binary message: the length of its description, the description, and RGBA."""
+def _packed(header: Message, image: NDArray[np.uint8]) -> bytes:
+    """A binary message: the length of the header, the header, and RGBA."""
     height, width = image.shape[:2]
     text = json.dumps({**header, "width": width, "height": height}, allow_nan=False).encode()
     return struct.pack("<I", len(text)) + text + image.tobytes()
 
 
 class Line(Protocol):
-    """The way to a browser's tab."""
+    """The connection to a tab of a browser."""
 
     def send(self, message: Mapping[str, Any] | bytes) -> None:
-        """Send values or a packed picture; whoever is gone hears nothing."""
+        """Send values or a packed picture; closed connections are ignored."""
 
 
 class Tab:
-    """One picture is on its way at a time; of those that come meanwhile only the newest is sent."""
+    """A tab that receives one picture at a time; of several waiting pictures only the newest is sent."""
 
     def __init__(self, line: Line) -> None:
         self.line = line
@@ -257,17 +229,17 @@ class Tab:
         self._busy = False
         self._next: tuple[Seen, int] | None = None
 
-    def show(self, shown: Seen, revision: int) -> None:
-        """Send a picture, now or when the one before it has been drawn."""
+    def show(self, picture: Seen, revision: int) -> None:
+        """Send a picture, now or when the tab has drawn the previous one."""
         if self._busy:
-            self._next = (shown, revision)
+            self._next = (picture, revision)
             return
         self._busy = True
         self._number += 1
-        self.line.send(seen(shown, self._number, revision))
+        self.line.send(seen(picture, self._number, revision))
 
     def drawn(self) -> None:
-        """The tab has drawn what it was sent."""
+        """Send the waiting picture: the tab has drawn the previous one."""
         self._busy = False
         if self._next is not None:
             following, self._next = self._next, None

@@ -1,10 +1,10 @@
 """Images that visitors open, images on the command line, and the bundled example.
 
-Pictures in files of volumes: single slices as NIfTI, NRRD and MetaImage, with the size of their pixels. As with
-pictures, the kind of a file is what its first bytes say, and sizes are looked at before samples are read, by SimpleITK.
-Rows and columns stay as they are stored: landmarks count in pixels of the file, as other programs have them, and
-nothing is turned by orientations; the page says which edge is which side of the patient instead. Files that name others
-are refused: who opens one in a browser would have the server read whatever it names.
+Single slices in NIfTI, NRRD and MetaImage files are pictures, too. As for other images, the first bytes of a file
+determine its kind, and its size is checked before samples are read, by SimpleITK. Rows and columns stay as stored:
+landmarks are in pixels of the file, as in other programs, and orientations turn nothing. The page shows instead which
+edge is which side of the patient. Files that name other files are refused: a browser must not make the server read
+files of its choice.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import tempfile
 import zlib
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any, TypeAlias
@@ -23,34 +22,106 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, ImageError, PointsError
-from codegen.registration.app.session import Session
-from codegen.registration.app.state import NAME_LENGTH, Picture, Work, pairs_of
+from codegen.registration.app.session import NAME_LENGTH, Edges, Picture, Session, Work, pairs_of
 from codegen.registration.formats import FORMATS, parse_landmarks
-from codegen.registration.images import Limits, read_image
-from codegen.registration.images.codecs import SAMPLES
-from codegen.registration.images.spacing import Spacing, meant, named
-from codegen.registration.volumes.files import library, require_whole, silent, telling
+from codegen.registration.images import SAMPLES, Limits, Spacing, read_image, unit_name
+from codegen.registration.volumes import library, library_errors, require_whole, silent
 
-Edges: TypeAlias = tuple[str, str, str, str]
-_NIFTI = 352
-"""Bytes of a header of NIfTI with its magic number."""
-_METAIMAGE = re.compile(rb"\s*(ObjectType|Comment|NDims)\s*=")
-_ELSEWHERE = re.compile(rb"^\s*data\s*file", re.MULTILINE | re.IGNORECASE)
-"""A line of NRRD that names other files."""
-_HERE = re.compile(rb"\s*=\s*LOCAL\s*\n")
-"""What follows a key of MetaImage, the last of its header, where samples follow that."""
-_PLACED = re.compile(rb"^space: *(left|right|lps|ras|las)", re.MULTILINE | re.IGNORECASE)
-"""A line of NRRD by which axes are those of a patient."""
-_UNIT = re.compile(rb'^(?:space )?units: *"([^"\r\n]*)"', re.MULTILINE)
+Files: TypeAlias = list[tuple[str, bytes]]
+"""Names and contents of files."""
+
+LIMITS = Limits(bytes=32 << 20, pixels=1 << 25)
+"""The largest file and the largest image of the page; codegen warp accepts larger ones."""
+MOST_LANDMARK_BYTES = 8 << 20
+"""The largest landmark file of the page."""
+_SIDES = {"moving": ("moving", "source"), "fixed": ("fixed", "target")}
+"""Words in names of landmark files that identify the image of their points."""
+_EXAMPLE = files("codegen.registration.app") / "example"
+
 _KINDS = {".nii": "NIfTI", ".nii.gz": "NIfTI", ".nrrd": "NRRD", ".mha": "MetaImage"}
-OBLIQUE = 0.3
-"""Cosine of an axis with a direction of the patient from which on an edge is called by that, too."""
-MICROMETRES = 3
+_NIFTI = 352
+"""Bytes of a NIfTI header with its magic number."""
+_METAIMAGE = re.compile(rb"\s*(ObjectType|Comment|NDims)\s*=")
+_METAIMAGE_LOCAL = re.compile(rb"\s*=\s*LOCAL\s*\n")
+"""The value of ElementDataFile, the last key of a MetaImage header, if the samples follow."""
+_NRRD_OTHER_FILE = re.compile(rb"^\s*data\s*file", re.MULTILINE | re.IGNORECASE)
+"""A line of an NRRD header that names another file."""
+_NRRD_SPACE = re.compile(rb"^space: *(left|right|lps|ras|las)", re.MULTILINE | re.IGNORECASE)
+"""A line of an NRRD header that relates its axes to a patient."""
+_NRRD_UNIT = re.compile(rb'^(?:space )?units: *"([^"\r\n]*)"', re.MULTILINE)
+_MICROMETRES = 3
 """A code of NIfTI's `xyzt_units`."""
+OBLIQUE = 0.3
+"""Least cosine of an axis with a direction of the patient for the name of an edge to contain this direction."""
 
 
-def ending_of(data: bytes) -> str | None:
-    """The name's ending by which SimpleITK knows what these bytes are; None where they are no such file."""
+def picture_from(data: bytes, name: str) -> Picture:
+    """Decode an image within LIMITS; ImageError if that fails. The page shows the last part of its name."""
+    shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
+    if len(data) <= LIMITS.bytes and (suffix := _volume_suffix(data)) is not None:
+        return _read_slice(data, suffix, shown)
+    image = read_image(data, LIMITS, shown)
+    return Picture(image.pixels, shown, data, image.kind, image.profile, image.spacing)
+
+
+def session_of(images: Sequence[Path]) -> Session:
+    """Start a session on no image (the example), one, or a moving and a fixed one; ArgumentError for more."""
+    if not images:
+        return example()
+    if len(images) > 2:
+        raise ArgumentError(f"{len(images)} images were given", "give one, or a moving and a fixed one")
+    pictures = []
+    for path in images:
+        try:
+            with path.open("rb") as file:
+                data = file.read(LIMITS.bytes + 1)
+        except (OSError, ValueError) as error:
+            raise ImageError(f"{path} cannot be read ({getattr(error, 'strerror', error)})", "give an image") from error
+        pictures.append(picture_from(data, path.name))
+    return Session(pictures[0], pictures[1] if len(pictures) == 2 else None)
+
+
+def example() -> Session:
+    """Start a session on two drawn fishes; the sunfish is the porcupine fish in curved coordinates."""
+    moving = picture_from((_EXAMPLE / "moving.png").read_bytes(), "porcupine fish.png")
+    fixed = picture_from((_EXAMPLE / "fixed.png").read_bytes(), "sunfish.png")
+    landmarks = parse_landmarks([("landmarks.csv", (_EXAMPLE / "landmarks.csv").read_bytes())])
+    return Session(moving, fixed, Work(pairs_of(landmarks, 1)))
+
+
+def in_order(files: Files) -> tuple[Files, list[str]]:
+    """Sort landmark files, the moving one first, and return remarks for the visitor.
+
+    Names decide if one of them has a word for its image; otherwise the order stays. PointsError if one file of a pair
+    is missing.
+    """
+    if len(files) == 1:
+        name, data = files[0]
+        begin = data[:2000].decode("utf-8-sig", errors="replace")
+        formats = [form for form in FORMATS.values() if name.lower().endswith(form.suffixes) and form.recognises(begin)]
+        if formats and all(form.files == 2 for form in formats):
+            remedy = "choose the moving and the fixed file together, holding Ctrl (or Cmd) while clicking the second"
+            raise PointsError(f"{name} has the points of one image only", remedy)
+    if len(files) != 2:
+        return files, []
+    first, second = (_side_in(name) for name, _ in files)
+    decided = first != second
+    ordered = files[::-1] if decided and (first == "fixed" or second == "moving") else files
+    moving, fixed = (name for name, _ in ordered)
+    why = "in the order in which they came; rename them to contain moving and fixed"
+    if decided:
+        why = "as their names say"
+    return ordered, [f"{moving} was taken for the moving image and {fixed} for the fixed one, {why}"]
+
+
+def _side_in(name: str) -> str:
+    """The image that a file name mentions; empty for none or both."""
+    sides = [side for side, words in _SIDES.items() if any(word in name.lower() for word in words)]
+    return sides[0] if len(sides) == 1 else ""
+
+
+def _volume_suffix(data: bytes) -> str | None:
+    """The suffix by which SimpleITK recognises a file of these bytes; None for other kinds of files."""
     if data.startswith(b"NRRD"):
         return ".nrrd"
     if _METAIMAGE.match(data[:200]):
@@ -65,196 +136,92 @@ def _is_nifti(data: bytes) -> bool:
     return data[344:348] in (b"n+1\0", b"ni1\0") or data[4:8] in (b"n+2\0", b"ni2\0")
 
 
-@dataclass(frozen=True, eq=False)
-class Slice:
-    """Pixels, shape (h, w) or (h, w, 3 or 4), and the kind of file; where it says so, the size of a pixel and `edges`.
+def _read_slice(data: bytes, suffix: str, name: str) -> Picture:
+    """Read a picture from a file format of volumes.
 
-    Those are the sides of the patient towards which the left, right, upper and lower edge lie.
+    Raises ImageError for volumes, for files that name others, for more pixels than LIMITS allow, for unsupported
+    samples and for damaged files; ExtraError if SimpleITK is missing.
     """
-
-    pixels: NDArray[Any]
-    kind: str
-    spacing: Spacing | None
-    edges: Edges | None
-
-
-def read_slice(data: bytes, ending: str, limits: Limits, name: str) -> Slice:
-    """Read a picture from the bytes of a file of volumes.
-
-    Raises ImageError, naming the file, for volumes, files that name others, more pixels than `limits` allow, samples
-    that pictures do not have, and what is damaged; ExtraError where the library that reads it is missing.
-    """
-    # Refuse headers whose samples are in another file.
-    if ending == ".mha":
-        _, *rest = data.split(b"ElementDataFile")  # of all, since a comment may hold the first
-        is_alone = all(_HERE.match(part[:100]) for part in rest)
+    if suffix == ".mha":
+        _, *values = data.split(b"ElementDataFile")  # a comment may hold the first one
+        is_complete = all(_METAIMAGE_LOCAL.match(value[:100]) for value in values)
     else:
-        is_alone = ending != ".nrrd" or _ELSEWHERE.search(_text(data)) is None
-    if not is_alone:
+        is_complete = suffix != ".nrrd" or _NRRD_OTHER_FILE.search(_nrrd_header(data)) is None
+    if not is_complete:
         raise ImageError(f"{name} names another file for its samples", "save it as one file: .nrrd, .mha or .nii")
     itk = library("SimpleITK")
     with tempfile.TemporaryDirectory(prefix="codegen-") as folder:
-        path = Path(folder) / f"image{ending}"
+        path = Path(folder) / f"image{suffix}"
         path.write_bytes(data)
-        with telling(name), silent():
+        with library_errors(name), silent():
             reader = itk.ImageFileReader()
             reader.SetFileName(str(path))
             reader.ReadImageInformation()
-            axes = _axes(name, reader, limits)
-            _require_components(name, reader.GetNumberOfComponents())
+            size = reader.GetSize()
+            text = " x ".join(map(str, size))
+            axes = [k for k, length in enumerate(size) if length > 1]
+            if len(axes) > 2:
+                remedy = "save one slice as a file of its own, or give codegen warp the volumes"
+                raise ImageError(f"{name} is a volume ({text} voxels), and the page is for pictures", remedy)
+            column, row = axes if len(axes) == 2 else (0, 1)
+            if size[column] * size[row] > LIMITS.pixels:
+                raise ImageError(f"{name} has {text} pixels, more than {LIMITS.pixels}", "give a smaller image")
+            components = reader.GetNumberOfComponents()
+            if components not in (1, 3, 4):
+                finding = f"{name} has {components} numbers in each pixel"
+                raise ImageError(finding, "give grey, RGB or RGB with opacity")
             require_whole(path, reader, name)
             samples = itk.GetArrayFromImage(reader.Execute())
     if samples.dtype not in SAMPLES:
         remedy = "save it with 8 or 16-bit integers or 32-bit floats"
         raise ImageError(f"{name} holds samples of {samples.dtype}", remedy)
-    width, height = (reader.GetSize()[axis] for axis in axes)
-    pixels = samples.reshape(height, width, *samples.shape[reader.GetDimension() :])
-    spacing, edges = _spacing(data, ending, reader, axes), _edges(data, ending, reader, axes)
-    return Slice(np.ascontiguousarray(pixels), _KINDS[ending], spacing, edges)
+    pixels = samples.reshape(size[row], size[column], *samples.shape[reader.GetDimension() :])
+    spacing, edges = _spacing(data, suffix, reader, column, row), _edges(data, suffix, reader, column, row)
+    return Picture(np.ascontiguousarray(pixels), name, data, _KINDS[suffix], None, spacing, edges)
 
 
-def _text(data: bytes) -> bytes:
-    """The header of NRRD, which ends with an empty line."""
+def _nrrd_header(data: bytes) -> bytes:
+    """The header, which ends with an empty line."""
     return re.split(rb"\r?\n\r?\n", data, maxsplit=1)[0]
 
 
-def _axes(name: str, reader: Any, limits: Limits) -> tuple[int, int]:
-    """The axes of columns and of rows: those that are longer than 1."""
-    size = reader.GetSize()
-    said = " x ".join(map(str, size))
-    axes = tuple(k for k, length in enumerate(size) if length > 1)
-    if len(axes) > 2:
-        remedy = "save one slice as a file of its own, or give codegen warp the volumes"
-        raise ImageError(f"{name} is a volume ({said} voxels), and the page is for pictures", remedy)
-    if len(axes) < 2:
-        axes = (0, 1)
-    if size[axes[0]] * size[axes[1]] > limits.pixels:
-        raise ImageError(f"{name} has {said} pixels, more than {limits.pixels}", "give a smaller image")
-    return axes[0], axes[1]
-
-
-def _require_components(name: str, components: int) -> None:
-    if components not in (1, 3, 4):
-        raise ImageError(f"{name} has {components} numbers in each pixel", "give grey, RGB or RGB with opacity")
-
-
-def _edges(data: bytes, ending: str, reader: Any, axes: tuple[int, int]) -> Edges | None:
-    """The sides of the patient towards which edges lie; None of files that place nothing in space."""
-    if reader.GetDimension() < 3 or not _is_placed(data, ending, reader):
-        return None
+def _edges(data: bytes, suffix: str, reader: Any, column: int, row: int) -> Edges | None:
+    """The sides of the patient of the left, right, upper and lower edge; None if the file has no orientation."""
     dimension = reader.GetDimension()
+    # SimpleITK supplies an orientation if the file has none.
+    if suffix.startswith(".nii"):
+        is_oriented = any(int(float(reader.GetMetaData(key))) for key in ("qform_code", "sform_code"))
+    elif suffix == ".nrrd":
+        is_oriented = _NRRD_SPACE.search(_nrrd_header(data)) is not None
+    else:
+        is_oriented = b"TransformMatrix" in data[:4096]
+    if dimension < 3 or not is_oriented:
+        return None
     cosines = np.array(reader.GetDirection()).reshape(dimension, dimension)[:3]
-    right, lower = cosines[:, axes[0]], cosines[:, axes[1]]
-    return _side(-right), _side(right), _side(-lower), _side(lower)
+    right, lower = cosines[:, column], cosines[:, row]
+    return _patient_side(-right), _patient_side(right), _patient_side(-lower), _patient_side(lower)
 
 
-def _is_placed(data: bytes, ending: str, reader: Any) -> bool:
-    """Whether a file says how its axes lie; what the library assumes otherwise is not that."""
-    if ending.startswith(".nii"):
-        return any(int(float(reader.GetMetaData(key))) for key in ("qform_code", "sform_code"))
-    if ending == ".nrrd":
-        return _PLACED.search(_text(data)) is not None
-    return b"TransformMatrix" in data[:4096]
-
-
-def _side(direction: NDArray[np.float64]) -> str:
+def _patient_side(direction: NDArray[np.float64]) -> str:
     """The letters of the patient's sides towards which a direction in LPS points, the nearest first."""
     order = np.argsort(-np.abs(direction), kind="stable")
     letters = ("RL", "AP", "IS")
     return "".join(letters[k][int(direction[k] > 0.0)] for k in order if abs(direction[k]) >= OBLIQUE)
 
 
-def _spacing(data: bytes, ending: str, reader: Any, axes: tuple[int, int]) -> Spacing | None:
-    """The size of a pixel; None for 1 by 1 of no unit, which programs write that know none."""
-    x, y = (float(reader.GetSpacing()[axis]) for axis in axes)
+def _spacing(data: bytes, suffix: str, reader: Any, column: int, row: int) -> Spacing | None:
+    """The size of a pixel; None for 1 by 1 without a unit, which programs write if they know no size."""
+    x, y = (float(reader.GetSpacing()[axis]) for axis in (column, row))
     unit = ""
-    if ending.startswith(".nii"):
+    if suffix.startswith(".nii"):
         code = int(reader.GetMetaData("xyzt_units")) & 7
         unit = "mm" if code else ""
-        if code == MICROMETRES:  # which the library makes millimetres
+        if code == _MICROMETRES:  # SimpleITK converts them to millimetres
             x, y, unit = 1e3 * x, 1e3 * y, "µm"
-    elif ending == ".nrrd":
-        found = _UNIT.search(_text(data))
-        unit = named(found[1].decode("utf-8", errors="replace")) if found else ""
-    return None if not unit and x == y == 1.0 else meant(Spacing(x, y, unit or "mm"))
-
-
-LIMITS = Limits(bytes=32 << 20, pixels=1 << 25)
-"""The largest file and the largest image that the page takes; codegen warp takes more."""
-MOST_LANDMARK_BYTES = 8 << 20
-"""The largest landmark file that the page takes."""
-_WORDS = {"moving": ("moving", "source"), "fixed": ("fixed", "target")}
-"""Words in names of landmark files, and the image whose points these hold."""
-Files: TypeAlias = list[tuple[str, bytes]]
-_EXAMPLE = files("codegen.registration.app") / "example"
-
-
-def picture_from(data: bytes, name: str) -> Picture:
-    """Decode an image within LIMITS. Only the last part of its name is kept, to be shown; raises ImageError."""
-    shown = PurePath(name.replace("\\", "/")).name[-NAME_LENGTH:] or "image"
-    if len(data) <= LIMITS.bytes and (ending := ending_of(data)) is not None:
-        found = read_slice(data, ending, LIMITS, shown)
-        return Picture(found.pixels, shown, data, found.kind, None, found.spacing, found.edges)
-    image = read_image(data, LIMITS, shown)
-    return Picture(image.pixels, shown, data, image.kind, image.profile, image.spacing)
-
-
-def picture_at(path: Path) -> Picture:
-    """The image in a file; raises ImageError."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(LIMITS.bytes + 1)
-    except (OSError, ValueError) as error:
-        raise ImageError(f"{path} cannot be read ({getattr(error, 'strerror', error)})", "give an image") from error
-    return picture_from(data, path.name)
-
-
-def in_order(files: Files) -> tuple[Files, list[str]]:
-    """Landmark files with the moving one first, and what the visitor should know of that; nothing for a single file.
-
-    Names tell them apart where one of them has a word for its image; otherwise they are taken as they were chosen.
-    PointsError where a file came without its partner.
-    """
-    if len(files) == 1 and _is_half(*files[0]):
-        remedy = "choose the moving and the fixed file together, holding Ctrl (or Cmd) while clicking the second"
-        raise PointsError(f"{files[0][0]} has the points of one image only", remedy)
-    if len(files) != 2:
-        return files, []
-    first, second = (_side_named(name) for name, _ in files)
-    named = first != second
-    turned = named and (first == "fixed" or second == "moving")
-    ordered = files[::-1] if turned else files
-    moving, fixed = (name for name, _ in ordered)
-    why = "as their names say" if named else "in the order in which they came; rename them to contain moving and fixed"
-    return ordered, [f"{moving} was taken for the moving image and {fixed} for the fixed one, {why}"]
-
-
-def _side_named(name: str) -> str:
-    """The image that a file's name tells of, if it tells of one."""
-    found = [side for side, words in _WORDS.items() if any(word in name.lower() for word in words)]
-    return found[0] if len(found) == 1 else ""
-
-
-def _is_half(name: str, data: bytes) -> bool:
-    """Whether a file looks like one of a pair."""
-    begin = data[:2000].decode("utf-8-sig", errors="replace")
-    fitting = [form for form in FORMATS.values() if name.lower().endswith(form.suffixes) and form.recognises(begin)]
-    return bool(fitting) and all(form.files == 2 for form in fitting)
-
-
-def example() -> Session:
-    """Two drawn fishes with their landmarks, of which the sunfish is the porcupine fish in bent coordinates."""
-    moving = picture_from((_EXAMPLE / "moving.png").read_bytes(), "porcupine fish.png")
-    fixed = picture_from((_EXAMPLE / "fixed.png").read_bytes(), "sunfish.png")
-    landmarks = parse_landmarks([("landmarks.csv", (_EXAMPLE / "landmarks.csv").read_bytes())])
-    return Session(moving, fixed, Work(pairs_of(landmarks, 1)))
-
-
-def session_of(images: Sequence[Path]) -> Session:
-    """A session on no image (the example), one, or a moving and a fixed one; ArgumentError for more."""
-    if not images:
-        return example()
-    if len(images) > 2:
-        raise ArgumentError(f"{len(images)} images were given", "give one, or a moving and a fixed one")
-    moving, *fixed = map(picture_at, images)
-    return Session(moving, fixed[0] if fixed else None)
+    elif suffix == ".nrrd":
+        line = _NRRD_UNIT.search(_nrrd_header(data))
+        unit = unit_name(line[1].decode("utf-8", errors="replace")) if line else ""
+    if not unit and x == y == 1.0:
+        return None
+    spacing = Spacing(x, y, unit or "mm")
+    return spacing if spacing.is_plausible else None

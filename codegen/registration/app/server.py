@@ -1,14 +1,20 @@
-"""The server of the page, on this machine only: its files, tiles of images, uploads, downloads, and a socket."""
+"""The server of the page, on this machine only: files, tiles of images, uploads, downloads and the socket of a tab.
+
+`serve` runs until it is interrupted. `shown` serves one session in a notebook, from a thread.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import socket
+import threading
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -34,23 +40,43 @@ from codegen.registration.app.reading import (
     picture_from,
     session_of,
 )
-from codegen.registration.app.session import Session
-from codegen.registration.app.state import tile
+from codegen.registration.app.session import Session, tile
 from codegen.registration.formats import FORMATS, parse_landmarks
 from codegen.registration.formats.base import Frames
 
+HOST = "localhost"
 HOSTS = ("localhost", "127.0.0.1", "[::1]")
-"""Names of this machine. Others may be anybody's that lead here (DNS rebinding)."""
+"""Names of this machine. Other names may be foreign ones that resolve to it (DNS rebinding)."""
+ANCESTORS = ("'self'", "http://localhost:*", "http://127.0.0.1:*")
+"""Origins of notebooks on this machine, whose pages may frame this one."""
+KINDS = {
+    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}  # fmt: skip
+OVERHEAD = 1 << 16
+"""Bytes of a form in addition to its files."""
+MOST_AT_ONCE = 4
+"""Files that are received at the same time, from all pages together."""
+MOST_FILES = 2
+MOST_MESSAGE = 1 << 20
+"""Most bytes of a message of a page."""
+CLIENT = 64
+"""Most characters of the name of a tab."""
+aside = ThreadPoolExecutor(2, thread_name_prefix="registration-files")
+"""Decodes images and encodes tiles and downloads."""
+_receiving: set[int] = set()
+_FOLDER = files("codegen.registration.app") / "static"
+_ASSETS = {entry.name: entry.read_bytes() for entry in _FOLDER.iterdir() if Path(entry.name).suffix in KINDS}
 
 
 class Guarded(RequestHandler):
-    """A handler that refuses foreign hosts and origins before anything is read, and lets no page frame this one.
+    """A handler that refuses foreign hosts and origins before it reads anything, and that no page may frame.
 
-    `ancestors` of the application's settings are the origins whose pages may frame it: those of a notebook.
+    The setting `ancestors` of the application has exceptions: the origins of notebooks, whose pages may frame it.
     """
 
     def set_default_headers(self) -> None:
-        """What browsers enforce: no scripts, styles, images or connections but those of this server."""
+        """Let browsers load scripts, styles, images and connections of this server only."""
         port = self.application.settings["port"]
         ancestors = self.application.settings["ancestors"]
         sockets = " ".join(f"ws://{host}:{port}" for host in HOSTS[:2])
@@ -63,54 +89,44 @@ class Guarded(RequestHandler):
         if not ancestors:
             self.set_header("X-Frame-Options", "DENY")
         self.set_header("X-Content-Type-Options", "nosniff")
-        self.set_header("Referrer-Policy", "no-referrer")  # the name of a work stands in the address
+        self.set_header("Referrer-Policy", "no-referrer")  # the address contains the name of a work
         self.set_header("Cross-Origin-Resource-Policy", "same-origin")
         self.set_header("Cache-Control", "no-store")
         self.clear_header("Server")
 
     def prepare(self) -> None:
-        """403 for a Host header that is not this machine's, and for an Origin that is not this server's."""
+        """Answer 403 for a foreign Host header, and for a foreign Origin."""
         port = self.application.settings["port"]
         hosts = {f"{host}:{port}" for host in HOSTS}
         if self.request.headers.get_list("Host") not in [[host] for host in hosts]:
             raise HTTPError(403, reason="Foreign host")
         origin = self.request.headers.get("Origin")
         if origin is None:
-            if self.request.method not in ("GET", "HEAD") or self._is_upgrade():
+            is_upgrade = self.request.headers.get("Upgrade", "").lower() == "websocket"
+            if self.request.method not in ("GET", "HEAD") or is_upgrade:
                 raise HTTPError(403, reason="No origin")
         elif not self.is_own(origin):
             raise HTTPError(403, reason="Foreign origin")
 
     def is_own(self, origin: str) -> bool:
-        """Whether a page is one of this server's."""
+        """Return True for a page of this server."""
         parts = urlsplit(origin)
         port = self.application.settings["port"]
         return parts.scheme == "http" and parts.netloc in {f"{host}:{port}" for host in HOSTS}
 
-    def _is_upgrade(self) -> bool:
-        return self.request.headers.get("Upgrade", "").lower() == "websocket"
-
     def write_error(self, status_code: int, **values: object) -> None:
-        """The reason in a line, never a traceback."""
+        """Answer with the reason in one line, without a traceback."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code} {self._reason}\n")
 
 
 class Nothing(Guarded):
-    """Whatever else is asked for."""
+    """All other addresses."""
 
     def prepare(self) -> None:
-        """404, once host and origin are right."""
+        """Answer 404 if host and origin are right."""
         super().prepare()
         raise HTTPError(404)
-
-
-OVERHEAD = 1 << 16
-"""Bytes of a form beside its files."""
-MOST_AT_ONCE = 4
-"""Files that are received at a time, by all pages together."""
-MOST_FILES = 2
-_receiving: set[int] = set()
 
 
 @stream_request_body
@@ -120,7 +136,7 @@ class Upload(Guarded):
     most = 0
 
     def prepare(self) -> None:
-        """413 for a body that is too long, 411 for one of unknown length, 503 while too many others are received."""
+        """Answer 413 for long bodies, 411 for unknown lengths, 503 while too many other files are received."""
         super().prepare()
         try:
             length = int(self.request.headers["Content-Length"])
@@ -135,128 +151,87 @@ class Upload(Guarded):
         self._body = bytearray()
 
     def data_received(self, chunk: bytes) -> None:
-        """Another part of the body."""
+        """Append a part of the body."""
         if len(self._body) + len(chunk) > self._length:
             raise HTTPError(413)
         self._body += chunk
 
     def on_finish(self) -> None:
-        """Answered."""
+        """Count the end of an upload."""
         _receiving.discard(id(self))
 
     def on_connection_close(self) -> None:
-        """Broken off."""
+        """Count the interruption of an upload."""
         _receiving.discard(id(self))
 
     def files(self) -> Files:
-        """Names and contents; 400 where there is none."""
-        found: dict[str, list[HTTPFile]] = {}
+        """Return names and contents; 400 for a form without files."""
+        by_field: dict[str, list[HTTPFile]] = {}
         arguments: dict[str, list[bytes]] = {}
-        kind = self.request.headers.get("Content-Type", "")
-        parse_body_arguments(kind, bytes(self._body), arguments, found)
+        parse_body_arguments(self.request.headers.get("Content-Type", ""), bytes(self._body), arguments, by_field)
         self._body.clear()
-        received: list[Any] = [file for files in found.values() for file in files]
+        received: list[Any] = [file for files in by_field.values() for file in files]
         if not 0 < len(received) <= MOST_FILES:
             raise HTTPError(400, reason="One or two files are expected")
         return [(file.filename, file.body) for file in received]
 
 
-HOST = "localhost"
-KINDS = {
-    ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-}  # fmt: skip
-MOST_MESSAGE = 1 << 20
-"""Bytes of what a page sends through its socket."""
-CLIENT = 64
-"""Characters of what a tab calls itself."""
-aside = ThreadPoolExecutor(2, thread_name_prefix="registration-files")
-"""Decodes images and encodes tiles and downloads."""
-
-
-def application(works: Works, port: int, ancestors: Sequence[str] = ()) -> Application:
-    """All that is served at a port; `ancestors` are origins whose pages may frame it."""
-    work = r"/work/([0-9a-f]{32})"
-    routes: list[Any] = [
-        (rf"/(|{'|'.join(_ASSETS)})", Asset),
-        (rf"{work}/tile/([0-9a-f]{{64}})/(\d{{1,2}})/(\d{{1,4}})/(\d{{1,4}})", Tile),
-        (rf"{work}/image/(moving|fixed|alone)", OpenImage),
-        (rf"{work}/landmarks", OpenLandmarks),
-        (rf"{work}/example", OpenExample),
-        (rf"{work}/export/(image|field|animation|landmarks)", Export),
-        (r"/socket", Socket),
-    ]
-    return Application(
-        routes, default_handler_class=Nothing, works=works, port=port, ancestors=tuple(ancestors), log_function=_quiet,
-        websocket_max_message_size=MOST_MESSAGE, websocket_ping_interval=20,
-    )  # fmt: skip
-
-
-def _quiet(handler: Any) -> None:
-    """Requests are nobody's business; errors are logged all the same."""
-
-
-_FOLDER = files("codegen.registration.app") / "static"
-_ASSETS = {entry.name: entry.read_bytes() for entry in _FOLDER.iterdir() if Path(entry.name).suffix in KINDS}
-
-
 class Asset(Guarded):
-    """The files of the page, which are all in memory: no path of a request is ever looked up on the disk."""
+    """The files of the page, from memory: no path of a request reaches the disk."""
 
     def get(self, name: str) -> None:
-        """The page itself, or one of its files."""
+        """Answer with the page, or with one of its files."""
         name = name or "index.html"
         self.set_header("Content-Type", KINDS[Path(name).suffix])
         self.finish(_ASSETS[name])
 
 
 class OfWork(Guarded):
-    """What belongs to a work that is open."""
+    """A handler of an open work."""
 
     @property
     def works(self) -> Works:
         """All works."""
-        found: Works = self.application.settings["works"]
-        return found
+        works: Works = self.application.settings["works"]
+        return works
 
     def work(self, token: str) -> LiveWork:
-        """The work of that name; 404 where it is not open."""
-        found = self.works.find(token)
-        if found is None:
+        """Return the work of a name; 404 if it is not open."""
+        work = self.works.find(token)
+        if work is None:
             raise HTTPError(404)
-        return found
+        return work
 
     def refuse(self, error: CodegenError) -> None:
-        """Say what is wrong with what was sent or asked for."""
+        """Answer with an error."""
         self.set_status(422)
-        self.set_header("Content-Type", "application/json")
-        self.finish(json.dumps({"error": str(error)}))
+        self.answer({"error": str(error)})
 
     def answer(self, values: Mapping[str, Any]) -> None:
-        """Values for the page."""
+        """Answer with values for the page."""
         self.set_header("Content-Type", "application/json")
         self.finish(json.dumps(values))
 
 
 class Tile(OfWork):
-    """A square of one of the two images."""
+    """A square part of one of the two images."""
 
     async def get(self, token: str, digest: str, level: str, column: str, row: str) -> None:
-        """A PNG file, which never changes."""
+        """Answer with a PNG file, which never changes."""
         session = self.work(token).session
         picture = next((p for p in (session.moving, session.picture("fixed")) if p.digest == digest), None)
-        made = None
+        data = None
         if picture is not None:
-            made = await _elsewhere(partial(tile, picture, int(level), int(column), int(row)))
-        if made is None:
+            data = await _aside(partial(tile, picture, int(level), int(column), int(row)))
+        if data is None:
             raise HTTPError(404)
         self.set_header("Content-Type", "image/png")
         self.set_header("Cache-Control", "private, max-age=86400, immutable")
-        self.finish(made)
+        self.finish(data)
 
 
 class OpenImage(Upload, OfWork):
-    """Another moving or fixed image, or one alone that is bent."""
+    """Open a moving or fixed image, or a single one that is deformed."""
 
     most = LIMITS.bytes
 
@@ -265,8 +240,8 @@ class OpenImage(Upload, OfWork):
         work = self.work(token)
         name, data = self.files()[0]
         try:
-            picture = await _elsewhere(lambda: picture_from(data, name))
-            await _elsewhere(lambda: (picture.levels, picture.digest))
+            picture = await _aside(lambda: picture_from(data, name))
+            await _aside(lambda: (picture.levels, picture.digest))
             session = work.session
             if which == "alone":
                 work.change(partial(session.open_alone, picture), images=True)
@@ -279,17 +254,17 @@ class OpenImage(Upload, OfWork):
 
 
 class OpenLandmarks(Upload, OfWork):
-    """Pairs from one or two files."""
+    """Open one or two landmark files."""
 
     most = 2 * MOST_LANDMARK_BYTES
 
     async def post(self, token: str) -> None:
-        """Take the pairs instead of those that there are."""
+        """Replace the present pairs."""
         work = self.work(token)
         frames = Frames(work.session.moving.shape, work.session.picture("fixed").shape)
         try:
             ordered, remarks = in_order(self.files())
-            landmarks = await _elsewhere(lambda: parse_landmarks(ordered, frames=frames))
+            landmarks = await _aside(lambda: parse_landmarks(ordered, frames=frames))
             work.change(partial(work.session.load, landmarks))
         except CodegenError as error:
             self.refuse(error)
@@ -298,20 +273,20 @@ class OpenLandmarks(Upload, OfWork):
 
 
 class OpenExample(OfWork):
-    """The bundled example."""
+    """Open the bundled example."""
 
     def post(self, token: str) -> None:
-        """Show it instead of what is there."""
-        work, made = self.work(token), example()
-        work.change(partial(work.session.replace, made.moving, made.fixed, made.work), images=True)
+        """Replace the present images and pairs."""
+        work, session = self.work(token), example()
+        work.change(partial(work.session.replace, session.moving, session.fixed, session.work), images=True)
         self.answer({})
 
 
 class Export(OfWork):
-    """A file for the visitor, made when it is asked for."""
+    """A download, made on request."""
 
     async def post(self, token: str, kind: str) -> None:
-        """One file, or for landmarks in two files the one that `part` names."""
+        """Answer with one file; of landmarks in two files, `part` selects one."""
         work = self.work(token)
         form, part = self.get_query_argument("form", "csv"), self.get_query_argument("part", "0")
         grid = self.get_query_argument("grid", "") == "1"
@@ -325,11 +300,11 @@ class Export(OfWork):
         try:
             if kind != "landmarks":
                 work.require_solver()
-            made = await _elsewhere(jobs[kind])
+            result = await _aside(jobs[kind])
         except CodegenError as error:
             self.refuse(error)
             return
-        parts = made if isinstance(made, tuple) else (made,)
+        parts = result if isinstance(result, tuple) else (result,)
         download = parts[min(int(part), len(parts) - 1)]
         self.set_header("Content-Type", download.kind)
         self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(download.name)}")
@@ -338,35 +313,35 @@ class Export(OfWork):
 
 
 class Socket(OfWork, WebSocketHandler):
-    """The way between a tab and its work."""
+    """The connection between a tab and its work."""
 
     live: LiveWork | None = None
     client = ""
 
     def check_origin(self, origin: str) -> bool:
-        """Whether the page is one of this server's."""
+        """Return True for a page of this server."""
         return self.is_own(origin)
 
     def open(self, *arguments: str, **values: str) -> None:
-        """A tab names itself and the work that it shows."""
+        """Connect a tab to the work that it names."""
         self.client = self.get_query_argument("client", "")[:CLIENT]
         self.set_nodelay(True)
         self.live = self.works.get(self.get_query_argument("work", ""))
         self.live.join(self.client, self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Something is asked for."""
+        """Pass a request of the tab to its work."""
         if self.live is not None:
             self.live.hear(self.client, parsed(message))
 
     def on_close(self) -> None:
-        """The tab is gone, or its connection."""
+        """Disconnect the tab."""
         if self.live is not None:
             self.live.leave(self.client, self)
             self.works.left(self.live)
 
     def send(self, message: Mapping[str, Any] | bytes) -> None:
-        """Send values or a packed picture; whoever is gone hears nothing."""
+        """Send values or a packed picture; a closed connection is ignored."""
         try:
             if isinstance(message, bytes):
                 self.write_message(message, binary=True)
@@ -376,15 +351,30 @@ class Socket(OfWork, WebSocketHandler):
             pass
 
 
-async def _elsewhere(job: Callable[[], Any]) -> Any:
+async def _aside(job: Callable[[], Any]) -> Any:
     return await IOLoop.current().run_in_executor(aside, job)
 
 
 def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors: Sequence[str] = ()) -> HTTPServer:
-    """Begin to serve works in the present event loop."""
+    """Serve works in the present event loop; pages of the origins `ancestors` may frame the page."""
+    work = r"/work/([0-9a-f]{32})"
+    routes: list[Any] = [
+        (rf"/(|{'|'.join(_ASSETS)})", Asset),
+        (rf"{work}/tile/([0-9a-f]{{64}})/(\d{{1,2}})/(\d{{1,4}})/(\d{{1,4}})", Tile),
+        (rf"{work}/image/(moving|fixed|alone)", OpenImage),
+        (rf"{work}/landmarks", OpenLandmarks),
+        (rf"{work}/example", OpenExample),
+        (rf"{work}/export/(image|field|animation|landmarks)", Export),
+        (r"/socket", Socket),
+    ]
+    application = Application(
+        routes, default_handler_class=Nothing, works=works, port=port, ancestors=tuple(ancestors),
+        log_function=lambda handler: None,  # requests are private; errors are logged all the same
+        websocket_max_message_size=MOST_MESSAGE, websocket_ping_interval=20,
+    )  # fmt: skip
     server = HTTPServer(
-        application(works, port, ancestors), max_body_size=max(LIMITS.bytes, 2 * MOST_LANDMARK_BYTES) + OVERHEAD,
-        max_header_size=1 << 14, idle_connection_timeout=600,
+        application, max_body_size=max(LIMITS.bytes, 2 * MOST_LANDMARK_BYTES) + OVERHEAD, max_header_size=1 << 14,
+        idle_connection_timeout=600,
     )  # fmt: skip
     server.add_sockets(sockets)
     return server
@@ -393,35 +383,76 @@ def listen(works: Works, sockets: Sequence[socket.socket], port: int, ancestors:
 def serve(images: Sequence[Path] = (), port: int = 5006, show: bool = True, state: Path | None = None) -> None:
     """Serve the page until it is interrupted.
 
-    Images are read once, before anything is served: raises ImageError and ArgumentError, the latter also for a port
-    that is in use, and FileError where works cannot be saved in the folder `state`.
+    Images are read once, before anything is served. Raises ImageError, ArgumentError, also for a port in use, and
+    FileError if works cannot be saved in the folder `state`.
     """
     store = Store(state or default_folder())
     store.require_writable()
     opened = session_of(images)
-    asyncio.run(_serve(opened, port, show, store))
+
+    async def run() -> None:
+        loop = IOLoop.current()
+        works = Works(
+            lambda: Session(opened.moving, opened.fixed, opened.work), loop.add_callback, loop.call_later, store
+        )
+        try:
+            sockets = bind_sockets(port, "127.0.0.1", socket.AF_INET)
+        except (OSError, OverflowError) as error:
+            raise ArgumentError(f"--port {port} cannot be used ({error})", "choose another port") from error
+        server = listen(works, sockets, port)
+        if show:
+            loop.run_in_executor(aside, webbrowser.open, f"http://{HOST}:{port}/")
+        try:
+            await asyncio.Event().wait()
+        finally:
+            server.stop()
+
+    asyncio.run(run())
 
 
-async def _serve(opened: Session, port: int, show: bool, store: Store) -> None:
-    loop = IOLoop.current()
+@dataclass(frozen=True)
+class NotebookPage:
+    """The page of one session, in a notebook that runs on the same machine as its browser."""
 
-    def begun() -> Session:
-        """A session of its own for every new work, on the images that were given."""
-        return Session(opened.moving, opened.fixed, opened.work)
+    session: Session
+    work: LiveWork
+    port: int
+    server: HTTPServer
+    loop: IOLoop
 
-    works = Works(begun, loop.add_callback, loop.call_later, store)
-    server = listen(works, _sockets(port), port)
-    if show:
-        loop.run_in_executor(aside, webbrowser.open, f"http://{HOST}:{port}/")
-    try:
+    @property
+    def address(self) -> str:
+        """The address of the page."""
+        return f"http://{HOST}:{self.port}/"
+
+    def _repr_html_(self) -> str:
+        address = escape(self.address, quote=True)
+        return (
+            f'<p><a href="{address}" target="_blank">Image registration by landmarks</a></p>'
+            f'<iframe src="{address}" title="Image registration" width="100%" height="720"></iframe>'
+        )
+
+    def close(self) -> None:
+        """End the server; the session remains."""
+        self.loop.add_callback(self.server.stop)
+
+
+def shown(session: Session) -> NotebookPage:
+    """Serve a session until the kernel ends or `close` is called; nothing is saved automatically."""
+    ready: list[NotebookPage] = []
+    started = threading.Event()
+
+    async def run() -> None:
+        loop = IOLoop.current()
+        sockets = bind_sockets(0, "127.0.0.1")
+        port = int(sockets[0].getsockname()[1])
+        work = LiveWork(session, loop.add_callback, None, "0" * 32)
+        works = Works(lambda: session, loop.add_callback, loop.call_later, only=work)
+        ready.append(NotebookPage(session, work, port, listen(works, sockets, port, ANCESTORS), loop))
+        work.draw()
+        started.set()
         await asyncio.Event().wait()
-    finally:
-        server.stop()
 
-
-def _sockets(port: int) -> list[socket.socket]:
-    """ArgumentError when something else listens there."""
-    try:
-        return bind_sockets(port, "127.0.0.1", socket.AF_INET)
-    except (OSError, OverflowError) as error:
-        raise ArgumentError(f"--port {port} cannot be used ({error})", "choose another port") from error
+    threading.Thread(target=lambda: asyncio.run(run()), name="registration-page", daemon=True).start()
+    started.wait()
+    return ready[0]

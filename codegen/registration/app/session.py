@@ -1,39 +1,294 @@
-"""One visitor's work: two images, pairs of points, undo and redo; every operation of the page, without the page."""
+"""The work of one visitor without the page: two images, pairs of points, settings, undo and redo.
+
+Pairs, settings and pictures are immutable values. A session holds the present ones and their history.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable
-from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+import hashlib
+import io
+from collections.abc import Collection, Hashable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import PurePath
+from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from codegen.errors import LandmarkError
-from codegen.registration.app.state import (
-    MOST_NAME,
-    MOST_PAIRS,
-    Pair,
-    Picture,
-    Place,
-    Settings,
-    Side,
-    Work,
-    other,
-    pairs_of,
-)
+from codegen.registration.images import Spacing
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import LandmarkPairs
+from codegen.registration.solver import DEFAULT_SCHEME
 
+Side: TypeAlias = Literal["moving", "fixed"]
+Place: TypeAlias = tuple[float, float]
+Edges: TypeAlias = tuple[str, str, str, str]
 State = TypeVar("State")
 
-MOST = 200
-"""So many steps can be undone."""
+MOST_PAIRS = 5000
+"""Most pairs of the page; files with more pairs are for the command line."""
+MOST_NAME = 200
+"""Most characters of the name of a landmark."""
+MOST_UNDONE = 200
+"""Steps that can be undone."""
+PREVIEW = 512
+"""Longest side, in pixels, of the copy on which areas are certified and which animations show."""
+SMALLEST = 256
+"""Longest side, in pixels, of the smallest reduced copy."""
+NAME_LENGTH = 60
+"""Most characters of the name of an image."""
+SATURATED = 0.1
+"""Percentage of samples beyond either end of the grey range, for samples of more than 8 bits."""
+SAMPLED = 1 << 20
+"""Approximate number of samples that determine the grey range."""
+ROWS = 256
+"""Rows that are converted together, which avoids a second copy of a large image."""
+SIDE = 512
+"""Pixels along each side of a tile; tiles at the right and at the lower edge may be smaller."""
+
+
+def other(side: Side) -> Side:
+    """Return the other image."""
+    return "fixed" if side == "moving" else "moving"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One feature in both images, in pixels; `identity` is unique and constant.
+
+    `guessed` names the image in which the point is only a prediction of the present map. A pair that is not `active` is
+    shown, but not registered.
+    """
+
+    identity: int
+    moving: Place
+    fixed: Place
+    name: str = ""
+    guessed: Side | None = None
+    active: bool = True
+
+    def at(self, side: Side) -> Place:
+        """Return the point in one of the images."""
+        return self.moving if side == "moving" else self.fixed
+
+    def put(self, side: Side, place: Place, guessed: Side | None = None) -> Pair:
+        """Replace the point in one image."""
+        if side == "moving":
+            return replace(self, moving=place, guessed=guessed)
+        return replace(self, fixed=place, guessed=guessed)
+
+    @property
+    def row(self) -> list[Any]:
+        """The pair in JSON: identity, moving x and y, fixed x and y, name, guessed, active."""
+        return [self.identity, *self.moving, *self.fixed, self.name, self.guessed, self.active]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Arguments of `register` and `warp`; distances in pixels."""
+
+    align: str = "auto"
+    sigma: float = 0.0
+    scheme: str = DEFAULT_SCHEME
+    interpolation: str = "linear"
+
+
+@dataclass(frozen=True)
+class Work:
+    """The state of undo and redo: the pairs in their order, and the settings."""
+
+    pairs: tuple[Pair, ...] = ()
+    settings: Settings = Settings()
+
+    def find(self, identity: int) -> Pair | None:
+        """Return the pair of an identity; None if it was deleted."""
+        return next((pair for pair in self.pairs if pair.identity == identity), None)
+
+    def with_pair(self, changed: Pair) -> Work:
+        """Replace the pair of the same identity, or add the pair."""
+        if self.find(changed.identity) is None:
+            return replace(self, pairs=(*self.pairs, changed))
+        return replace(self, pairs=tuple(changed if p.identity == changed.identity else p for p in self.pairs))
+
+    def without(self, identities: Iterable[int]) -> Work:
+        """Remove pairs."""
+        removed = set(identities)
+        return replace(self, pairs=tuple(pair for pair in self.pairs if pair.identity not in removed))
+
+    @property
+    def active(self) -> tuple[Pair, ...]:
+        """The pairs that are registered, in their order."""
+        return tuple(pair for pair in self.pairs if pair.active)
+
+    def landmarks(self) -> LandmarkPairs:
+        """Return the active pairs; LandmarkError if there are none, or if two points coincide.
+
+        The name of a pair without one is its number among all pairs.
+        """
+        named = [(pair, pair.name or str(k + 1)) for k, pair in enumerate(self.pairs) if pair.active]
+        return LandmarkPairs(
+            np.array([pair.moving for pair, _ in named], dtype=np.float64).reshape(-1, 2),
+            np.array([pair.fixed for pair, _ in named], dtype=np.float64).reshape(-1, 2),
+            tuple(name for _, name in named),
+        )
+
+
+def pairs_of(landmarks: LandmarkPairs, first_identity: int) -> tuple[Pair, ...]:
+    """Number the pairs of a file; LandmarkError if the page cannot handle so many."""
+    if len(landmarks) > MOST_PAIRS:
+        finding = f"the file has {len(landmarks)} pairs, and the page handles {MOST_PAIRS}"
+        raise LandmarkError(finding, "use codegen warp for so many")
+    return tuple(
+        Pair(first_identity + k, (float(m[0]), float(m[1])), (float(f[0]), float(f[1])), name)
+        for k, (m, f, name) in enumerate(zip(landmarks.moving, landmarks.fixed, landmarks.names, strict=True))
+    )
+
+
+def as_record(work: Work) -> dict[str, Any]:
+    """Convert a work to values for JSON."""
+    return {"pairs": [pair.row for pair in work.pairs], "settings": dict(vars(work.settings))}
+
+
+def from_record(record: Mapping[str, Any]) -> Work:
+    """Convert a record of `as_record` to a work; LandmarkError if it is damaged."""
+    pairs: list[Pair] = []
+    try:
+        for identity, a, b, c, d, name, guessed, active in record["pairs"][:MOST_PAIRS]:
+            if guessed not in ("moving", "fixed", None):
+                raise ValueError(f"{guessed!r} is no image")
+            moving, fixed = (float(a), float(b)), (float(c), float(d))
+            pairs.append(Pair(int(identity), moving, fixed, str(name)[:MOST_NAME], guessed, bool(active)))
+        values = record["settings"]
+        settings = Settings(
+            str(values["align"]), float(values["sigma"]), str(values["scheme"]), str(values["interpolation"])
+        )
+        if len({pair.identity for pair in pairs}) < len(pairs):
+            raise ValueError("two pairs are the same")
+    except (KeyError, TypeError, ValueError) as error:
+        raise LandmarkError("the saved work cannot be read", "start again, or load a landmark file") from error
+    return Work(tuple(pairs), settings)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Pixels of shape (h, w) or (h, w, channels), the name to show, and the content of the file.
+
+    `kind` is the format, PNG, JPEG, TIFF, NIfTI, NRRD or MetaImage, `profile` the colour profile, and `spacing` the
+    size of a pixel. `edges` are the sides of a patient at the left, right, upper and lower edge.
+    """
+
+    pixels: NDArray[Any]
+    name: str = "image"
+    source: bytes = field(default=b"", repr=False)
+    kind: str = "PNG"
+    profile: bytes | None = field(default=None, repr=False)
+    spacing: Spacing | None = None
+    edges: Edges | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+    @property
+    def stem(self) -> str:
+        """A name for files that are made from the picture, of letters and digits only."""
+        letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in PurePath(self.name).stem)
+        return letters[:NAME_LENGTH] or "image"
+
+    def contains(self, place: Place) -> bool:
+        """Return True for a point within the pixels."""
+        height, width = self.shape
+        return -0.5 <= place[0] <= width - 0.5 and -0.5 <= place[1] <= height - 0.5
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of the content."""
+        return hashlib.sha256(self.source or self.pixels.tobytes()).hexdigest()
+
+    @cached_property
+    def reduction(self) -> int:
+        """The side of a preview pixel in pixels."""
+        return max(1, -(-max(self.shape) // PREVIEW))
+
+    @cached_property
+    def levels(self) -> tuple[NDArray[np.uint8], ...]:
+        """Copies of 8 bits, (h, w) or (h, w, 3 or 4): the first of full size, each following one half as large.
+
+        8-bit samples are unchanged. Other samples are stretched over the grey range, without a few extreme ones.
+        """
+        pixels = self.pixels
+        if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):  # grey with opacity, or more channels than a screen has
+            pixels = pixels[..., 0] if pixels.shape[2] < 3 else pixels[..., :3]
+        levels = [_eight_bits(pixels)]
+        while max(levels[-1].shape[:2]) > SMALLEST:
+            levels.append(np.asarray(Image.fromarray(levels[-1]).reduce(2)))
+        return tuple(levels)
+
+    @cached_property
+    def preview(self) -> NDArray[np.uint8]:
+        """The small copy, 8 bits, (h, w) or (h, w, 3 or 4)."""
+        pixels = self.levels[0]
+        return pixels if self.reduction == 1 else np.asarray(Image.fromarray(pixels).reduce(self.reduction))
+
+    def preview_places(self, step: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x and y, in pixels of the image, of every `step`-th pixel of the preview and of its far edges."""
+        height, width = self.preview.shape[:2]
+        x, y = (
+            np.linspace(0.0, n - 1.0, max(2, round((n - 1) / step) + 1)) if n > 1 else np.zeros(1)
+            for n in (width, height)
+        )
+        return (x + 0.5) * self.reduction - 0.5, (y + 0.5) * self.reduction - 0.5
+
+
+def _eight_bits(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    if pixels.dtype == np.uint8:
+        return np.ascontiguousarray(pixels)
+    stride = max(1, int(np.sqrt(pixels.size / SAMPLED)))
+    samples = pixels[::stride, ::stride].astype(np.float64)
+    samples = samples[np.isfinite(samples)]
+    low = high = 0.0
+    if samples.size:
+        low, high = map(float, np.percentile(samples, [SATURATED, 100.0 - SATURATED]))
+        if high <= low:
+            low, high = float(samples.min()), float(samples.max())
+    scale = 255.0 / (high - low) if high > low else 0.0
+    result = np.empty(pixels.shape, np.uint8)
+    for k in range(0, len(pixels), ROWS):
+        values = np.nan_to_num(pixels[k : k + ROWS].astype(np.float64), nan=low, posinf=high, neginf=low)
+        result[k : k + ROWS] = np.rint(np.clip((values - low) * scale, 0.0, 255.0))
+    return result
+
+
+def rgba(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Convert an image of 8 bits to four channels."""
+    if image.ndim == 3 and image.shape[2] == 4:
+        return image
+    result = np.full((*image.shape[:2], 4), 255, np.uint8)
+    result[..., :3] = image if image.ndim == 3 else image[..., None]
+    return result
+
+
+def tile(picture: Picture, level: int, column: int, row: int) -> bytes | None:
+    """Return a tile of a level of a picture as PNG, counted from the top left; None outside the picture."""
+    if not 0 <= level < len(picture.levels) or min(column, row) < 0:
+        return None
+    top, left = row * SIDE, column * SIDE
+    part = picture.levels[level][top : top + SIDE, left : left + SIDE]
+    if not part.size:
+        return None
+    out = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(part)).save(out, "PNG", compress_level=1)
+    return out.getvalue()
 
 
 class History(Generic[State]):
-    """A present state with those before and after it.
+    """A present state with the states before and after it.
 
-    Changes that carry the same `gesture` replace one another until `settle` is called: a drag is one step.
+    Changes with the same `gesture` replace one another until `settle` is called: a drag is one step.
     """
 
     def __init__(self, present: State) -> None:
@@ -47,31 +302,31 @@ class History(Generic[State]):
         if state == self.present:
             return
         if gesture is None or gesture != self._gesture:
-            self._past = [*self._past[-MOST + 1 :], self.present]
+            self._past = [*self._past[-MOST_UNDONE + 1 :], self.present]
         self._gesture = gesture
         self._future.clear()
         self.present = state
 
     def settle(self) -> None:
-        """End the gesture: the next change is a step of its own."""
+        """End the gesture: the next change is a new step."""
         self._gesture = None
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a state before this one."""
+        """True if there is an earlier state."""
         return bool(self._past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is a state that was undone."""
+        """True if a step was undone."""
         return bool(self._future)
 
     def undo(self) -> bool:
-        """Go back one step; whether there was one."""
+        """Go back one step; False if there is none."""
         return self._go(self._past, self._future)
 
     def redo(self) -> bool:
-        """Go forward to what was undone; whether there was anything."""
+        """Repeat the step that was undone; False if there is none."""
         return self._go(self._future, self._past)
 
     def _go(self, source: list[State], target: list[State]) -> bool:
@@ -85,7 +340,7 @@ class History(Generic[State]):
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be registered, taken from a session at one moment, so that it can be worked on elsewhere."""
+    """A snapshot of a session, which can be registered in another thread."""
 
     work: Work
     moving: Picture
@@ -94,10 +349,10 @@ class Task:
 
 
 class Session:
-    """Images, pairs and their history. `fixed` is None where one image alone is bent by dragging its points.
+    """Images, pairs and their history. `fixed` is None if a single image is deformed by dragging its points.
 
-    `revision` grows with every change of what is to be registered; `registration` is the last that was found, and
-    tells where the partner of a new point is to be expected.
+    `revision` grows with every change of images, pairs or settings. `registration` is the last map, which predicts the
+    partner of a new point.
     """
 
     def __init__(self, moving: Picture, fixed: Picture | None = None, work: Work | None = None) -> None:
@@ -114,31 +369,25 @@ class Session:
         return self.history.present
 
     def picture(self, side: Side) -> Picture:
-        """The image of one side; the same for both where there is only one."""
+        """Return the image of one side; a single image is on both sides."""
         return self.moving if side == "moving" or self.fixed is None else self.fixed
 
     def task(self) -> Task:
-        """The present work, to be registered."""
+        """Return a snapshot."""
         return Task(self.work, self.moving, self.picture("fixed"), self.revision)
 
-    def number(self, identity: int) -> int:
-        """The number of a pair as it is shown, counted from 1; 0 where there is none."""
-        return next((k + 1 for k, pair in enumerate(self.work.pairs) if pair.identity == identity), 0)
-
-    # --- images -----------------------------------------------------------------------------------------------------
-
     def open(self, side: Side, picture: Picture) -> None:
-        """Show another image. Points that lie outside it go, and nothing before this can be undone."""
+        """Replace an image. Points outside it are removed, and the history starts again."""
         if side == "moving":
             self.moving = picture
         else:
             self.fixed = picture
         sides: tuple[Side, Side] = ("moving", "fixed")
-        gone = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
-        self._restart(self.work.without(gone))
+        outside = [p.identity for p in self.work.pairs if not all(self.picture(s).contains(p.at(s)) for s in sides)]
+        self._restart(self.work.without(outside))
 
     def open_alone(self, picture: Picture) -> None:
-        """Show one image, whose points are dragged."""
+        """Show a single image, whose points are dragged."""
         self.moving, self.fixed = picture, None
         self._restart(Work(settings=self.work.settings))
 
@@ -153,12 +402,11 @@ class Session:
         self.registration = None
         self.revision += 1
 
-    # --- pairs ------------------------------------------------------------------------------------------------------
-
     def add(self, side: Side, place: Place, awaiting: int | None = None) -> Pair:
-        """Put a point at an empty place: a new pair, or the partner of the pair `awaiting` one in this image.
+        """Add a point: a new pair, or the partner of the pair `awaiting` a point in this image.
 
-        The partner of a new point is put where it is `expected`. LandmarkError when there are too many pairs.
+        The partner of a new point is predicted by the last registration; without one it has the same relative position
+        in its image. LandmarkError if there are too many pairs.
         """
         place = self._inside(side, place)
         waiting = self.work.find(awaiting) if awaiting is not None else None
@@ -169,13 +417,20 @@ class Session:
                 raise LandmarkError(f"there are {MOST_PAIRS} pairs already", "delete some, or use codegen warp")
             self._last_identity += 1
             away = other(side)
-            guess = self._inside(away, self.expected(side, place))
+            if self.registration is not None:
+                registration, points = self.registration, np.array([place])
+                carry = registration.map_points if side == "moving" else registration.map_points_inverse
+                x, y = carry(points)[0]
+            else:
+                sizes = self.picture(side).shape[::-1], self.picture(away).shape[::-1]
+                x, y = ((v + 0.5) * t / h - 0.5 for v, h, t in zip(place, *sizes, strict=True))
+            guess = self._inside(away, (float(x), float(y)))
             pair = Pair(self._last_identity, place, place).put(away, guess, guessed=away)
         self._change(self.work.with_pair(pair))
         return pair
 
     def move(self, identity: int, side: Side, place: Place, settled: bool = True) -> None:
-        """Put a point elsewhere; until it is `settled` all moves of a drag are one step of the history."""
+        """Move a point; until it is `settled` all moves of a drag are one step of the history."""
         pair = self.work.find(identity)
         if pair is None:
             return
@@ -186,13 +441,13 @@ class Session:
             self.history.settle()
 
     def rename(self, identity: int, name: str) -> None:
-        """Call a pair otherwise; without a name it is called by its number."""
+        """Rename a pair; a pair without a name is called by its number."""
         pair = self.work.find(identity)
         if pair is not None:
             self._change(self.work.with_pair(replace(pair, name=" ".join(name.split())[:MOST_NAME])))
 
     def activate(self, identities: Collection[int], active: bool) -> None:
-        """Let pairs take part in the registration, or leave them out of it."""
+        """Include pairs in the registration, or exclude them."""
         changed = set(identities)
         pairs = tuple(replace(p, active=active) if p.identity in changed else p for p in self.work.pairs)
         self._change(replace(self.work, pairs=pairs))
@@ -201,40 +456,33 @@ class Session:
         """Delete pairs."""
         self._change(self.work.without(identities))
 
-    def clear(self) -> None:
-        """Delete all pairs."""
-        self.remove(*(pair.identity for pair in self.work.pairs))
-
     def load(self, landmarks: LandmarkPairs) -> None:
-        """Take all pairs from a landmark file instead; it can be undone. LandmarkError when there are too many."""
+        """Replace all pairs by those of a landmark file, which can be undone; LandmarkError if there are too many."""
         pairs = pairs_of(landmarks, self._last_identity + 1)
         self._last_identity += len(pairs)
         self._change(replace(self.work, pairs=pairs))
 
     def set(self, settings: Settings) -> None:
-        """Register in another way."""
+        """Change the settings; LandmarkError for an invalid sigma."""
         if not 0.0 <= settings.sigma < np.inf:
             raise LandmarkError(f"sigma is {settings.sigma!r}", "give a distance in pixels that is not negative")
         self._change(replace(self.work, settings=settings), "settings")
 
-    # --- history ----------------------------------------------------------------------------------------------------
-
     def undo(self) -> bool:
-        """Take the last step back; whether there was one."""
-        return self._went(self.history.undo())
+        """Undo the last step; False if there is none."""
+        return self._count(self.history.undo())
 
     def redo(self) -> bool:
-        """Do again what was undone; whether there was anything."""
-        return self._went(self.history.redo())
+        """Repeat the step that was undone; False if there is none."""
+        return self._count(self.history.redo())
 
     def settle(self) -> None:
-        """The mouse button was released: the next drag is a step of its own."""
+        """End a drag: the mouse button was released."""
         self.history.settle()
 
-    def _went(self, there_was_one: bool) -> bool:
-        if there_was_one:
-            self.revision += 1
-        return there_was_one
+    def _count(self, changed: bool) -> bool:
+        self.revision += changed
+        return changed
 
     def _change(self, work: Work, gesture: object = None) -> None:
         if work != self.work:
@@ -242,20 +490,9 @@ class Session:
             self.revision += 1
 
     def _inside(self, side: Side, place: Place) -> Place:
-        """A place within the image's pixels."""
+        """Move a point into the pixels of its image."""
         height, width = self.picture(side).shape
         x, y = place
         if not (np.isfinite(x) and np.isfinite(y)):
             raise LandmarkError(f"a point is at ({x}, {y})", "give finite numbers")
         return min(max(float(x), -0.5), width - 0.5), min(max(float(y), -0.5), height - 0.5)
-
-    def expected(self, side: Side, place: Place) -> Place:
-        """Where the partner of a point is, by the last registration; at the same share of the image without one."""
-        if self.registration is not None:
-            points = np.array([place])
-            known = self.registration
-            found = known.map_points(points) if side == "moving" else known.map_points_inverse(points)
-            return float(found[0, 0]), float(found[0, 1])
-        here, there = self.picture(side).shape, self.picture(other(side)).shape
-        x, y = ((v + 0.5) * t / h - 0.5 for v, t, h in zip(place, there[::-1], here[::-1], strict=True))
-        return x, y

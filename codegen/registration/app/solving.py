@@ -1,4 +1,4 @@
-"""What is computed for the screen: the registration, the warped image in a window, and what certifies them."""
+"""Computations for the page: registration, the warped image in a window, the certificate, and downloads."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,47 +17,50 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import map_coordinates
 
 from codegen.errors import LandmarkError, RegistrationError
-from codegen.registration.app.session import Task
-from codegen.registration.app.state import Picture, rgba
+from codegen.registration.app.session import Picture, Task, rgba
 from codegen.registration.certificate import certify_with_positions
-from codegen.registration.fields import displacements, write_field
 from codegen.registration.formats import FORMATS, landmark_texts
 from codegen.registration.formats.base import Frames
 from codegen.registration.grid import coarse_grid
 from codegen.registration.images import write_image
-from codegen.registration.jobs import out_of_place
-from codegen.registration.leave_one_out import LeaveOneOut, leave_one_out
-from codegen.registration.maps import FIRST_STEPS, Registration
-from codegen.registration.noise import Outliers, SigmaEstimate, estimate_sigma, outliers_of
-from codegen.registration.pixels import in_pixels, in_squares, square_grid
-from codegen.registration.register import register
-from codegen.registration.warp import Positions, warp
+from codegen.registration.maps import FIRST_STEPS, Registration, in_pixels, in_squares, square_grid
+from codegen.registration.noise import SigmaEstimate, estimate_sigma, outliers_of
+from codegen.registration.register import LeaveOneOut, leave_one_out, out_of_place, register
+from codegen.registration.warp import Positions, displacements, warp, write_field
 
 COARSE = 8.0
-"""The screen's map is evaluated exactly at every so-many-th pixel of a window, and interpolated in between."""
+"""Pixels of a window between the points at which the map is evaluated; the others are interpolated."""
 HASTY_BLOCK = 2
-"""Pixels of a window are so much larger while a point is dragged."""
+"""Pixels of a window in a block of one colour while a point is dragged."""
 CHART = 33
-"""Places along each side of an image at which the page is told where they are in the other one."""
+"""Points along each side of an image whose positions in the other image the page receives."""
 HASTY_STEPS, HASTY_STEPS_OF_FIRST_ORDER = (FIRST_STEPS, 2 * FIRST_STEPS), (4 * FIRST_STEPS, 8 * FIRST_STEPS)
-"""While a point is dragged, the first of these numbers of steps with which there is a solution is taken."""
+"""Numbers of steps that are tried in turn while a point is dragged."""
 MOST_LEFT_OUT = 60
-"""With more landmarks, leaving out each in turn takes longer than anyone waits."""
+"""Most landmarks that are left out in turn, since the visitor waits."""
 MOST_JUDGED = 1000
-"""With more landmarks, finding those out of place takes longer than anyone waits."""
+"""Most landmarks among which outliers are searched, since the visitor waits."""
 PORTIONS, PAUSE = 20, 0.01
-"""The certificate is computed in portions with pauses of so many seconds, which a dragged point may use."""
+"""Portions of the certificate, and the pauses between them, in seconds, in which a dragged point is drawn."""
 GRID_LINES = 16
-"""Squares of the drawn grid along the longer side."""
+"""Squares of the grid along the longer side."""
 LINE_POINTS, HASTY_LINE_POINTS = 49, 17
+FRAMES, FRAME_MILLISECONDS = 21, 70
+PAPER = (255, 255, 255, 255)
 
 Array = NDArray[np.float64]
-Lines = tuple[list[Array], list[Array]]
+
+
+class Lines(NamedTuple):
+    """Lines of a grid."""
+
+    x: list[Array]
+    y: list[Array]
 
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of an image, in pixels from its outer edges' corner (-0.5, -0.5), and the screen's pixels for it."""
+    """A rectangle of an image, in pixels from its outer corner (-0.5, -0.5), and its size in pixels of the screen."""
 
     left: float
     top: float
@@ -69,7 +72,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Look:
-    """What one tab shows: a window of the fixed image, at a time along the flow, with or without a grid."""
+    """The view of a tab: a window of the fixed image, at a time along the flow, with or without a grid."""
 
     window: Window | None = None
     time: float = 1.0
@@ -78,16 +81,19 @@ class Look:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A task, and how it is to be solved."""
+    """A task and its mode.
+
+    `hasty`: while dragging, with nearest pixels and few steps. `waiting`: the solver is not ready, nothing is moved.
+    """
 
     task: Task
-    hasty: bool = False  # while dragging: nearest pixels, and no search for the number of steps
-    waiting: bool = False  # the solver is not ready: nothing is moved
+    hasty: bool = False
+    waiting: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a tab is shown: `image` is RGBA, (h, w, 4); `carried` where landmarks are before time 1, (n, 2)."""
+    """A picture for a tab: `image` is RGBA, (h, w, 4); `carried` are the landmarks before time 1, (n, 2)."""
 
     look: Look
     image: NDArray[np.uint8]
@@ -97,7 +103,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Where places of each image are in the other one, shape (CHART, CHART, 2) each, rows from the top."""
+    """Points of each image in the other one, shape (CHART, CHART, 2) each, rows from the top."""
 
     moving: Array
     fixed: Array
@@ -105,7 +111,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """The answer: `registration` is None without pairs or solver, `chart` while a point is dragged."""
+    """The pictures of all tabs: `registration` is None without pairs or solver, `chart` while a point is dragged."""
 
     wanted: Wanted
     registration: Registration | None
@@ -115,7 +121,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Certified:
-    """What takes longer: factors of area on a coarse grid over the fixed image, and how well landmarks predict."""
+    """Results of longer computations: growth of areas on a coarse grid over the fixed image, errors of landmarks."""
 
     revision: int
     areas: Array
@@ -127,54 +133,67 @@ class Certified:
     outliers: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class Download:
+    """A file for the visitor; `kind` is its MIME type."""
+
+    name: str
+    kind: str
+    data: bytes
+
+
+def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of `register`: landmarks and grids of square pixels, and the method."""
+    settings = task.work.settings
+    grids = [square_grid(picture.shape, picture.spacing) for picture in (task.moving, task.fixed)]
+    landmarks = {"pairs": in_squares(task.work.landmarks(), *grids), "shape": grids[0], "fixed_shape": grids[1]}
+    return landmarks, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}
+
+
 def found(wanted: Wanted, previous: Registration | None) -> Registration | None:
-    """The registration of a task, from that of a moment ago; None without pairs or solver. As `register` it raises."""
-    work = wanted.task.work
-    if not work.active or wanted.waiting:
+    """Register a task, starting from the previous registration; None without pairs or solver.
+
+    Raises the errors of `register`.
+    """
+    if not wanted.task.work.active or wanted.waiting:
         return None
-    given, method = arguments(wanted.task)
+    landmarks, method = arguments(wanted.task)
     if wanted.hasty and previous is not None:
         if method["align"] == "auto":  # another alignment in the middle of a drag would move everything else
             method["align"] = previous.matching.align
-        rough = previous.flow.module.metadata.order == 1
-        for steps in HASTY_STEPS_OF_FIRST_ORDER if rough else HASTY_STEPS:
+        is_first_order = previous.flow.module.metadata.order == 1
+        for steps in HASTY_STEPS_OF_FIRST_ORDER if is_first_order else HASTY_STEPS:
             with suppress(RegistrationError):
-                return in_pixels(register(**given, **method, steps=steps, start=previous, quick=True))
-    return in_pixels(register(**given, **method, start=previous))
+                return in_pixels(register(**landmarks, **method, steps=steps, start=previous, quick=True))
+    return in_pixels(register(**landmarks, **method, start=previous))
 
 
 def shown(
     wanted: Wanted, looks: Mapping[str, Look], previous: Registration | None, known: Registration | None = None
 ) -> Shown:
-    """Register, unless the registration is known, and draw it for every tab."""
+    """Register, unless the registration is known, and draw the picture of every tab."""
     registration = known if known is not None else found(wanted, previous)
-    seen = {tab: seen_by(wanted, registration, look) for tab, look in looks.items()}
-    charted = None if wanted.hasty or registration is None else chart(registration)
-    return Shown(wanted, registration, seen, charted)
-
-
-def seen_by(wanted: Wanted, registration: Registration | None, look: Look) -> Seen:
-    """What one tab shows of a registration."""
-    image = np.zeros((1, 1, 4), np.uint8)
-    if look.window is not None:
-        image = frame(wanted.task, registration, look.time, look.window, smooth=not wanted.hasty)
-    points = HASTY_LINE_POINTS if wanted.hasty else LINE_POINTS
-    lines = grid(wanted.task.moving, registration, look.time, points) if look.grid else ([], [])
-    carried = np.empty((0, 2))
-    if registration is not None and look.time < 1.0:
-        carried = registration.positions(look.time, registration.pairs.moving)
-    return Seen(look, image, lines, carried)
-
-
-def chart(registration: Registration) -> Chart:
-    """Where a coarse grid of each image is in the other one."""
-    there = registration.map_points(coarse_grid(registration.shape, CHART))
-    back = registration.map_points_inverse(coarse_grid(registration.fixed_shape, CHART))
-    return Chart(there.reshape(CHART, CHART, 2), back.reshape(CHART, CHART, 2))
+    seen = {}
+    for tab, look in looks.items():
+        image, lines, carried = np.zeros((1, 1, 4), np.uint8), Lines([], []), np.empty((0, 2))
+        if look.window is not None:
+            image = frame(wanted.task, registration, look.time, look.window, smooth=not wanted.hasty)
+        if look.grid:
+            points = HASTY_LINE_POINTS if wanted.hasty else LINE_POINTS
+            lines = grid(wanted.task.moving, registration, look.time, points)
+        if registration is not None and look.time < 1.0:
+            carried = registration.positions(look.time, registration.pairs.moving)
+        seen[tab] = Seen(look, image, lines, carried)
+    chart = None
+    if not wanted.hasty and registration is not None:
+        to_fixed = registration.map_points(coarse_grid(registration.shape, CHART))
+        to_moving = registration.map_points_inverse(coarse_grid(registration.fixed_shape, CHART))
+        chart = Chart(to_fixed.reshape(CHART, CHART, 2), to_moving.reshape(CHART, CHART, 2))
+    return Shown(wanted, registration, seen, chart)
 
 
 def whole(picture: Picture) -> Window:
-    """The window of a picture's preview."""
+    """Return the window of the preview of a picture."""
     height, width = picture.preview.shape[:2]
     return Window(0.0, 0.0, width * picture.reduction, height * picture.reduction, width, height)
 
@@ -182,13 +201,13 @@ def whole(picture: Picture) -> Window:
 def frame(
     task: Task, registration: Registration | None, time: float, window: Window, smooth: bool = True
 ) -> NDArray[np.uint8]:
-    """The moving image at a time along the flow, in a window of the fixed image, as RGBA; transparent outside."""
+    """Draw the moving image at a time along the flow, in a window of the fixed image, as RGBA; transparent outside."""
     x, y = sources(window, registration, time, 1 if smooth else HASTY_BLOCK)
     return sampled(task.moving, x, y, smooth)
 
 
 def sources(window: Window, registration: Registration | None, time: float, block: int = 1) -> tuple[Array, Array]:
-    """Where blocks of pixels of a window come from: x and y in pixels of the moving image, shape (h, w) each."""
+    """Return the positions in the moving image of blocks of pixels of a window: x and y, shape (h, w) each."""
     fine_x = _places(window.left, window.right, window.width, block)
     fine_y = _places(window.top, window.bottom, window.height, block)
     coarse_x, coarse_y = (np.linspace(v[0], v[-1], max(2, round(len(v) / COARSE) + 1)) for v in (fine_x, fine_y))
@@ -201,13 +220,13 @@ def sources(window: Window, registration: Registration | None, time: float, bloc
 
 
 def _places(start: float, stop: float, count: int, block: int) -> Array:
-    """The centres of blocks of the screen's pixels, in pixels of the image."""
+    """The centres of blocks of pixels of the screen, in pixels of the image."""
     centres = np.minimum(np.arange(-(-count // block)) * block + block / 2, count - 0.5)
     return np.asarray(start - 0.5 + centres * (stop - start) / count)
 
 
 def _weights(coarse: Array, fine: Array) -> Array:
-    """The matrix of linear interpolation from some places to others in their range."""
+    """The matrix of linear interpolation from coarse to fine points in their range."""
     if coarse[0] == coarse[-1]:
         return np.full((len(fine), len(coarse)), 1.0 / len(coarse))
     k = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
@@ -219,15 +238,13 @@ def _weights(coarse: Array, fine: Array) -> Array:
 
 
 def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.uint8]:
-    """A picture at places in pixels of its image, as RGBA; nothing where they are outside.
+    """Sample a picture at points in pixels of its image, as RGBA; transparent outside.
 
-    It is taken from the copy whose pixels are as far apart as the places, or a little closer.
+    The samples are those of the reduced copy whose pixels are as far apart as the points, or a little closer.
     """
-    # The copy of a picture for places that far apart.
     apart = [np.hypot(np.diff(x, axis=k), np.diff(y, axis=k)) for k in (0, 1)]
     typical = [float(np.median(distances)) for distances in apart if distances.size]
-    found = int(np.log2(max(min(typical, default=1.0), 1.0)))
-    level = min(found, len(picture.levels) - 1)
+    level = min(int(np.log2(max(min(typical, default=1.0), 1.0))), len(picture.levels) - 1)
     source = picture.levels[level]
     height, width = source.shape[:2]
     u, v = (x + 0.5) / 2**level - 0.5, (y + 0.5) / 2**level - 0.5
@@ -251,7 +268,7 @@ def sampled(picture: Picture, x: Array, y: Array, smooth: bool) -> NDArray[np.ui
 
 
 def grid(picture: Picture, registration: Registration | None, time: float, points: int = LINE_POINTS) -> Lines:
-    """Lines of a square grid on the moving image, carried by the flow up to a time: lists of x and of y."""
+    """Draw a square grid on the moving image, carried by the flow up to a time."""
     height, width = picture.shape
     size = max(height, width) / GRID_LINES
     columns, rows = max(1, round(width / size)), max(1, round(height / size))
@@ -262,24 +279,29 @@ def grid(picture: Picture, registration: Registration | None, time: float, point
     if registration is not None:
         carried = registration.positions(time, np.vstack(lines))
         lines = np.split(carried, len(lines))
-    return [line[:, 0] for line in lines], [line[:, 1] for line in lines]
+    return Lines([line[:, 0] for line in lines], [line[:, 1] for line in lines])
 
 
 def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bool]) -> Certified | None:
-    """The extremes of det J on the fixed preview's pixels, areas for the map, and leave-one-out errors.
+    """Compute the extremes of det J on the pixels of the fixed preview, a map of det J, and errors of landmarks.
 
-    None as soon as it is `stale`, because something else is wanted by now.
+    Returns None as soon as the task is `stale`.
     """
-    areas = area_map(wanted.task.fixed, registration)
-    x, y = wanted.task.fixed.preview_places()
+    fixed, landmarks = wanted.task.fixed, registration.pairs
+    x, y = fixed.preview_places(COARSE)
+    areas = registration.arriving_determinant(_points(x, y)).reshape(len(y), len(x))
+    x, y = fixed.preview_places()
     parts = []
     for points in np.array_split(_points(x, y), PORTIONS):
         sleep(PAUSE)
         if stale():
             return None
         parts.append(registration.arriving_determinant(points))
-    determinants = np.concatenate(parts)
-    without = left_out(wanted, registration)
+    determinants, left_out = np.concatenate(parts), None
+    if 3 <= len(landmarks) <= MOST_LEFT_OUT:
+        given, method = arguments(wanted.task)
+        left_out = leave_one_out(**given, **method, start=registration)
+    outliers = None if len(landmarks) > MOST_JUDGED else outliers_of(registration.matching)
     return Certified(
         wanted.task.revision,
         areas,
@@ -287,76 +309,32 @@ def certified(wanted: Wanted, registration: Registration, stale: Callable[[], bo
         float(determinants.max()),
         int((~(determinants > 0.0)).sum()),
         registration.round_trip,
-        without,
-        out_of_place(judged(registration), without),
+        left_out,
+        out_of_place(outliers, left_out),
     )
-
-
-def area_map(picture: Picture, registration: Registration) -> Array:
-    """How much larger things have become where they arrive: det J of moving to fixed, on every eighth preview pixel."""
-    x, y = picture.preview_places(COARSE)
-    return registration.arriving_determinant(_points(x, y)).reshape(len(y), len(x))
 
 
 def _points(x: Array, y: Array) -> Array:
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def left_out(wanted: Wanted, registration: Registration) -> LeaveOneOut | None:
-    """How far off each landmark is by the registration of all others; None for few pairs, and for very many."""
-    if not 3 <= len(registration.pairs) <= MOST_LEFT_OUT:
-        return None
-    given, method = arguments(wanted.task)
-    return leave_one_out(**given, **method, start=registration)
-
-
-def judged(registration: Registration) -> Outliers | None:
-    """Landmarks out of place, as `codegen warp` names them; None of very many."""
-    return None if len(registration.pairs) > MOST_JUDGED else outliers_of(registration.matching)
-
-
 def estimated_sigma(task: Task) -> SigmaEstimate:
-    """How large the errors of the landmarks are, in pixels, and what makes that doubtful."""
-    given, method = arguments(task)
+    """Estimate the errors of the landmarks in pixels."""
+    landmarks, method = arguments(task)
     method.pop("sigma")
-    return estimate_sigma(**given, **method)
-
-
-def arguments(task: Task) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What `register` is given: landmarks and grids, whose pixels are squares, and how to go about it."""
-    settings = task.work.settings
-    grids = [square_grid(picture.shape, picture.spacing) for picture in (task.moving, task.fixed)]
-    given = {"pairs": in_squares(task.work.landmarks(), *grids), "shape": grids[0], "fixed_shape": grids[1]}
-    return given, {"align": settings.align, "sigma": settings.sigma, "scheme": settings.scheme}
-
-
-FRAMES, FRAME_MILLISECONDS = 21, 70
-PAPER = (255, 255, 255, 255)
-
-
-@dataclass(frozen=True)
-class Download:
-    """A file for the visitor."""
-
-    name: str
-    kind: str  # MIME type
-    data: bytes
-
-
-def registered(task: Task) -> Registration:
-    """The registration from the landmarks alone, whatever was found while dragging; LandmarkError without pairs."""
-    if not task.work.active:
-        raise LandmarkError("there are no landmarks", "add a pair, or activate one")
-    given, method = arguments(task)
-    return in_pixels(register(**given, **method))
+    return estimate_sigma(**landmarks, **method)
 
 
 def certified_task(task: Task) -> tuple[Registration, Positions]:
-    """The registration, and where all pixels come from.
+    """Register from the landmarks alone, and return the positions of all pixels.
 
-    RegistrationError where the map folds or is not inverted well: nobody should take what it makes home.
+    LandmarkError without pairs; RegistrationError if the map folds or its round trip is inaccurate, so that no download
+    contains such a map.
     """
-    registration = registered(task)
+    if not task.work.active:
+        raise LandmarkError("there are no landmarks", "add a pair, or activate one")
+    landmarks, method = arguments(task)
+    registration = in_pixels(register(**landmarks, **method))
     certificate, positions = certify_with_positions(registration)
     if not certificate.passed:
         raise RegistrationError(certificate.message, "look for landmarks out of place, or let them miss by some pixels")
@@ -364,7 +342,7 @@ def certified_task(task: Task) -> tuple[Registration, Positions]:
 
 
 def warped_image(task: Task) -> Download:
-    """The moving image in the frame of the fixed one, all pixels exact, with the type of its samples."""
+    """Warp the moving image to the frame of the fixed one, with exact positions and the type of its samples."""
     registration, positions = certified_task(task)
     interpolation: Any = task.work.settings.interpolation
     pixels = warp(task.moving.pixels, registration, interpolation=interpolation, positions=positions)
@@ -374,14 +352,14 @@ def warped_image(task: Task) -> Download:
 
 
 def field(task: Task) -> Download:
-    """The displacements from fixed to moving at every pixel of the fixed image, .npz."""
+    """Return the displacements from fixed to moving at every pixel of the fixed image, .npz."""
     values = displacements(certified_task(task)[1])
     data = _written(".npz", lambda path: write_field(path, values, "fixed to moving"))
     return Download(f"{task.moving.stem}_displacement_fixed_to_moving.npz", "application/octet-stream", data)
 
 
 def landmarks(task: Task, form: str) -> tuple[Download, ...]:
-    """The pairs in a format of FORMATS: one file, or a moving and a fixed one."""
+    """Write the pairs in a format of FORMATS: one file, or a moving and a fixed one."""
     frames = Frames(task.moving.shape, task.fixed.shape)
     texts = landmark_texts(task.work.landmarks(), form, frames)
     suffix = FORMATS[form].suffixes[0]
@@ -393,9 +371,19 @@ def landmarks(task: Task, form: str) -> tuple[Download, ...]:
 
 
 def animation(task: Task, with_grid: bool = False) -> Download:
-    """The flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
+    """Animate the flow of the preview from the moving image to the warped one and back, as a GIF that repeats."""
     registration, _ = certified_task(task)
-    frames = [_painted(task, registration, time, with_grid) for time in np.linspace(0.0, 1.0, FRAMES)]
+    frames = []
+    for time in np.linspace(0.0, 1.0, FRAMES):
+        pixels = frame(task, registration, time, whole(task.fixed))
+        picture = Image.new("RGBA", (pixels.shape[1], pixels.shape[0]), PAPER)
+        picture.alpha_composite(Image.fromarray(pixels))
+        if with_grid:
+            pen = ImageDraw.Draw(picture)
+            for x, y in zip(*grid(task.moving, registration, time), strict=True):
+                places = (np.column_stack([x, y]) + 0.5) / task.fixed.reduction - 0.5
+                pen.line([(float(a), float(b)) for a, b in places], fill=(60, 60, 60, 255))
+        frames.append(picture.convert("RGB"))
     palette = frames[-1].quantize(255)
     drawn = [image.quantize(255, palette=palette, dither=Image.Dither.NONE) for image in frames + frames[-2:0:-1]]
     durations = [FRAME_MILLISECONDS] * len(drawn)
@@ -405,20 +393,8 @@ def animation(task: Task, with_grid: bool = False) -> Download:
     return Download(f"{task.moving.stem}_flow.gif", "image/gif", out.getvalue())
 
 
-def _painted(task: Task, registration: Registration, time: float, with_grid: bool) -> Image.Image:
-    pixels = frame(task, registration, time, whole(task.fixed))
-    picture = Image.new("RGBA", (pixels.shape[1], pixels.shape[0]), PAPER)
-    picture.alpha_composite(Image.fromarray(pixels))
-    if with_grid:
-        pen = ImageDraw.Draw(picture)
-        for x, y in zip(*grid(task.moving, registration, time), strict=True):
-            places = (np.column_stack([x, y]) + 0.5) / task.fixed.reduction - 0.5
-            pen.line([(float(a), float(b)) for a, b in places], fill=(60, 60, 60, 255))
-    return picture.convert("RGB")
-
-
 def _written(suffix: str, write: Callable[[Path], None]) -> bytes:
-    """What a function writes into a file of its own, which is gone afterwards."""
+    """Return the content that a function writes to a temporary file."""
     with tempfile.TemporaryDirectory(prefix="codegen-") as folder:
         path = Path(folder) / f"file{suffix}"
         write(path)

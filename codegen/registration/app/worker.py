@@ -1,8 +1,7 @@
-"""Work beside the event loop: of what is asked for in a hurry only the newest is done.
+"""Background work: jobs in threads, of which only the newest of each kind is done, and the compilation of solvers.
 
-The solver of registrations, made ready beside the server: the page can be used while it is being compiled. Deriving and
-compiling it takes some 15 s of work, once on a machine. A process of its own does that, so that the page answers
-meanwhile; `python -m codegen.registration.app.worker SCHEME` is that process.
+Deriving and compiling a solver takes about 15 s, once on a machine. A separate process does this, so that the page
+stays responsive: `python -m codegen.registration.app.worker SCHEME`.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from codegen.registration.solver import is_compiled, registration_module
 Job: TypeAlias = Callable[[], Any]
 Deliver: TypeAlias = Callable[[Callable[[], Any]], None]
 
-# Sessions take turns, one job each; what takes long must not keep anyone's dragged point waiting.
+# Sessions take turns, one job each. Long jobs have their own thread, so that dragged points need not wait.
 quick = ThreadPoolExecutor(1, thread_name_prefix="registration-quick")
 slow = ThreadPoolExecutor(1, thread_name_prefix="registration-slow")
-# Nor may anything keep a work from being saved.
+# Saving has its own thread, too.
 saving = ThreadPoolExecutor(1, thread_name_prefix="registration-saving")
 
 
 class Worker:
-    """Runs jobs of one session one after the other in the thread of a pool.
+    """Runs the jobs of one session one after the other in the thread of a pool.
 
-    `deliver` hands a function to the session's own thread. A job that was not begun when a newer one of the same
-    `kind` comes is dropped; kinds are begun in the order of `order`, others after them.
+    `deliver` passes a function to the thread of the session. A newer job replaces a waiting job of the same kind. Kinds
+    are started in the order of `order`, other kinds after them.
     """
 
     def __init__(self, deliver: Deliver, order: tuple[str, ...], pool: ThreadPoolExecutor = quick) -> None:
@@ -44,7 +43,7 @@ class Worker:
         self._lock = threading.Lock()
 
     def ask(self, kind: str, job: Job, done: Callable[[Any], None], failed: Callable[[Exception], None]) -> None:
-        """Do a job as soon as possible; `done` gets its result, `failed` what it raised."""
+        """Do a job as soon as possible; `done` receives its result, `failed` its exception."""
         with self._lock:
             self._waiting[kind] = (job, done, failed)
             if self._running:
@@ -53,13 +52,13 @@ class Worker:
         self._pool.submit(self._run)
 
     def drop(self, kind: str) -> None:
-        """Forget a job that was not begun."""
+        """Cancel a waiting job."""
         with self._lock:
             self._waiting.pop(kind, None)
 
     @property
     def busy(self) -> bool:
-        """Whether anything runs or waits."""
+        """True if a job runs or waits."""
         return self._running
 
     def _run(self) -> None:
@@ -71,14 +70,14 @@ class Worker:
             job, done, failed = self._waiting.pop(kind)
         try:
             result = job()
-        except Exception as error:  # whatever happens to one job is shown, and the session goes on
+        except Exception as error:  # the error is shown, and the session goes on
             caught = error  # the name `error` ends with this block
             self._finish(lambda: failed(caught))
             return
         self._finish(lambda: done(result))
 
     def _finish(self, report: Callable[[], None]) -> None:
-        """Report in the session's thread, and only then begin the next job: results never pile up."""
+        """Report in the thread of the session, and only then start the next job, so that results never pile up."""
 
         def then() -> None:
             try:
@@ -93,10 +92,10 @@ class Worker:
 
 
 def delivered(deliver: Deliver, act: Callable[[], Any]) -> bool:
-    """Hand a function to a session's thread; False when the session has been closed."""
+    """Pass a function to the thread of a session; False if the session is closed."""
     try:
         deliver(act)
-    except Exception:  # its page is gone, and nobody can be told
+    except Exception:  # the page is closed
         return False
     return True
 
@@ -107,16 +106,16 @@ _LOCK = threading.Lock()
 
 
 def prepared(scheme: str) -> Future[None]:
-    """The solver of a scheme, which begins to be made ready when it is asked for the first time in this process.
+    """Return the future of a solver; its preparation starts at the first call in this process.
 
-    The future fails with a CodegenError where the solver cannot be derived or compiled.
+    The future fails with a CodegenError if the solver cannot be derived or compiled.
     """
     with _LOCK:
-        return _begun(scheme)
+        return _started(scheme)
 
 
 @cache
-def _begun(scheme: str) -> Future[None]:
+def _started(scheme: str) -> Future[None]:
     future: Future[None] = Future()
 
     def prepare() -> None:
@@ -124,7 +123,7 @@ def _begun(scheme: str) -> Future[None]:
             if not is_compiled(scheme):
                 compile_elsewhere(scheme)
             registration_module(scheme)
-        except Exception as error:  # every session that waits is told
+        except Exception as error:  # all waiting sessions show the error
             future.set_exception(error)
         else:
             future.set_result(None)
@@ -134,16 +133,16 @@ def _begun(scheme: str) -> Future[None]:
 
 
 def compile_elsewhere(scheme: str) -> None:
-    """Derive and compile the solver in a process of its own; ModuleError says why that failed."""
+    """Derive and compile the solver in a separate process; ModuleError if that fails."""
     command = [sys.executable, "-m", MODULE, scheme]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-        raise ModuleError(f"the solver could not be compiled: {said[:300]}", "mend this and start the page again")
+        message = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        raise ModuleError(f"the solver could not be compiled: {message[:300]}", "mend this and start the page again")
 
 
 def main(scheme: str) -> int:
-    """Derive and compile; what is wrong goes to stderr as one line."""
+    """Derive and compile; an error is written to stderr as one line."""
     try:
         registration_module(scheme)
     except CodegenError as error:

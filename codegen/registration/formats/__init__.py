@@ -1,8 +1,7 @@
-"""Landmark files: read and written in the formats of this package and of the field's programs.
+"""Landmark files, in the formats of this package and of other programs.
 
-A format is one file of this folder and one line of FORMATS. Whatever a file says, LandmarkPairs are in pixels, with the
-origin at the centre of the top-left pixel, x to the right and y down; between volumes they are in the coordinates of
-their grids.
+A format is a file of this folder and an entry of FORMATS. In any format LandmarkPairs are in pixels, with the origin at
+the centre of the top-left pixel, x to the right and y down. Landmarks of volumes are in the coordinates of the grids.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ __all__ = [
 
 
 def read_landmarks(*paths: Path, frames: Frames | None = None, name: str | None = None) -> LandmarkPairs:
-    """Read a landmark file, or a moving and a fixed one where the format keeps them apart (elastix, Slicer).
+    """Read a landmark file, or a moving and a fixed one for formats with one file per image (elastix, Slicer).
 
-    `name` is a key of FORMATS; without it the suffix and the beginning of the text decide. TPS files need the shapes
-    of both images in `frames`. Raises PointsError, naming the file and the line, for whatever cannot be read, and for
+    `name` is a key of FORMATS; by default the suffix and the beginning of the text determine the format. TPS files need
+    the shapes of both images in `frames`. Raises PointsError, naming the file and the line, for invalid files, and for
     files of more than 8 MB or 10 000 landmarks.
     """
     contents = []
@@ -53,7 +52,7 @@ def read_landmarks(*paths: Path, frames: Frames | None = None, name: str | None 
 def parse_landmarks(
     contents: Sequence[tuple[str, bytes]], *, frames: Frames | None = None, name: str | None = None
 ) -> LandmarkPairs:
-    """The same from file names, whose suffixes count, and contents: one pair, or the moving and then the fixed one."""
+    """Parse the names, with suffixes, and the contents of one file, or of the moving and then the fixed file."""
     if not contents:
         raise PointsError("there is no landmark file", "give one, or a moving and a fixed one")
     for file, data in contents:
@@ -62,17 +61,18 @@ def parse_landmarks(
     form = _format(name) if name is not None else _guessed(*contents[0], (frames or Frames()).axes)
     sources = [Source(file, _decoded(file, data, form)) for file, data in contents]
     if len(sources) != form.files:
-        given = f"{sources[0].name} is one of a pair of files" if form.files == 2 else f"{sources[0].name} is complete"
-        remedy = "give the moving and then the fixed file" if form.files == 2 else f"give one file of {form.title}"
-        raise PointsError(f"{given}, and {len(sources)} were given", remedy)
+        finding, remedy = "is complete", f"give one file of {form.title}"
+        if form.files == 2:
+            finding, remedy = "is one of a pair of files", "give the moving and then the fixed file"
+        raise PointsError(f"{sources[0].name} {finding}, and {len(sources)} were given", remedy)
     return form.parse(sources, frames or Frames())
 
 
 def write_landmarks(*paths: Path, pairs: LandmarkPairs, frames: Frames | None = None, name: str | None = None) -> None:
-    """Write a landmark file, or a moving and a fixed one; the suffix names the format where `name` does not.
+    """Write a landmark file, or a moving and a fixed one; by default the suffix determines the format.
 
-    Every file is replaced as a whole or left as it was. Raises PointsError where the format asks for two paths, or for
-    the shapes of the images (TPS).
+    On failure existing files stay unchanged. Raises PointsError if the format needs two paths, or the shapes of the
+    images (TPS).
     """
     form = _format(name) if name is not None else _of_suffix(str(paths[0]))[0]
     texts = form.compose(pairs, frames or Frames())
@@ -84,7 +84,7 @@ def write_landmarks(*paths: Path, pairs: LandmarkPairs, frames: Frames | None = 
 
 
 def landmark_texts(pairs: LandmarkPairs, name: str, frames: Frames | None = None) -> tuple[str, ...]:
-    """What a file of the format holds, or a moving and a fixed one."""
+    """Return the content of a file of the format, or of a moving and a fixed one."""
     return _format(name).compose(pairs, frames or Frames())
 
 
@@ -95,25 +95,25 @@ def _format(name: str) -> Format:
 
 
 def _of_suffix(file: str) -> list[Format]:
-    found = [form for form in FORMATS.values() if Path(file).suffix.lower() in form.suffixes]
-    if not found:
+    forms = [form for form in FORMATS.values() if Path(file).suffix.lower() in form.suffixes]
+    if not forms:
         known = ", ".join(sorted({suffix for form in FORMATS.values() for suffix in form.suffixes}))
         raise PointsError(f"{file}: unknown kind of landmark file", f"let its name end in one of {known}")
-    return found
+    return forms
 
 
-def _guessed(file: str, data: bytes, axes: str = "xy") -> Format:
-    """The format that the suffix allows and the beginning of the text shows, or the only one that is allowed."""
+def _guessed(file: str, data: bytes, axes: str) -> Format:
+    """Return the format of the suffix and of the beginning of the text, or the only format of the suffix."""
     candidates = _of_suffix(file)
     if not data.strip():
         raise PointsError(f"{file} is empty", "give at least one landmark")
     begin = data[:2000].decode("utf-8-sig", errors="replace")
-    found = [form for form in candidates if form.recognises(begin)]
-    if not found and len(candidates) > 1:
+    recognised = [form for form in candidates if form.recognises(begin)]
+    if not recognised and len(candidates) > 1:
         titles = " nor ".join(form.title for form in candidates)
         remedy = f"name the columns {','.join(plain.columns(axes))} in the first line"
         raise PointsError(f"{file}:1: it begins neither like {titles}", remedy)
-    return (found or candidates)[0]
+    return (recognised or candidates)[0]
 
 
 def _decoded(file: str, data: bytes, form: Format) -> str:

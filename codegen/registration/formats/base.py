@@ -1,4 +1,4 @@
-"""What every landmark format shares: how it is described, text with its file's name, limits, points in a plane."""
+"""Common parts of landmark formats: their description, texts of files, limits, and points in a plane."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from codegen.registration.grid import Grid
 from codegen.registration.pairs import LandmarkPairs
 
 MOST_BYTES = 8 << 20
-"""A larger file is refused before it is read; 10 000 landmarks take a tenth of this, or half of it in Slicer's form."""
+"""Most bytes of a file; 10 000 landmarks take a tenth of it, or half of it as point lists of Slicer."""
 
 MOST_LANDMARKS = 10_000
-"""The interactions of n landmarks are a matrix of 8 n² bytes: 800 MB here."""
+"""Most landmarks: the interactions of n landmarks are a matrix of 8 n² bytes, 800 MB here."""
 
 FLAT = 1e-3
-"""Pixels by which the third coordinates of landmarks may differ: rounding, but no other slice."""
+"""Largest difference of the third coordinates of landmarks of one slice, by rounding."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """The text of a file and the name by which errors call it."""
+    """The text of a file and its name in errors."""
 
     name: str
     text: str
@@ -36,10 +36,10 @@ class Source:
 
 @dataclass(frozen=True)
 class Frames:
-    """The images between which landmarks lie, as far as they are known: shapes (height, width, ...) and file names.
+    """The images of the landmarks, as far as known: shapes (height, width, ...) and file names.
 
-    With the grids of a moving and a fixed volume, `grids`, landmarks have three coordinates, which are made those of
-    the grids: as a rule LPS in millimetres.
+    With the `grids` of a moving and a fixed volume, landmarks have three coordinates, which are converted to those of
+    the grids: usually LPS in millimetres.
     """
 
     moving_shape: tuple[int, ...] | None = None
@@ -50,7 +50,7 @@ class Frames:
 
     @property
     def axes(self) -> str:
-        """The names of the coordinates that landmarks must have."""
+        """The names of the coordinates of landmarks."""
         return "xy" if self.grids is None else "xyz"
 
 
@@ -58,9 +58,9 @@ class Frames:
 class Format:
     """A landmark format.
 
-    `parse` takes one text, or first the moving and then the fixed one where `files` is 2; `compose` returns as many.
-    `recognises` looks at the beginning of a text, to tell formats with the same suffix apart. `encoding` is tried for
-    what is no UTF-8. Both functions raise PointsError, naming the file and the line.
+    `parse` takes one text, or the moving and the fixed one if `files` is 2; `compose` returns as many. Both raise
+    PointsError, naming the file and the line. `recognises` distinguishes formats with the same suffix by the beginning
+    of a text. `encoding` is that of texts that are not UTF-8.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Format:
 
 
 def rows(source: Source) -> Iterator[tuple[int, list[str]]]:
-    """Lines that are not empty, as fields of a comma-separated table, with their numbers; no more than are allowed."""
+    """Yield the non-empty rows of a comma-separated table with their line numbers; PointsError for too many."""
     reader = csv.reader(io.StringIO(source.text, newline=""))
     count = 0
     try:
@@ -88,7 +88,7 @@ def rows(source: Source) -> Iterator[tuple[int, list[str]]]:
 
 
 def require_count(name: str, count: int) -> None:
-    """Refuse more landmarks than could be registered."""
+    """Raise PointsError for more landmarks than can be registered."""
     if count > MOST_LANDMARKS:
         raise PointsError(f"{name} holds more than {MOST_LANDMARKS} landmarks", "give fewer")
 
@@ -99,37 +99,35 @@ def made(
     fixed: Sequence[Sequence[float]] | NDArray[np.float64],
     names: Sequence[str] = (),
 ) -> LandmarkPairs:
-    """Pairs of landmarks; PointsError names the files where they cannot be matched."""
-    where = " and ".join(source.name for source in sources)
+    """Make pairs of landmarks; PointsError, naming the files, if that is impossible."""
+    files = " and ".join(source.name for source in sources)
     if not len(moving) and not len(fixed):
-        raise PointsError(f"{where} holds no landmarks", "give at least one pair")
+        raise PointsError(f"{files} holds no landmarks", "give at least one pair")
     try:
         return LandmarkPairs(np.array(moving, dtype=float), np.array(fixed, dtype=float), tuple(names))
     except LandmarkError as error:
-        raise PointsError(f"{where}: {error.finding}", error.remedy) from error
+        raise PointsError(f"{files}: {error.finding}", error.remedy) from error
 
 
-def in_plane(name: str, what: str, points: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
-    """The x and y of points with two or three coordinates; PointsError when the third ones differ: two slices."""
-    heights = [point[2] for point in points if len(point) > 2]
-    if heights and max(heights) - min(heights) > FLAT:
-        finding = f"{name}: {what} landmarks have z from {min(heights):g} to {max(heights):g}"
-        raise PointsError(finding, "give landmarks of one slice; images in the plane are registered")
-    return [(point[0], point[1]) for point in points]
+def placed(name: str, side: str, points: Sequence[Sequence[float]], frames: Frames) -> list[tuple[float, ...]]:
+    """Return the coordinates that the images need: x and y, or x, y and z.
 
-
-def placed(name: str, what: str, points: Sequence[Sequence[float]], frames: Frames) -> list[tuple[float, ...]]:
-    """Points as the images ask for them: with x and y, or with x, y and z; PointsError where they have others."""
+    Raises PointsError for points of several slices of pictures, and for points without z of volumes.
+    """
     if frames.grids is None:
-        return list(in_plane(name, what, points))
+        heights = [point[2] for point in points if len(point) > 2]
+        if heights and max(heights) - min(heights) > FLAT:
+            finding = f"{name}: {side} landmarks have z from {min(heights):g} to {max(heights):g}"
+            raise PointsError(finding, "give landmarks of one slice; images in the plane are registered")
+        return [(point[0], point[1]) for point in points]
     if any(len(point) != 3 for point in points):
-        finding = f"{name}: {what} landmarks have x and y alone, and the images are volumes"
+        finding = f"{name}: {side} landmarks have x and y alone, and the images are volumes"
         raise PointsError(finding, "give three coordinates of every landmark")
     return [tuple(point) for point in points]
 
 
 def require_order(sources: Sequence[Source]) -> None:
-    """Refuse a pair of files whose names say that they were given the wrong way round."""
+    """Raise PointsError for a pair of files whose names indicate the reverse order."""
     moving, fixed = (PurePath(source.name).name.lower() for source in sources)
     if ("fixed" in moving and "moving" not in moving) or ("moving" in fixed and "fixed" not in fixed):
         raise PointsError(
@@ -139,12 +137,12 @@ def require_order(sources: Sequence[Source]) -> None:
 
 
 def text_of(number: float) -> str:
-    """The shortest text that is read back as the same number."""
+    """Return the shortest text of a number that is read as the same number."""
     return repr(float(number))
 
 
 def is_missing(text: str) -> bool:
-    """Whether a coordinate says that the point was not set: NaN or an infinity."""
+    """Return True for the coordinate of a point that was not set: NaN or infinity."""
     try:
         return not math.isfinite(float(text))
     except ValueError:

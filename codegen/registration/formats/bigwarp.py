@@ -1,10 +1,10 @@
-"""BigWarp's landmark table: name, whether it is active, the moving point, the fixed (target) point; no header.
+"""Landmark tables of BigWarp: name, active or not, the moving point, the fixed (target) point; no header.
 
 Rows have 6 fields in the plane and 8 in space, all in quotation marks. A point that was not set is Infinity, and its
-row is not active. Coordinates are in the units of the images, which are pixels where they were not calibrated, with
-the origin at the centre of the top-left pixel and y down, as here. Those of volumes are column, row and slice times the
-spacing: BigWarp leaves origin and orientation of a file aside, and here they are put back. Source: what
-`LandmarkTableModel` of BigWarp 9.4 (github.com/saalfeldlab/bigwarp) reads and writes.
+row is not active. Coordinates are in the units of the images, or in pixels without a calibration, with the origin at
+the centre of the top-left pixel and y down, as in this package. Coordinates of volumes are column, row and slice times
+the spacing: BigWarp ignores origin and orientation of a file, and this module adds them. Source:
+`LandmarkTableModel` of BigWarp 9.4 (github.com/saalfeldlab/bigwarp).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ AXES = {6: "xy", 8: "xyz"}
 
 
 def recognises(text: str) -> bool:
-    """Whether the second field of the first line says true or false."""
+    """Return True if the second field of the first line is true or false."""
     try:
         fields = next(csv.reader([text.lstrip().split("\n", 1)[0][:1000]]), [])
     except csv.Error:
@@ -53,16 +53,16 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
         raise PointsError(f"{source.name}: none of its {inactive} landmarks is active", "set both points of some")
     before, after = placed(source.name, "moving", moving, frames), placed(source.name, "fixed", fixed, frames)
     if frames.grids is not None and names:
-        one, other = (
+        moving_places, fixed_places = (
             np.array(points) @ np.array(grid.direction).T + grid.origin
             for points, grid in zip((before, after), frames.grids, strict=True)
         )
-        return made(sources, one, other, names)
+        return made(sources, moving_places, fixed_places, names)
     return made(sources, before, after, names)
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """The table, every row active; PointsError where the grids of volumes are not known."""
+    """Return the table with active rows; PointsError if the grids of volumes are not known."""
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
     moving, fixed = pairs.moving, pairs.fixed

@@ -1,8 +1,8 @@
 """Point files of elastix, one for each image: `point` or `index`, the number of points, then one point in a line.
 
-`index` counts pixels. `point` is in the coordinates of the image file, which are pixels where the image has spacing 1
-and origin 0, as PNG, JPEG and plain TIFF files have in elastix, and LPS in millimetres for volumes. Without a keyword
-points are indices, as before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and elastix's
+`index` counts pixels. `point` is in the coordinates of the image file: pixels for spacing 1 and origin 0, as of PNG,
+JPEG and plain TIFF files in elastix, and LPS in millimetres for volumes. Without a keyword points are indices, as
+before elastix 3.5. Sources: elastix manual, section 4.2 (option -def), and elastix's
 `TransformixInputPointFileReader`.
 """
 
@@ -30,7 +30,7 @@ REMEDY = "give point or index, the number of points, then two coordinates in eac
 
 
 def recognises(text: str) -> bool:
-    """Whether the first word is point, index or a number of points."""
+    """Return True if the first word is point, index or a number of points."""
     first = text[:1000].split(maxsplit=1)[:1]
     return bool(first) and (first[0].lower() in ("point", "index") or first[0].isdigit())
 
@@ -61,14 +61,14 @@ def _points(source: Source, side: int, frames: Frames) -> list[tuple[float, ...]
     if dimension not in (2, 3):
         raise PointsError(f"{source.name}:{lines[0][0]}: a point has {dimension} coordinates", REMEDY)
     points = [finite_numbers(source.name, line, words, "xyz"[:dimension]) for line, words in lines]
-    found = placed(source.name, ("moving", "fixed")[side], points, frames)
-    if are_indices and found and frames.grids is not None:
-        return list(map(tuple, frames.grids[side].to_places(np.array(found)).tolist()))
-    return found
+    positions = placed(source.name, ("moving", "fixed")[side], points, frames)
+    if are_indices and positions and frames.grids is not None:
+        return list(map(tuple, frames.grids[side].to_places(np.array(positions)).tolist()))
+    return positions
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """The moving and the fixed file; names are not kept, the format has none."""
+    """Return the moving and the fixed file; the format has no names."""
     return _text(pairs.moving), _text(pairs.fixed)
 
 

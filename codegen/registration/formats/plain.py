@@ -1,7 +1,7 @@
 """The plain table of this package: `moving_x,moving_y,fixed_x,fixed_y` in pixels, and optionally `name`.
 
-The origin is the centre of the top-left pixel, x to the right, y down. Those of volumes have `moving_z` and `fixed_z`
-as well, and all are in the coordinates of the files: LPS in millimetres. Columns may come in any order.
+The origin is the centre of the top-left pixel, x to the right, y down. Landmarks of volumes have `moving_z` and
+`fixed_z`, too, and are in the coordinates of the files: LPS in millimetres. Columns may have any order.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ COLUMNS = ("moving_x", "moving_y", "fixed_x", "fixed_y")
 
 
 def columns(axes: str) -> tuple[str, ...]:
-    """The names of the columns for axes "xy" or "xyz"."""
+    """Return the names of the columns for axes "xy" or "xyz"."""
     return tuple(f"{image}_{axis}" for image in ("moving", "fixed") for axis in axes)
 
 
 def recognises(text: str) -> bool:
-    """Whether the first line that is not empty names a column of this table."""
+    """Return True if the first non-empty line names a column of this table."""
     first = text.lstrip().split("\n", 1)[0].lower()
     return "moving_" in first or "fixed_" in first
 
@@ -38,19 +38,19 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
     if sorted(set(header) - {"name"}) != sorted(wanted) or len(set(header)) < len(header):
         finding = f"{source.name}: the columns are {','.join(header)[:100] or 'missing'}"
         raise PointsError(finding, f"name the columns {','.join(wanted)} in the first line")
-    place = [header.index(name) for name in wanted]
+    positions = [header.index(name) for name in wanted]
     points, names = [], []
     for line, fields in table:
         if len(fields) != len(header):
             finding = f"{source.name}:{line}: {len(fields)} values for {len(header)} columns"
             raise PointsError(finding, f"give {','.join(header)} in every row")
-        points.append(finite_numbers(source.name, line, [fields[k] for k in place], wanted))
+        points.append(finite_numbers(source.name, line, [fields[k] for k in positions], wanted))
         names += [fields[header.index("name")]] if "name" in header else []
     return made(sources, [row[:dimension] for row in points], [row[dimension:] for row in points], names)
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """The table; with a column of names only where they are not 1, 2, ..."""
+    """Return the table; names that are 1, 2, ... have no column."""
     named = pairs.names != tuple(str(k + 1) for k in range(len(pairs)))
     file = io.StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n")

@@ -1,22 +1,22 @@
-"""Point lists of 3D Slicer (.mrk.json), one for each image.
+"""Point lists of 3D Slicer, one for each image: .mrk.json, and .fcsv of older versions.
 
-Slicer places an image file without spacing such that its pixels are at x = column, y = row in the LPS system, 1 mm
-apart, so LPS positions are pixels and RAS positions have the opposite signs. Volumes are placed by their spacing,
-origin and orientation, in LPS as well. Points that are not placed yet (`positionStatus` other than `defined`) are left
-out. Where both lists use the same labels, each once, points are matched by label, otherwise by order. Source:
+If both lists have the same unique labels, points are matched by label, otherwise by order.
+
+.mrk.json: the pixels of an image file without spacing are at x = column, y = row in the LPS system of Slicer, 1 mm
+apart. So LPS positions are pixels, and RAS positions have the opposite signs. Volumes have the LPS positions of their
+spacing, origin and orientation. Points that are not set (`positionStatus` other than `defined`) are left out. Source:
 markups-schema-v1.0.3.json of Slicer and its developer guide, "Markups".
 
-Point lists of older 3D Slicer (.fcsv), one for each image. A table without a header, after lines that begin with #: id,
-x, y, z, four numbers of an orientation, whether the point is visible, selected and locked, its label, and more that
-does not matter here. `# CoordinateSystem` names LPS or RAS, of which older versions wrote 1 and 0; without it points
-are RAS. Where both lists use the same labels, each once, points are matched by label, otherwise by order. Source: what
-`vtkMRMLMarkupsFiducialStorageNode` of Slicer reads and writes.
+.fcsv: a table without a header, after lines that begin with #. Its columns are id, x, y, z, four numbers of an
+orientation, the flags visible, selected and locked, the label, and others that are ignored. `# CoordinateSystem` is LPS
+or RAS, in older versions 1 or 0; the default is RAS. Source: `vtkMRMLMarkupsFiducialStorageNode` of Slicer.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ REMEDY = "save a point list of 3D Slicer as .mrk.json"
 
 
 def recognises(text: str) -> bool:
-    """Whether the text begins like a JSON object."""
+    """Return True if the text begins like a JSON object."""
     return text.lstrip()[:1] == "{"
 
 
@@ -58,7 +58,7 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 def matched(
     sources: Sequence[Source], lists: Sequence[tuple[list[str], list[tuple[float, ...] | None]]], frames: Frames
 ) -> LandmarkPairs:
-    """Pairs of two lists of labels and positions, by label where both have the same; PointsError where they differ."""
+    """Match two lists of labels and positions, by label if both have the same; PointsError for different numbers."""
     (labels, moving), (others, fixed) = lists
     if len(moving) != len(fixed):
         finding = f"{sources[0].name} holds {len(moving)} points and {sources[1].name} {len(fixed)}"
@@ -73,7 +73,7 @@ def matched(
 
 
 def _points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
-    """Labels, and positions or None where a point is not placed."""
+    """Return labels, and positions or None for points that are not set."""
     markup = _point_list(source)
     system = markup.get("coordinateSystem", "LPS")
     if not isinstance(system, str) or system not in SIGNS:
@@ -83,18 +83,28 @@ def _points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
         raise PointsError(f"{source.name}: coordinates are in {str(units)[:30]}", "save them in mm, one for each pixel")
     controls = markup["controlPoints"]
     require_count(source.name, len(controls))
-    labels, positions = [], []
+    labels: list[str] = []
+    positions: list[tuple[float, ...] | None] = []
     for number, control in enumerate(controls, 1):
         if not isinstance(control, dict):
             raise PointsError(f"{source.name}: control point {number} is no object", REMEDY)
         labels.append(str(control.get("label", ""))[:200])
-        placed = control.get("positionStatus", "defined") == "defined" and control.get("position") is not None
-        positions.append(_position(source, number, control["position"], SIGNS[system]) if placed else None)
+        position = control.get("position") if control.get("positionStatus", "defined") == "defined" else None
+        if position is None:
+            positions.append(None)
+            continue
+        good = isinstance(position, list) and len(position) == 3
+        good = good and all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300 for x in position)
+        if not good or not all(map(math.isfinite, position)):
+            finding = f"{source.name}: control point {number} is at {str(position)[:60]}"
+            raise PointsError(finding, "give three finite numbers as its position")
+        x, y, z = map(float, position)
+        positions.append((SIGNS[system] * x, SIGNS[system] * y, z))
     return labels, positions
 
 
 def _point_list(source: Source) -> dict[str, Any]:
-    """The one list of points that the file holds."""
+    """Return the list of points of the file; PointsError unless there is exactly one."""
     try:
         content = json.loads(source.text)
     except json.JSONDecodeError as error:
@@ -109,18 +119,8 @@ def _point_list(source: Source) -> dict[str, Any]:
     return lists[0]
 
 
-def _position(source: Source, number: int, position: Any, sign: float) -> tuple[float, ...]:
-    good = isinstance(position, list) and len(position) == 3
-    good = good and all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300 for x in position)
-    if not good or not all(map(math.isfinite, position)):
-        finding = f"{source.name}: control point {number} is at {str(position)[:60]}"
-        raise PointsError(finding, "give three finite numbers as its position")
-    x, y, z = map(float, position)
-    return sign * x, sign * y, z
-
-
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """The moving and the fixed list, in LPS."""
+    """Return the moving and the fixed list, in LPS."""
     return _text("moving", pairs.moving, pairs.names), _text("fixed", pairs.fixed, pairs.names)
 
 
@@ -151,7 +151,7 @@ FCSV_REMEDY = "save a point list of 3D Slicer as .fcsv or .mrk.json"
 
 
 def recognises_fcsv(text: str) -> bool:
-    """Whether the text begins with a comment, as Slicer writes it."""
+    """Return True if the text begins with a comment, as files of Slicer do."""
     return text.lstrip()[:1] == "#"
 
 
@@ -162,38 +162,32 @@ def parse_fcsv(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 
 
 def _fcsv_points(source: Source) -> tuple[list[str], list[tuple[float, ...] | None]]:
-    """Labels and positions in LPS."""
-    sign = SIGNS[_system(source)]
+    """Return labels and positions in LPS."""
+    system = "RAS"
+    for line in itertools.takewhile(lambda line: line.startswith("#"), source.text.splitlines()):
+        key, equals, value = line[1:].partition("=")
+        if equals and key.strip() == "CoordinateSystem":
+            if value.strip().upper() not in SYSTEMS:
+                finding = f"{source.name}: the coordinate system is {value.strip()[:30]!r}"
+                raise PointsError(finding, "use LPS or RAS")
+            system = SYSTEMS[value.strip().upper()]
+            break
+    sign = SIGNS[system]
     labels: list[str] = []
     positions: list[tuple[float, ...] | None] = []
-    for line, fields in rows(source):
+    for number, fields in rows(source):
         if fields[0].startswith("#"):
             continue
         if len(fields) < 4:
-            raise PointsError(f"{source.name}:{line}: {','.join(fields)[:60]!r} is no point of Slicer", FCSV_REMEDY)
-        x, y, z = finite_numbers(source.name, line, fields[1:4], "xyz")
+            raise PointsError(f"{source.name}:{number}: {','.join(fields)[:60]!r} is no point of Slicer", FCSV_REMEDY)
+        x, y, z = finite_numbers(source.name, number, fields[1:4], "xyz")
         positions.append((sign * x, sign * y, z))
         labels.append(fields[LABEL][:200] if len(fields) > LABEL else "")
     return labels, positions
 
 
-def _system(source: Source) -> str:
-    """LPS or RAS."""
-    for line in source.text.splitlines():
-        if not line.startswith("#"):
-            break
-        key, equals, value = line[1:].partition("=")
-        if equals and key.strip() == "CoordinateSystem":
-            found = SYSTEMS.get(value.strip().upper())
-            if found is None:
-                finding = f"{source.name}: the coordinate system is {value.strip()[:30]!r}"
-                raise PointsError(finding, "use LPS or RAS")
-            return found
-    return "RAS"
-
-
 def compose_fcsv(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """The moving and the fixed list, in LPS."""
+    """Return the moving and the fixed list, in LPS."""
     return _fcsv_text(pairs.moving, pairs.names), _fcsv_text(pairs.fixed, pairs.names)
 
 

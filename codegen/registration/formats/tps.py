@@ -1,10 +1,10 @@
 """TPS files of tpsDig: two specimens of one file, or those whose IMAGE= names the moving and the fixed image.
 
 A specimen is `LM=n`, n lines `x y`, and lines such as `IMAGE=`, `ID=` and `SCALE=`. Its y points up from the lower edge
-of the image, so the heights of both images must be known. The origin is taken to be the centre of the lower-left
-pixel; the format's documents leave that open by half a pixel. Coordinates are pixels: `SCALE=` says how long a pixel is
-and is not applied. A landmark given as NA is missing and left out in both images. Outlines (`CURVES=`, `POINTS=`) are
-no landmarks and left out; names are not kept, the format has none. Source: F. J. Rohlf, tpsDig help, "Data files".
+of the image, so that the heights of both images must be known. The origin is the centre of the lower-left pixel; the
+documentation of the format is ambiguous by half a pixel. Coordinates are pixels; `SCALE=`, the size of a pixel, is not
+applied. A landmark NA is missing and left out in both images. Outlines (`CURVES=`, `POINTS=`) are left out. The format
+has no names of landmarks. Source: F. J. Rohlf, tpsDig help, "Data files".
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ REMEDY = "give LM=, as many lines x y, and IMAGE= for the moving and for the fix
 
 @dataclass
 class Specimen:
-    """Points as they stand in the file, None where one is missing, and what IMAGE= and ID= say."""
+    """Points of the file, None for missing ones, and the values of IMAGE= and ID=."""
 
     points: list[tuple[float, float] | None] = field(default_factory=list)
     image: str = ""
@@ -33,12 +33,12 @@ class Specimen:
 
 
 def recognises(text: str) -> bool:
-    """Whether the text begins with a number of landmarks."""
+    """Return True if the text begins with a number of landmarks."""
     return text.lstrip()[:2].lower() == "lm"
 
 
 def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
-    """Read two specimens; PointsError names the file and the line, or the image whose height is not known."""
+    """Read two specimens; PointsError names the file and the line, or the image of unknown height."""
     (source,) = sources
     if frames.grids is not None:
         finding = f"{source.name}: TPS files hold landmarks in the plane, and the images are volumes"
@@ -56,7 +56,7 @@ def parse(sources: Sequence[Source], frames: Frames) -> LandmarkPairs:
 
 
 def specimens_of(source: Source) -> Iterator[Specimen]:
-    """The specimens of a file one after the other; PointsError names the line that is none of theirs."""
+    """Yield the specimens of a file; PointsError names a line that belongs to none."""
     text = source.text.replace("\r\n", "\n").replace("\r", "\n")
     lines = ((k, line.strip()) for k, line in enumerate(text.split("\n"), 1))
     specimen: Specimen | None = None
@@ -87,7 +87,7 @@ def specimens_of(source: Source) -> Iterator[Specimen]:
 def _points(
     source: Source, number: int, count: str, lines: Iterator[tuple[int, str]]
 ) -> Iterator[tuple[float, float] | None]:
-    """As many points as the line says, taken from the lines that follow."""
+    """Yield the announced number of points from the following lines."""
     if not (count.isdecimal() and len(count) < 10):
         raise PointsError(f"{source.name}:{number}: {count[:30]!r} is no number of points", REMEDY)
     require_count(source.name, int(count))
@@ -106,7 +106,7 @@ def _points(
 
 
 def _chosen(source: Source, specimens: Sequence[Specimen], frames: Frames) -> tuple[Specimen, Specimen]:
-    """The specimens of the two images: by IMAGE= where it names both, the first and the second of two otherwise."""
+    """Select the specimens of the images: by IMAGE= if it names both, otherwise the first and the second of two."""
     named = [_of_image(source, specimens, name) for name in (frames.moving_name, frames.fixed_name)]
     if named[0] is not None and named[1] is not None and named[0] is not named[1]:
         return named[0], named[1]
@@ -122,14 +122,13 @@ def _chosen(source: Source, specimens: Sequence[Specimen], frames: Frames) -> tu
 
 
 def _of_image(source: Source, specimens: Sequence[Specimen], name: str) -> Specimen | None:
-    """The specimen of an image file, without regard to its folder and to capitals."""
+    """Return the specimen of an image file, regardless of its folder and of capitals."""
     wanted = PureWindowsPath(name).name.lower()
-    found = [entry for entry in specimens if wanted and PureWindowsPath(entry.image).name.lower() == wanted]
-    if len(found) > 1:
-        raise PointsError(
-            f"{source.name} has {len(found)} specimens with IMAGE={name}", "leave one of them in the file"
-        )
-    return found[0] if found else None
+    named = [entry for entry in specimens if wanted and PureWindowsPath(entry.image).name.lower() == wanted]
+    if len(named) > 1:
+        finding = f"{source.name} has {len(named)} specimens with IMAGE={name}"
+        raise PointsError(finding, "leave one of them in the file")
+    return named[0] if named else None
 
 
 def _heights(name: str, frames: Frames) -> tuple[int, int]:
@@ -141,12 +140,12 @@ def _heights(name: str, frames: Frames) -> tuple[int, int]:
 
 
 def _turned(points: PointArray, height: int) -> PointArray:
-    """From the lower-left to the top-left pixel, or back."""
+    """Convert points between origins at the lower-left and the top-left pixel."""
     return np.column_stack((points[:, 0], height - 1 - points[:, 1])) if len(points) else points
 
 
 def compose(pairs: LandmarkPairs, frames: Frames) -> tuple[str, ...]:
-    """Two specimens, first the moving one; PointsError when the height of an image is not known."""
+    """Return two specimens, first the moving one; PointsError if the height of an image is not known."""
     heights = _heights("landmarks", frames)
     lines = []
     sides = zip((pairs.moving, pairs.fixed), heights, (frames.moving_name, frames.fixed_name))

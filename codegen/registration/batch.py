@@ -1,0 +1,269 @@
+"""The run of a batch, its page, and its summaries for people and programs.
+
+A batch reads the results of earlier runs, times a first pair, runs chunks on an executor and writes a summary. A
+journal next to the summary receives the line of every pair as soon as its outputs are complete. An interruption
+therefore loses only the pairs in progress. A pair is skipped if its line shows that it was solved from the same files
+with the same options, and if its outputs are unchanged.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import urllib.parse
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from codegen.batch.executors import connected
+from codegen.batch.executors import journal as journals
+from codegen.batch.executors.journal import Journal, journal_of
+from codegen.batch.executors.team import Progress, Team, Working, silent
+from codegen.batch.executors.work import LOST, SOLVED, Done, Tally
+from codegen.errors import ArgumentError
+from codegen.files import remove_leftovers, rendered, write_text
+from codegen.registration.batch_pairs import (
+    COLUMNS,
+    BatchWork,
+    Line,
+    Pair,
+    Places,
+    SharedFile,
+    Tried,
+    options_digest,
+    read_summary,
+    tally_of,
+    write_summary,
+)
+from codegen.registration.job import Job, Options, run
+from codegen.registration.pair_report import facts, number
+from codegen.registration.solver import registration_module
+from codegen.registration.volumes import is_volume
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+MOST_OF_A_CHUNK = 64
+"""Most pairs of a chunk."""
+TRIALS = 3
+"""Pairs that are tried until one is solved, whose time determines the size of chunks."""
+SHARES = 4
+"""Fewest chunks of each worker, so that all workers end at about the same time."""
+BATCH = "batch"
+"""The key of the digest of the options in a journal."""
+ANOTHER = "leave --resume out to do all pairs anew, or give the options that it was begun with"
+
+NAME = "index.html"
+PAGE_COLUMNS = (
+    "pair", "", "landmarks", "steps", "residual", "least det J", "largest det J", "round trip", "left out", "outliers",
+    "seconds",
+)  # fmt: skip
+_NUMBERS = ("residual", "det_min", "det_max", "round_trip", "leave_one_out")
+
+
+@dataclass(frozen=True)
+class BatchRequest:
+    """The pairs of a batch, their options, the folders of outputs, the summary, and the workers.
+
+    `resume` requires the same options as in the earlier run. `cluster` is the address of a scheduler of dask, a client,
+    "local", or None.
+    """
+
+    jobs: Sequence[Job]
+    options: Options
+    places: Places
+    summary: Path
+    workers: int = 1
+    cluster: Any = None
+    resume: bool = False
+
+
+@dataclass(frozen=True)
+class Batch:
+    """The result of a batch: a line for every pair, the number of skipped pairs, and the notes of workers."""
+
+    lines: tuple[Line, ...]
+    unchanged: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def failed(self) -> tuple[Line, ...]:
+        """The lines of pairs that were not solved."""
+        return tuple(line for line in self.lines if line["status"] != SOLVED)
+
+
+def outcome_of(
+    request: BatchRequest,
+    working: Working = nullcontext,
+    progress: Progress = silent,
+    run_one: Callable[[Job, Options], Any] = run,
+    prepare: Callable[[str, int], Any] = registration_module,
+) -> Batch:
+    """Register all pairs that are not up to date; a failed pair has a line with the reason and stops no other pair.
+
+    `prepare` builds the solver of a scheme and a dimension. Raises CodegenError before anything is written if the
+    request is wrong. Errors that concern every pair are raised, too: an unusable scheme, a file system that refuses, a
+    worker that does not see the files.
+    """
+    digest, before = options_digest(request.options), read_summary(request.summary)
+    path = journal_of(request.summary)
+    if request.resume:
+        if any(line["options"] != digest for line in before):
+            raise ArgumentError(f"--resume: {request.summary} is that of another batch", ANOTHER)
+        if path.exists():
+            journals.read(path, BATCH, digest, ANOTHER)
+    with connected(request.cluster) as cluster:
+        dimensions = tuple(sorted({3 if is_volume(job.moving) else 2 for job in request.jobs}))
+        for dimension in dimensions:
+            prepare(request.options.scheme, dimension)
+        team = Team(request.workers, cluster, working, progress)
+        request.places.make()
+        try:
+            journal = journals.read(path, BATCH, digest, ANOTHER)
+        except ArgumentError:  # no journal, or one with other options or of another version
+            journal = journals.begun(path, {BATCH: digest})
+        noted = [
+            {name: str(record[name]) for name in COLUMNS} for record in journal.records if set(record) == set(COLUMNS)
+        ]
+        jobs = [job.absolute() for job in request.jobs]
+        course = _Run(journal, jobs, dimensions, {line["out"]: line for line in (*before, *noted)}, {}, team)
+        try:
+            course.all_pairs(request.options, run_one)
+            remove_leftovers(path for job in jobs for path in job.written)
+        finally:
+            write_summary(request.summary, course.lines())
+            path.unlink(missing_ok=True)  # the summary has all of its lines
+        remove_leftovers([request.summary, path])
+    unchanged = sum(not tried.is_new for tried in course.tried.values())
+    return Batch(tuple(course.lines()), unchanged, tuple(team.notes))
+
+
+@dataclass
+class _Run:
+    """A batch in progress: new lines by the numbers of pairs, and earlier lines by their outputs."""
+
+    journal: Journal
+    jobs: Sequence[Job]
+    dimensions: tuple[int, ...]
+    earlier: Mapping[str, Line]
+    tried: dict[int, Tried]
+    team: Team
+
+    def lines(self) -> list[Line]:
+        """Return a new or earlier line for every pair that has one."""
+        lines = (
+            self.tried[number].line if number in self.tried else self.earlier.get(str(job.out))
+            for number, job in enumerate(self.jobs)
+        )  # fmt: skip
+        return [line for line in lines if line is not None]
+
+    def all_pairs(self, options: Options, run_one: Callable[[Job, Options], Any]) -> None:
+        """Register a first pair, then chunks of pairs, then one by one the pairs of lost chunks."""
+        pairs = [Pair(number, job, self.earlier.get(str(job.out), {})) for number, job in enumerate(self.jobs)]
+        alone = self.team.workers == 1 and self.team.cluster is None
+        threads = os.cpu_count() or 1 if alone else 1
+        shared = SharedFile.of(self.journal.path)
+        work = BatchWork(pairs, options, 1, threads, shared, self.dimensions, run_one=run_one)
+        first, local = 0, replace(self.team, workers=1, cluster=None, progress=silent)
+        with self.team.working("Registering a first pair"):
+            while first < min(TRIALS, len(pairs)) and not self._seconds_of_solved():
+                local.do(work, [first], len(pairs), Tally(), self._keep)
+                first += 1
+        rest = pairs[first:]
+        seconds = max(self._seconds_of_solved(), default=0.1)
+        of_a_second = max(1, min(MOST_OF_A_CHUNK, int(1.0 / max(1e-3, seconds))))
+        self._do(replace(work, pairs=rest, size=min(of_a_second, max(1, len(rest) // (SHARES * self.team.workers)))))
+        lost = [pair for pair in rest if pair.number not in self.tried]
+        self._do(replace(work, pairs=lost, size=1))
+
+    def _do(self, work: BatchWork) -> None:
+        before = tally_of(tried.line for tried in self.tried.values())
+        self.team.do(work, work.chunks, len(self.jobs), before, self._keep, ("Warping", "pairs"))
+
+    def _keep(self, number: int, done: Done) -> None:
+        """Record the lines of a chunk; after the loss of a chunk of several pairs all of its pairs are tried again."""
+        if LOST in done.tally.counts and len(done.rows) > 1:
+            return
+        # After an interruption between these lines, the summary, which replaces the journal, has the new lines.
+        self.tried |= {tried.number: tried for tried in done.rows}
+        self.journal.add(tried.line for tried in done.rows if tried.is_new)
+
+    def _seconds_of_solved(self) -> list[float]:
+        lines = (tried.line for tried in self.tried.values())
+        return [float(line["seconds"]) for line in lines if line["status"] == SOLVED]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the page: name and page of the pair, status, reason of a failure, and the other cells."""
+
+    name: str
+    page: str
+    status: str
+    text: str
+    cells: tuple[str, ...]
+
+
+def write_batch_report(folder: Path, batch: Batch, pages: Iterable[Path | None]) -> Path:
+    """Write the page next to the pages of the pairs, which come in the order of the batch; return its path.
+
+    Failed pairs come first, then pairs by their least determinant.
+    """
+    rows = []
+    for line, page in zip(batch.lines, pages, strict=True):
+        values = [number(float(line[name])) if line[name] else "–" for name in _NUMBERS]
+        outliers = str(len(line["outliers"].split(";")) if line["outliers"] else 0) if line["det_min"] else "–"
+        cells = (line["count"], line["steps"], *values, outliers, number(float(line["seconds"] or 0)))
+        solved = line["status"] == "solved"
+        link = urllib.parse.quote(page.name) if page is not None and page.is_file() else ""
+        row = Row(Path(line["moving"]).name, link, line["status"], "" if solved else line["message"], cells)
+        rows.append(((solved, float(line["det_min"] or math.inf)), row))
+    rows.sort(key=lambda entry: entry[0])
+    path, template = folder / NAME, Path(__file__).parent / "templates/batch.html.j2"
+    title = f"{len(rows)} pairs, {len(batch.failed)} failed"
+    write_text(path, rendered(template, title=title, columns=PAGE_COLUMNS, rows=[row for _, row in rows]))
+    return path
+
+
+def table(record: Mapping[str, Any]) -> Table:
+    """Return the record of one pair as a table for the terminal."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=box.SIMPLE_HEAD, show_header=False)
+    shown.add_column(style="cyan", no_wrap=True)
+    shown.add_column(overflow="fold")
+    style = "green" if record["status"] == "solved" else "bold red"
+    shown.add_row("image", Text(f"{record['moving']} ({record['direction']})"))
+    shown.add_row("status", Text(record["status"], style=style))
+    shown.add_row("", Text(record["message"]))
+    for name, text in facts(record):
+        shown.add_row(name, Text(text))
+    seconds = ", ".join(f"{name} {value:.3g} s" for name, value in record["seconds"].items())
+    shown.add_row("time", Text(seconds))
+    if record["status"] == "solved":
+        shown.add_row("written", Text(record["out"]))
+    return shown
+
+
+def record(batch: Batch, summary: Path) -> dict[str, Any]:
+    """Return the JSON object of a batch."""
+    failed = [{name: line[name] for name in ("moving", "out", "status", "message")} for line in batch.failed]
+    return {
+        "problem": "image_registration", "task": "warp", "pairs": len(batch.lines), "unchanged": batch.unchanged,
+        "failed": failed, "status": "failed" if batch.failed else "solved", "message": _counts(batch),
+        "summary": str(summary),
+    }  # fmt: skip
+
+
+def overview(batch: Batch, summary: Path) -> str:
+    """Describe a batch in one line."""
+    return f"{_counts(batch)}; see {summary}"
+
+
+def _counts(batch: Batch) -> str:
+    solved = len(batch.lines) - len(batch.failed) - batch.unchanged
+    return f"{solved} pairs warped, {batch.unchanged} unchanged, {len(batch.failed)} failed"

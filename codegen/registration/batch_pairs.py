@@ -1,0 +1,478 @@
+"""The pairs of a batch: which files belong together, the registration of a chunk of pairs, and their summary.
+
+Pictures and volumes are found in a folder or in a table. Images and landmarks are passed to workers as paths, and
+workers write the outputs: workers on other machines need the file system of the machine that starts the batch.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import platform
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+from codegen import __version__
+from codegen.batch.executors.work import LOST, SOLVED, Abandoned, Done, Tally, Target, alone, compiled_note, target
+from codegen.errors import ArgumentError, ClusterError, CodegenError, FileError, one_line
+from codegen.files import refused, replacing
+from codegen.registration.images import KINDS, VOLUMES
+from codegen.registration.job import Job, Options, run
+from codegen.registration.solver import is_compiled, registration_module, threads_at_most
+from codegen.registration.volumes import is_volume, suffix_of
+from codegen.registration.warp import Interpolation, written_with
+from codegen.solving import loading
+
+MOST_PAIRS = 100_000
+_ONE_FILE, _TWO_FILES = (".csv", ".tps"), (".pts", ".mrk.json", ".fcsv")
+"""Suffixes of landmark files for both images, and of files for one image."""
+_TABLE = ("moving", "fixed", "landmarks", "out", "interpolation")
+_OUTPUT_SUFFIXES = {".nhdr": ".nrrd"}
+"""Suffixes of volumes that are not written, and their replacements."""
+
+SUMMARY = "summary.csv"
+COLUMNS = (
+    "moving", "fixed", "landmarks", "out", "status", "message", "count", "align", "sigma", "steps", "interpolation",
+    "unit", "residual", "residual_length", "length_unit",
+    "det_min", "det_max", "folded", "round_trip", "leave_one_out", "outliers", "seconds", "options",
+    "read", "written",
+)  # fmt: skip
+"""The last three are digests: of options and version, of all input files, and of each output file."""
+_DIGITS = 32
+
+Line = dict[str, str]
+"""One line of the summary: texts under COLUMNS."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """The folders of the outputs of a batch; missing folders are made."""
+
+    out: Path | None = None
+    field: Path | None = None
+    report: Path | None = None
+
+    def job(
+        self,
+        moving: Path,
+        landmarks: tuple[Path, ...],
+        fixed: Path | None,
+        out: Path | None = None,
+        interpolation: Interpolation | None = None,
+    ) -> Job:
+        """Name the outputs of one pair: after the moving image, or after `out`.
+
+        Fields of pictures are .npz files, fields of volumes .nii.gz files.
+        """
+        if out is None:
+            suffix = moving.name[len(_stem(moving)) :]
+            out = (self.out or Path()) / f"{_stem(moving)}{_OUTPUT_SUFFIXES.get(suffix.lower(), suffix)}"
+        kind = ".nii.gz" if self.field is not None and is_volume(moving) else ".npz"
+        field = self.field / f"{_stem(out)}{kind}" if self.field is not None else None
+        report = self.report / f"{_stem(out)}.html" if self.report is not None else None
+        return Job(moving, landmarks, out, fixed, field, report, interpolation)
+
+    def make(self) -> None:
+        """Make the folders; FileError if the file system refuses."""
+        for folder in (self.out, self.field, self.report):
+            if folder is not None:
+                try:
+                    folder.mkdir(parents=True, exist_ok=True)
+                except OSError as error:
+                    raise refused(error, folder) from error
+
+
+def _stem(image: Path) -> str:
+    suffix = suffix_of(image, VOLUMES)
+    return image.stem if suffix is None else image.name[: -len(suffix)]
+
+
+def jobs_in_folder(
+    folder: Path, places: Places, fixed: Path | None, landmarks: tuple[Path, ...]
+) -> tuple[list[Job], list[Path]]:
+    """Pair the images and volumes of a folder with landmark files of the same stem, or all of them with `landmarks`.
+
+    `a.png` or `a.nii.gz` belongs to `a.csv`, to `a.tps`, or to `a.moving.pts` with `a.fixed.pts`; instead of `.pts`
+    also `.mrk.json` or `.fcsv`. `fixed` is one image for all pairs, or a folder with images of the same names. The
+    second list has the images without landmarks. Raises ArgumentError if the folder has no pair, or if files cannot be
+    paired uniquely.
+    """
+    suffixes = (*(suffix for group in KINDS.values() for suffix in group), *VOLUMES)
+    images = sorted(path for path in folder.iterdir() if path.name.lower().endswith(suffixes) and path.is_file())
+    jobs, without = [], []
+    for image in images:
+        files = landmarks or _landmarks_of(image)
+        if fixed is not None and fixed.is_file() and fixed.samefile(image):
+            continue
+        if files:
+            jobs.append(places.job(image, files, fixed / image.name if fixed is not None and fixed.is_dir() else fixed))
+        else:
+            without.append(image)
+    if not jobs:
+        count = f"{len(images)} image{'s' * (len(images) != 1)}"
+        finding = f"{folder} holds {count}, none with a landmark file of the same name"
+        raise ArgumentError(finding, "name landmarks like images, such as a.png and a.csv, or give --landmarks")
+    return _distinct(jobs), without
+
+
+def _landmarks_of(image: Path) -> tuple[Path, ...]:
+    """Return the landmark files of an image: one, two or none."""
+    stem = _stem(image)
+    candidates: list[tuple[Path, ...]] = [(image.with_name(stem + suffix),) for suffix in _ONE_FILE]
+    candidates += [
+        tuple(image.with_name(f"{stem}.{side}{suffix}") for side in ("moving", "fixed")) for suffix in _TWO_FILES
+    ]
+    candidates = [files for files in candidates if all(path.is_file() for path in files)]
+    if len(candidates) > 1:
+        names = " and ".join(files[0].name for files in candidates)
+        raise ArgumentError(f"{image.parent}: {names} both belong to {image.name}", "leave one of them in the folder")
+    return candidates[0] if candidates else ()
+
+
+def jobs_in_table(table: Path, places: Places, fixed: Path | None) -> list[Job]:
+    """Read the pairs of a table with the columns moving and landmarks, and optionally fixed, out and interpolation.
+
+    Names are relative to the folder of the table. A semicolon separates two landmark files of one pair. An
+    interpolation is that of one pair, such as nearest for labels. Raises ArgumentError, naming the line, for other
+    tables.
+    """
+    jobs = []
+    for line, row in _rows(table):
+        moving, names = row.get("moving", ""), [name for name in row.get("landmarks", "").split(";") if name.strip()]
+        if not moving or len(names) not in (1, 2):
+            raise ArgumentError(f"{table}:{line}: an image and its landmarks are missing", "fill moving and landmarks")
+        out = table.parent / row["out"] if row.get("out") else None
+        if out is None and places.out is None:
+            raise ArgumentError(f"{table}:{line}: there is no place for the result", "fill out, or give --out FOLDER")
+        other = table.parent / row["fixed"] if row.get("fixed") else fixed
+        files = tuple(table.parent / name.strip() for name in names)
+        name, choices = row.get("interpolation", ""), get_args(Interpolation)
+        interpolation: Interpolation | None = next((choice for choice in choices if choice == name), None)
+        if name and interpolation is None:
+            finding = f"{table}:{line}: unknown interpolation {name!r}"
+            raise ArgumentError(finding, f"fill in one of {', '.join(choices)}")
+        jobs.append(places.job(table.parent / moving, files, other, out, interpolation))
+    if not jobs:
+        raise ArgumentError(f"{table} holds no pairs", "give one row for every pair")
+    return _distinct(jobs)
+
+
+def _rows(table: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the lines of the table by their columns, with line numbers."""
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            header = set(reader.fieldnames or ())
+            if not {"moving", "landmarks"} <= header <= set(_TABLE):
+                finding = f"{table}: the columns are {','.join(map(str, reader.fieldnames or ()))[:100] or 'missing'}"
+                raise ArgumentError(finding, f"name them {','.join(_TABLE)} in the first line")
+            for row in reader:
+                if None in row or None in row.values():
+                    finding = f"{table}:{reader.line_num}: not as many values as columns"
+                    raise ArgumentError(finding, f"give {','.join(_TABLE)}, empty where there is none")
+                if reader.line_num > MOST_PAIRS:
+                    raise ArgumentError(f"{table} holds more than {MOST_PAIRS} lines", "give several tables")
+                yield reader.line_num, {name: value.strip() for name, value in row.items()}
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ArgumentError(f"{table} cannot be read ({one_line(str(error), 100)})", "give a table as text") from error
+
+
+def _distinct(jobs: list[Job]) -> list[Job]:
+    """Refuse pairs with outputs of the same name."""
+    seen: dict[Path, Job] = {}
+    for job in jobs:
+        for path in job.written:
+            other = seen.setdefault(path.absolute(), job)
+            if other is not job:
+                finding = f"{other.moving} and {job.moving} would both be written to {path}"
+                raise ArgumentError(finding, "give images different names, or an out for each in a table")
+    return jobs
+
+
+def require_free(jobs: Iterable[Job], path: Path) -> None:
+    """Refuse a pair whose page has the name of the page of the batch."""
+    for job in jobs:
+        if path.absolute() in (file.absolute() for file in job.written):
+            finding = f"{path} is the page about all pairs, and that of {job.moving}"
+            raise ArgumentError(finding, "rename the image, or give it another out in a table")
+
+
+@dataclass(frozen=True)
+class Digests:
+    """The digests of a line, which show later if its pair is up to date: texts under their columns."""
+
+    options: str = ""
+    read: str = ""
+    written: str = ""
+
+
+def options_digest(options: Options) -> str:
+    """Return the digest of the options and of the version."""
+    return hashlib.sha256(repr((__version__, sorted(asdict(options).items()))).encode()).hexdigest()[:_DIGITS]
+
+
+def _input_digest(job: Job) -> str:
+    """Return the digest of all input, apart from options; empty if a file is not readable."""
+    digests = [_digest(path) for path in job.read]
+    if not all(digests):
+        return ""
+    names = [path.name for path in job.read]  # TPS files contain names of images
+    interpolation = [] if job.interpolation is None else [job.interpolation]
+    return hashlib.sha256(repr((digests, names, *interpolation)).encode()).hexdigest()[:_DIGITS]
+
+
+def _output_digests(job: Job) -> dict[str, str]:
+    """Return the digests of all outputs of a job; empty texts for missing files, which no line contains."""
+    samples = {f"{name}-samples": written_with(path) for name, path in (("out", job.out), ("field", job.field)) if path}
+    files = {"out": job.out, "field": job.field, "report": job.report, **samples}
+    return {kind: _digest(path) for kind, path in files.items() if path is not None}
+
+
+def _digest(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()[:_DIGITS]
+    except OSError:
+        return ""
+
+
+def _line(record: Mapping[str, Any], digests: Digests) -> Line:
+    """Convert the record of a job to a line; missing numbers are empty."""
+    values = {**record, **record["summary"]}
+    errors = values.get("leave_one_out") or []
+    texts: dict[str, Any] = {name: values.get(name) for name in COLUMNS}
+    texts |= {
+        "landmarks": ";".join(record["landmarks"]),
+        "message": one_line(record["message"], 300),
+        "count": record["summary"].get("landmarks"),
+        "residual_length": max(values["residual_lengths"]) if "length_unit" in values else None,
+        "leave_one_out": sorted(errors)[len(errors) // 2] if errors and None not in errors else None,
+        "outliers": ";".join(values.get("outliers") or []),
+        "seconds": round(sum(record["seconds"].values()), 3),
+        **asdict(digests),
+    }
+    return {name: "" if value is None else str(value) for name, value in texts.items()}
+
+
+def _failed_line(job: Job, status: str, message: str, digests: Digests) -> Line:
+    """Return the line of a pair without a result."""
+    record = {
+        "moving": str(job.moving), "fixed": str(job.fixed or ""), "out": str(job.out),
+        "landmarks": [str(path) for path in job.landmarks], "status": status, "message": message, "summary": {},
+        "seconds": {},
+    }  # fmt: skip
+    return _line(record, digests)
+
+
+def _is_up_to_date(line: Line, job: Job, now: Digests) -> bool:
+    """Return True if the pair was solved with the present input and options, and its outputs are unchanged.
+
+    Outputs of an earlier run that are no longer requested may be missing.
+    """
+    if line.get("status") != SOLVED or not now.read or (line["options"], line["read"]) != (now.options, now.read):
+        return False
+    earlier = dict(word.partition(":")[::2] for word in line.get("written", "").split())
+    return all(earlier.get(kind) == digest for kind, digest in _output_digests(job).items())
+
+
+def tally_of(lines: Iterable[Line]) -> Tally:
+    """Count the statuses, with the first message of each."""
+    lines = [*lines]
+    messages = {line["status"]: line["message"] for line in reversed(lines)}
+    seconds = sum(float(line["seconds"] or 0.0) for line in lines)
+    return Tally(Counter(line["status"] for line in lines), messages, seconds)
+
+
+def read_summary(path: Path) -> list[Line]:
+    """Read the lines of an earlier run; none if the file is no summary."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                return []
+            return [line for line in reader if None not in line and None not in line.values()]
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return []
+
+
+def write_summary(path: Path, lines: Iterable[Line]) -> None:
+    """Replace the summary; FileError if the file system refuses."""
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=COLUMNS)
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The files of a pair, with absolute names, and its line of an earlier run, or an empty line."""
+
+    number: int
+    job: Job
+    earlier: Line
+
+
+@dataclass(frozen=True)
+class Tried:
+    """The line of a pair; `is_new` is False if the pair was up to date."""
+
+    number: int
+    line: Line
+    is_new: bool
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The pairs of a chunk, and their files that are readable where the batch was started."""
+
+    pairs: tuple[Pair, ...]
+    readable: frozenset[Path]
+
+
+@dataclass(frozen=True)
+class SharedFile:
+    """A file of the batch, by which a worker checks that it uses the same file system."""
+
+    path: Path
+    inode: int
+
+    @classmethod
+    def of(cls, path: Path) -> SharedFile:
+        """Describe an existing file."""
+        return cls(path, path.stat().st_ino)
+
+    @property
+    def is_visible(self) -> bool:
+        """True if this process sees the same file."""
+        try:
+            return self.path.stat().st_ino == self.inode
+        except OSError:
+            return False
+
+
+@dataclass(frozen=True, eq=False)
+class BatchWork:
+    """The data for registering any pair; a chunk has `size` pairs, and `threads` threads share the pixels of a pair.
+
+    `dimensions` are the dimensions of all pairs. Workers on other machines must see the file `shared`; `is_remote` is
+    True on these machines.
+    """
+
+    pairs: Sequence[Pair]
+    options: Options
+    size: int
+    threads: int
+    shared: SharedFile
+    dimensions: tuple[int, ...] = (2,)
+    is_remote: bool = False
+    run_one: Callable[[Job, Options], Any] = run
+
+    @property
+    def chunks(self) -> range:
+        """The numbers of all chunks."""
+        return range(-(-len(self.pairs) // self.size))
+
+    def loaded(self) -> BatchWork:
+        """Load the solvers in this process."""
+        for dimension in self.dimensions:
+            registration_module(self.options.scheme, dimension)
+        return self
+
+    def piece(self, number: int) -> Piece:
+        """Return the pairs of a chunk."""
+        pairs = tuple(self.pairs[number * self.size : (number + 1) * self.size])
+        return Piece(pairs, frozenset(path for pair in pairs for path in pair.job.read if path.is_file()))
+
+    def solve(self, piece: Piece, is_wanted: Callable[[], bool] = lambda: True) -> Done:
+        """Register the pairs of a chunk that are not up to date; a failed pair has a line with the reason.
+
+        Raises Abandoned when the chunk is no longer wanted, FileError if the file system refuses an output, since that
+        concerns all pairs, and ClusterError if this machine does not see an input file.
+        """
+        tried = []
+        with threads_at_most(self.threads):
+            for pair in piece.pairs:
+                if not is_wanted():
+                    raise Abandoned
+                if self.is_remote:
+                    for path in pair.job.read:
+                        if path in piece.readable and not path.is_file():
+                            raise _unseen(path)
+                tried.append(self._tried(pair))
+        return _done(tried)
+
+    def lost(self, number: int, reason: str) -> Done:
+        """Return the lines of a chunk whose worker processes ended repeatedly."""
+        digests, pairs = Digests(options_digest(self.options)), self.piece(number).pairs
+        return _done([Tried(pair.number, _failed_line(pair.job, LOST, reason, digests), True) for pair in pairs])
+
+    def returned(self, number: int, done: Done) -> Done:
+        """Return the result of a worker unchanged: outputs are in their files."""
+        return done
+
+    def parcel(self) -> BatchParcel:
+        """Return the work without its pairs, for another machine."""
+        return BatchParcel(replace(self, pairs=()), self.digest_of_solvers(), target())
+
+    def digest_of_solvers(self) -> str:
+        """Return the digest of the source texts of all solvers."""
+        modules: list[Any] = [registration_module(self.options.scheme, dimension) for dimension in self.dimensions]
+        return hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in modules)).hexdigest()
+
+    def _tried(self, pair: Pair) -> Tried:
+        job, digests = pair.job, Digests(options_digest(self.options), _input_digest(pair.job))
+        if _is_up_to_date(pair.earlier, job, digests):
+            return Tried(pair.number, pair.earlier, False)
+        try:
+            record = self.run_one(job, self.options).record
+            written = " ".join(f"{kind}:{digest}" for kind, digest in _output_digests(job).items())
+            return Tried(pair.number, _line(record, replace(digests, written=written)), True)
+        except FileError:
+            raise
+        except CodegenError as error:
+            status, message = "wrong input", str(error)
+        except MemoryError:
+            message = "there is not enough memory for this pair; give smaller images, or fewer workers"
+            status = "out of memory"
+        except Exception as error:  # the other pairs go on; the line reports the defect and the exit status is 1
+            message = f"{type(error).__name__}: {error}; this is a defect of codegen, please report it"
+            status = "defect"
+        return Tried(pair.number, _failed_line(job, status, message, digests), True)
+
+
+@dataclass(frozen=True, eq=False)
+class BatchParcel:
+    """A batch for another machine, which derives the solvers itself: work, digest of the solvers, origin."""
+
+    work: BatchWork
+    digest: str
+    origin: Target
+
+    def unpacked(self) -> tuple[BatchWork, tuple[str, ...]]:
+        """Prepare the work on this machine; ClusterError if files or versions differ from those of the batch."""
+        if not self.work.shared.is_visible:
+            raise _unseen(self.work.shared.path)
+        scheme, dimensions = self.work.options.scheme, self.work.dimensions
+        with alone(f"registration {scheme}"):
+            were_compiled = all(is_compiled(scheme, dimension) for dimension in dimensions)
+            modules: list[Any] = [registration_module(scheme, dimension) for dimension in dimensions]
+        if self.work.digest_of_solvers() != self.digest:
+            remedy = "install the same versions of variational-codegen and sympy for all workers"
+            raise ClusterError(f"{platform.node()} derives another solver of registrations", remedy)
+        notes: tuple[str, ...] = ()
+        if not were_compiled or any(loading.machine_code_counts(module)[0] for module in modules):
+            name = Path(modules[0].__file__).stem
+            notes = (compiled_note(name, target(), self.origin, "the batch"),)
+        return replace(self.work, is_remote=True), notes
+
+
+def _done(tried: Sequence[Tried]) -> Done:
+    return Done(tally_of(pair.line for pair in tried), tuple(tried))
+
+
+def _unseen(path: Path) -> ClusterError:
+    finding = f"the worker on {platform.node()} does not see {path}"
+    return ClusterError(finding, "images travel as paths: give all workers the file system of this machine")
