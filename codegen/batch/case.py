@@ -20,9 +20,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.work import LOST, SOLVED
+from codegen.batch.executors.chunks import LOST, SOLVED
 from codegen.batch.layout import Shapes
-from codegen.batch.quantities import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
+from codegen.batch.request import GUESS, STEPS, CaseRates, Quantity, Wanted, given_to
 from codegen.errors import CodegenError, one_line
 from codegen.solving.drivers import find
 from codegen.solving.interfaces import Matrix, Vector, is_connect

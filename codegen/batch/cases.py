@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from codegen.batch.executors.work import counted
+from codegen.batch.executors.chunks import counted
 from codegen.errors import ArgumentError, NumericsError, clause, one_line
 from codegen.solving.interfaces import Matrix
 

@@ -25,9 +25,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codegen.batch.cases import Cases
-from codegen.batch.executors import journal
-from codegen.batch.executors.journal import damaged, journal_of
-from codegen.batch.executors.work import Tally, only_one
+from codegen.batch.executors.chunks import (
+    Journal,
+    Tally,
+    damaged_journal,
+    journal_of,
+    new_journal,
+    only_one,
+    read_journal,
+)
 from codegen.batch.layout import RESERVED, Chunks, Layout
 from codegen.batch.work import Rows
 from codegen.errors import ArgumentError, ClusterError, ExtraError, FileError, Interrupted
@@ -44,7 +50,7 @@ ANOTHER = "choose another name, or give the problem, cases and options that it w
 class SweepJournal:
     """The chunks of a sweep, the tallies of those that are finished by their numbers, and the lines that tell it."""
 
-    lines: journal.Journal
+    lines: Journal
     chunks: Chunks
     finished: Mapping[int, Tally]
 
@@ -61,17 +67,17 @@ class SweepJournal:
 def begun_journal(path: Path, digest: str, chunks: Chunks) -> SweepJournal:
     """A new journal, in which no chunk is finished."""
     header = {"sweep": digest, "cases": chunks.shape, "chunk": chunks.block}
-    return SweepJournal(journal.begun(path, header), chunks, {})
+    return SweepJournal(new_journal(path, header), chunks, {})
 
 
-def read_journal(path: Path, digest: str) -> SweepJournal:
+def read_sweep_journal(path: Path, digest: str) -> SweepJournal:
     """The journal of a sweep that was begun; ArgumentError where it is that of another, or none."""
-    lines = journal.read(path, "sweep", digest, ANOTHER)
+    lines = read_journal(path, "sweep", digest, ANOTHER)
     try:
         chunks = Chunks(tuple(map(int, lines.header["cases"])), tuple(map(int, lines.header["chunk"])))
         finished = {int(record["chunk"]): Tally.from_record(record) for record in lines.records}
     except (KeyError, TypeError, ValueError):
-        raise damaged(path) from None
+        raise damaged_journal(path) from None
     return SweepJournal(lines, chunks, finished)
 
 
@@ -98,7 +104,7 @@ def resumable(out: Path, begun: SweepJournal) -> Iterator[None]:
 
 def _kept(out: Path, begun: SweepJournal) -> str:
     """How many cases the journal has by now; an interrupt may have come just after it was written to."""
-    noted = read_journal(begun.lines.path, begun.digest).finished.values()
+    noted = read_sweep_journal(begun.lines.path, begun.digest).finished.values()
     return f"{sum(tally.cases for tally in noted)} of {math.prod(begun.chunks.shape)} cases are in {out}"
 
 
@@ -281,7 +287,7 @@ def resumed(path: Path, frame: Frame, digest: str) -> SweepJournal:
         raise ArgumentError(f"--resume: {path} is no store of a sweep", "choose another name") from None
     if attributes.get(DIGEST) != digest:
         raise ArgumentError(f"--resume: {path} is the store of another sweep", ANOTHER)
-    found = read_journal(journal_of(path), digest)
+    found = read_sweep_journal(journal_of(path), digest)
     # Refuse a store without arrays that it was laid out with, or without chunks that its journal says are whole.
     for name, (_, values) in frame.coordinates.items():
         _require_files(path, name, [(0,)] if values.size else [])

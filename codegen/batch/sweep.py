@@ -1,6 +1,6 @@
 """Many solves of one problem: a grid, a table or samples of cases, shared between processes, as one data set.
 
-The way of a sweep: modules, layout, chunks, store, an engine that solves, and what is left at the end.
+The way of a sweep: modules, layout, chunks, store, an executor that solves, and what is left at the end.
 """
 
 from __future__ import annotations
@@ -21,16 +21,13 @@ import numpy as np
 from codegen.batch import store
 from codegen.batch.case import Attempt
 from codegen.batch.cases import Cases
-from codegen.batch.executors import connected
-from codegen.batch.executors.team import Progress, Team, Working, silent
-from codegen.batch.executors.work import Done, Tally, counted
+from codegen.batch.executors import Progress, Team, Working, connected, silent
+from codegen.batch.executors.chunks import Done, Tally, counted
 from codegen.batch.jumps import Costs, along, jumps_of
 from codegen.batch.layout import Chunks, Layout, about_a_second, blocks_of, layout_of
-from codegen.batch.modules import Modules, modules_of
-from codegen.batch.quantities import GUESS, STEPS
-from codegen.batch.request import OPTIONS, SweepRequest, sweep_request
+from codegen.batch.request import GUESS, OPTIONS, STEPS, SweepRequest, sweep_request
 from codegen.batch.store import Frame, Memory, Store, only_sweep, require_xarray, resumable, write_netcdf
-from codegen.batch.work import Rows, Work
+from codegen.batch.work import Modules, Rows, Work, modules_of
 from codegen.errors import ArgumentError
 from codegen.machine import versions
 from codegen.problem.sources import ProblemFile, ProblemObject

@@ -31,7 +31,7 @@ def distances(
     """Tell how far specimens are from each other: the lengths of geodesics between their landmarks."""
     import numpy as np
 
-    from codegen.batch.executors.team import team_size
+    from codegen.batch.executors import team_size
     from codegen.registration.batches.distances import geodesic_distances, read_specimens, write_distances, write_mean
     from codegen.solving.results import output
 

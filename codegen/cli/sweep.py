@@ -203,7 +203,7 @@ def _kept_of_each(layout: Any) -> str:
 
 def _tell(outcome: Any, json: bool) -> None:
     """Print how the cases ended."""
-    from codegen.batch.executors.work import counted, table_of
+    from codegen.batch.executors.chunks import counted, table_of
     from codegen.solving.results.output import as_json
 
     for line in outcome.said:

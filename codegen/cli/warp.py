@@ -199,7 +199,7 @@ def _many(
     moving: Path, landmarks: tuple[Path, ...], out: Path | None, fixed: Path | None, field: Path | None,
     report: Path | None, options: Options, json: bool, who: Who,
 ) -> None:  # fmt: skip
-    from codegen.batch.executors.team import team_size
+    from codegen.batch.executors import team_size
     from codegen.registration.batches import page, pairing, work
     from codegen.registration.batches.outcome import BatchRequest, outcome_of
     from codegen.solving.results import output

@@ -80,7 +80,7 @@ class ClosedLoop:
         wanted, known = references or {}, (*self.state_names, *self.input_names)
         if unknown := [name for name in wanted if name not in known]:
             raise ArgumentError(clause(f"a reference of {unknown[0]!r}"), clause(f"use {', '.join(known)}"))
-        from codegen.show.notebook_solution import loop_picture
+        from codegen.show.notebook import loop_picture
 
         picture = loop_picture(self, wanted)
         if path is not None:
@@ -88,7 +88,7 @@ class ClosedLoop:
         return picture
 
     def _repr_html_(self) -> str:
-        from codegen.show.notebook_solution import loop_html
+        from codegen.show.notebook import loop_html
 
         return loop_html(self)
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from codegen.errors import ArgumentError
 from codegen.mpc.acceptance import BestIterate, Candidate, Pace, better, candidate, holds, is_solution
-from codegen.mpc.grids import Grids, shift_by
-from codegen.mpc.interface import Interface, Moving, Options, Values, interface_of, module_of, number
+from codegen.mpc.interface import Grids, Interface, Moving, Options, Values, interface_of, module_of, number, shift_by
 from codegen.mpc.motion import delay_of
 from codegen.runtime.search import linear
 from codegen.runtime.search.cascade import factor_nearby, minimise

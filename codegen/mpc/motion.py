@@ -22,8 +22,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from codegen.errors import ArgumentError, NumericsError, clause
-from codegen.mpc.grids import Grids
-from codegen.mpc.interface import WHOLE, Interface, Moving, Values, module_of, vector
+from codegen.mpc.interface import WHOLE, Grids, Interface, Moving, Values, module_of, vector
 from codegen.runtime.record import Form
 from codegen.runtime.search.linear_system import allocate_system, filled_entries
 from codegen.runtime.search.point import evaluate

@@ -27,7 +27,7 @@ from codegen.registration.grid import short
 from codegen.registration.jobs import MOST_LEFT_OUT, Outcome, Result
 from codegen.registration.maps import Registration
 from codegen.registration.pairs import PointArray
-from codegen.show.figures.style import AMBER, BLUE, CRIMSON, RED
+from codegen.show.figures.picture import AMBER, BLUE, CRIMSON, RED
 
 LONGEST = 560
 """Pixels of the longer side of a picture on the page; larger images are thinned."""

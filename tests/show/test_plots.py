@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from codegen.drawing import Arrow, Mass, Scene, Trail
 from codegen.errors import ArgumentError
 from codegen.show import figures
-from codegen.show.figures import panels, style
-from codegen.show.figures.picture import STYLE, Picture, using, words_of
+from codegen.show.figures import panels
+from codegen.show.figures.picture import STYLE, Picture, relation, using, words_of
 from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving import api
 
@@ -44,8 +44,8 @@ def test_labels(name, label):
 
 
 def test_relations():
-    assert style.relation("w1**2 + 3*w2 <= 1") == "w1^2 + 3·w2 ≤ 1"
-    assert style.relation("x" * 50, 10) == "x" * 9 + "…"
+    assert relation("w1**2 + 3*w2 <= 1") == "w1^2 + 3·w2 ≤ 1"
+    assert relation("x" * 50, 10) == "x" * 9 + "…"
 
 
 def texts(figure):

@@ -23,7 +23,7 @@ from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, get_wo
 from threadpoolctl import ThreadpoolController
 
 from codegen.batch.executors import LOCAL, Solved
-from codegen.batch.executors.work import Done, Parcel, Work
+from codegen.batch.executors.chunks import Done, Parcel, Work
 from codegen.errors import ArgumentError, ClusterError, CodegenError, clause, one_line
 
 TRIES = 3

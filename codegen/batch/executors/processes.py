@@ -21,7 +21,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from codegen.batch.executors import Solved
-from codegen.batch.executors.work import Abandoned, Done, Work
+from codegen.batch.executors.chunks import Abandoned, Done, Work
 
 START = "fork" if sys.platform == "linux" else "spawn"  # elsewhere libraries do not survive a fork
 TRIES = 3
@@ -32,7 +32,7 @@ _SECONDS = 5.0
 
 @contextmanager
 def running(work: Work, workers: int) -> Iterator[Callable[[Sequence[int]], Solved]]:
-    """Start the processes, and make sure that they end with the block; see `codegen.batch.executors.Engine`."""
+    """Start the processes, and make sure that they end with the block; see `codegen.batch.executors.Executor`."""
     pool = _Pool(work, workers)
     try:
         yield pool.solve

@@ -86,7 +86,7 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 
 def findings_html(findings: Sequence[Finding]) -> str:
     """Return the findings as a table in HTML, with the outcomes in words and not in colours alone."""
-    from codegen.show.notebook_solution import table as html_table
+    from codegen.show.notebook import table as html_table
 
     silent = sum(not finding.applies for finding in findings)
     failed = sum(not finding.passed for finding in findings)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
-from codegen.batch.quantities import Quantity, given_to, quantities
+from codegen.batch.request import Quantity, given_to, quantities
 from codegen.discretise.program import ControlProgram
 from codegen.errors import CodegenError
 from codegen.evidence.analysis.maximum_principle import beyond_maximum_principle, exact_optimum, reference_optimum

@@ -15,8 +15,7 @@ from codegen.evidence.report import landmark_effort, landmark_motion
 from codegen.evidence.report.problem_figures import colour_of
 from codegen.evidence.report.settings import Settings, few_landmarks
 from codegen.evidence.report.store import Store, Values
-from codegen.show.figures.picture import STYLE
-from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY, STYLE
 from codegen.solving.drivers import DRIVERS
 
 COLOURS = {

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from codegen.evidence.report.page import SUPERSCRIPTS
-from codegen.show.figures.style import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
+from codegen.show.figures.picture import AMBER, BLUE, DARK, GREEN, GREY, PINK, RED, SKY
 
 _PALETTE = (
     RED, AMBER, GREEN, "#7FCDBB", BLUE, PINK, "#D6616B", SKY, "#084594", "#54278F", "#6A3D9A", DARK, "#B3A100",

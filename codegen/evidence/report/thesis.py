@@ -28,7 +28,7 @@ from codegen.evidence.report.page import Picture, Section, Table, number, second
 from codegen.evidence.report.problem_figures import colour_of
 from codegen.evidence.report.settings import Extent, quick_settings
 from codegen.evidence.report.store import Case, Store, Values
-from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREEN, GREY, RED, body_colours
 from codegen.solving.interfaces import ControlModule, is_control, is_simulation
 
 HOVERCRAFT_SECTION = "hovercraft: figures A.1 to A.5"

@@ -1,4 +1,4 @@
-"""The way of a batch: what was done before, a first pair that is timed, chunks that an engine does, and the summary.
+"""The way of a batch: what was done before, a first pair that is timed, chunks that an executor does, and the summary.
 
 While a batch is being done, a journal beside the summary has the line of every pair as soon as its outputs are there,
 so that whatever ends it loses only what was being done. A pair is left alone when its line tells that it was solved
@@ -14,11 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from codegen.batch.executors import connected
-from codegen.batch.executors import journal as journals
-from codegen.batch.executors.journal import Journal, journal_of
-from codegen.batch.executors.team import Progress, Team, Working, silent
-from codegen.batch.executors.work import LOST, SOLVED, Done, Tally
+from codegen.batch.executors import Progress, Team, Working, connected, silent
+from codegen.batch.executors.chunks import LOST, SOLVED, Done, Journal, Tally, journal_of, new_journal, read_journal
 from codegen.errors import ArgumentError
 from codegen.files import remove_leftovers
 from codegen.registration.batches.pairing import Places, make_folders
@@ -121,15 +118,15 @@ def _require_same(summary: Path, before: Sequence[Line], path: Path, digest: str
     if any(line["options"] != digest for line in before):
         raise ArgumentError(f"--resume: {summary} is that of another batch", ANOTHER)
     if path.exists():
-        journals.read(path, BATCH, digest, ANOTHER)
+        read_journal(path, BATCH, digest, ANOTHER)
 
 
 def _journal(path: Path, digest: str) -> Journal:
     """The journal of a batch with these options, in which nothing is noted where there was none."""
     try:
-        return journals.read(path, BATCH, digest, ANOTHER)
+        return read_journal(path, BATCH, digest, ANOTHER)
     except ArgumentError:  # of other options or another version, or none of ours: then nothing of it is of use
-        return journals.begun(path, {BATCH: digest})
+        return new_journal(path, {BATCH: digest})
 
 
 def _noted(journal: Journal) -> list[Line]:

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 
 from codegen.drawing import Scene
-from codegen.show.figures.closed_loop import closed_loop_figure
 from codegen.show.figures.control import Drawings, control_figure
 from codegen.show.figures.pareto import Objective, objectives_of, pareto_figure, require_objectives
-from codegen.show.figures.picture import finished, using, write
-from codegen.show.figures.simulation import connect_figure, simulation_figure, specimen_figure
-from codegen.show.figures.style import label
+from codegen.show.figures.picture import finished, label, using, write
+from codegen.show.figures.simulation import closed_loop_figure, connect_figure, simulation_figure, specimen_figure
 from codegen.show.figures.sweep import sweep_figure
 from codegen.solving.interfaces import GeneratedModule, is_connect, is_control
 from codegen.solving.results.result import Result

@@ -16,9 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from codegen.drawing import Scene
 from codegen.show.figures import panels, shapes
-from codegen.show.figures.picture import letter_size, new_figure
-from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
-from codegen.show.figures.style import (
+from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     DARK,
@@ -28,9 +26,12 @@ from codegen.show.figures.style import (
     body_colours,
     body_map,
     label,
+    letter_size,
+    new_figure,
     quantity,
     title,
 )
+from codegen.show.figures.quantities import Inequality, Quantity, inequalities_of_segments, quantities_of_segments
 from codegen.solving.interfaces import ControlModule, Matrix, Vector, time_grid
 from codegen.solving.results.estimates import Fit
 from codegen.solving.results.result import Result, Sensitivities

@@ -9,9 +9,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from codegen.show.figures.picture import letter_size
-from codegen.show.figures.quantities import Inequality, Quantity
-from codegen.show.figures.style import (
+from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     DARK,
@@ -22,8 +20,10 @@ from codegen.show.figures.style import (
     RED,
     body_colours,
     label,
+    letter_size,
     relation,
 )
+from codegen.show.figures.quantities import Inequality, Quantity
 from codegen.solving.interfaces import Matrix, Vector
 
 KINDS = {"state": BLUE, "momentum": GREEN, "multiplier": PINK, "control": RED}

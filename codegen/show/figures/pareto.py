@@ -18,8 +18,18 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from codegen.errors import ArgumentError, clause
-from codegen.show.figures.picture import new_figure
-from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREY, body_map, heading, label, quantity, statuses
+from codegen.show.figures.picture import (
+    BLUE,
+    CRIMSON,
+    DARK,
+    GREY,
+    body_map,
+    heading,
+    label,
+    new_figure,
+    quantity,
+    statuses,
+)
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -23,8 +23,7 @@ from PIL import Image
 
 from codegen.drawing import Arrow, Box, Circle, Ground, Item, Mark, Mass, Rod, Scene, Trail
 from codegen.errors import ArgumentError
-from codegen.show.figures.picture import STYLE, letter_size
-from codegen.show.figures.style import BLUE, CRIMSON, DARK, GREY, SKY, body_colours
+from codegen.show.figures.picture import BLUE, CRIMSON, DARK, GREY, SKY, STYLE, body_colours, letter_size
 
 SHOTS, MANY_SHOTS = 9, 7
 """Instants at which a picture shows one body, and the arrows of several bodies."""

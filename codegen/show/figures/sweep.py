@@ -26,8 +26,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from codegen.show.figures.panels import KINDS
-from codegen.show.figures.picture import letter_size, new_figure
-from codegen.show.figures.style import (
+from codegen.show.figures.picture import (
     AMBER,
     BLUE,
     CRIMSON,
@@ -38,6 +37,8 @@ from codegen.show.figures.style import (
     body_map,
     heading,
     label,
+    letter_size,
+    new_figure,
     quantity,
     statuses,
 )

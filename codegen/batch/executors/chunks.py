@@ -1,23 +1,31 @@
-"""What engines share out: work in chunks, which are counted from zero and done in any process.
+"""What executors share out: work in chunks, which are counted from zero and done in any process.
 
 Work can be pickled, and is small: workers get it once, and then a piece, or a number, for each chunk.
 
 What a worker's machine is to machine code, and how the processes of one machine wait for each other.
+
+A journal: which work it belongs to, and what of that is whole.
+
+Lines of JSON: first a header with the digest of the work, then one for each part that is where it belongs. A line is
+written after its part, so that what ends the work at any time loses only what was being done; a line that was cut off
+counts for nothing.
 """
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import json
+import os
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
-from codegen.errors import CodegenError, clause
-from codegen.files import refused
+from codegen.errors import ArgumentError, CodegenError, clause
+from codegen.files import refused, write_text
 from codegen.solving.cache import cache_folder
 
 if TYPE_CHECKING:
@@ -232,3 +240,67 @@ def _is_locked(file: TextIO) -> bool:
         except OSError as error:  # others than these come from disks without locks
             return error.errno in (errno.EACCES, errno.EAGAIN)
     return False
+
+
+def journal_of(path: Path) -> Path:
+    """The file beside a store, or a table, that is filled part by part."""
+    return path.with_name(f"{path.name}.journal")
+
+
+@dataclass(frozen=True)
+class Journal:
+    """A file of lines, its header, and the lines that it had when it was opened."""
+
+    path: Path
+    header: Mapping[str, Any]
+    records: tuple[dict[str, Any], ...] = ()
+
+    def add(self, records: Iterable[Mapping[str, Any]]) -> None:
+        """Note parts that are whole; FileError when the file system refuses."""
+        try:
+            with self.path.open("a", encoding="utf-8", newline="\n") as file:
+                file.write("".join(json.dumps(record) + "\n" for record in records))
+        except OSError as error:
+            raise refused(error, self.path) from error
+
+
+def new_journal(path: Path, header: Mapping[str, Any]) -> Journal:
+    """A new journal, in which nothing is noted."""
+    write_text(path, json.dumps(header) + "\n")
+    return Journal(path, header)
+
+
+def read_journal(path: Path, kind: str, digest: str, another: str) -> Journal:
+    """The journal of work of a kind that was begun; ArgumentError where it is that of another, or none.
+
+    `another` is what to do in that case. A line at the end that is not whole is taken away, so that the next one does
+    not go on in it.
+    """
+    # The lines that are whole, of which there is at least one.
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError):
+        raise ArgumentError(f"--resume: {path} cannot be read", another) from None
+    found = []
+    for line in lines:
+        if not line.endswith("\n"):
+            break
+        try:
+            found.append(json.loads(line))
+        except ValueError:
+            raise damaged_journal(path) from None
+    if not found or not all(isinstance(record, dict) for record in found):
+        raise damaged_journal(path)
+    header, *records = found
+    if header.get(kind) != digest:
+        raise ArgumentError(f"--resume: {path} tells of another {kind}", another)
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole < len(data):
+        os.truncate(path, whole)
+    return Journal(path, header, tuple(records))
+
+
+def damaged_journal(path: Path) -> ArgumentError:
+    """The error of a journal whose lines are none of ours."""
+    return ArgumentError(f"--resume: {path} is damaged", "begin anew under another name")
