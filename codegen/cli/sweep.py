@@ -206,7 +206,7 @@ def _tell(outcome: Any, json: bool) -> None:
     from codegen.batch.executors.chunks import counted, table_of
     from codegen.solving.results.output import as_json
 
-    for line in outcome.said:
+    for line in outcome.messages:
         typer.echo(line, err=True)
     tally = outcome.tally
     if json:

@@ -1,6 +1,6 @@
-"""The registry of executors: who does the chunks of some work. One file for each; another one is a file and a row.
+"""The registry of executors, and the call that has chunks of work done by one of them.
 
-Who does some work, and the way of it: an executor does the chunks, what is done is kept, and progress is told.
+An executor is one file in this folder and one row of EXECUTORS.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from codegen.batch.executors.chunks import Done, Tally, Work
 from codegen.errors import ArgumentError, ExtraError, NumericsError, clause
 
 Solved: TypeAlias = "Iterator[tuple[int, Done]]"
-"""Chunks by their numbers as they are finished, in any order."""
+"""Results of chunks by their numbers, in any order."""
 Executor: TypeAlias = "Callable[[Work, int], AbstractContextManager[Callable[[Sequence[int]], Solved]]]"
-"""(work, workers) -> a context with workers that are ready, in which a function solves chunks by their numbers.
+"""(work, workers) -> a context with workers; in the context a function solves chunks by their numbers.
 
-Each chunk comes exactly once. One whose workers are lost time and again comes as `work.lost` makes it.
+Each chunk is returned exactly once. A chunk whose workers were lost several times is returned by `work.lost`.
 """
 
 
 @dataclass(frozen=True)
 class Row:
-    """Name and summary of an executor; its file has a function `running` that is an Executor."""
+    """Name and summary of an executor; its file defines a function `running` of type Executor."""
 
     name: str
     summary: str
 
     @property
     def running(self) -> Executor:
-        """The executor, imported when it is asked for."""
+        """The executor, imported on demand."""
         return getattr(import_module(f"codegen.batch.executors.{self.name}"), "running")  # type: ignore[no-any-return]  # noqa: B009
 
 
 LOCAL = "local"
-"""The word for a cluster that is begun for the work, on this machine."""
+"""Value of `cluster` that starts a cluster of dask on this machine."""
 EXECUTORS = {
     row.name: row
     for row in (
@@ -50,11 +50,11 @@ EXECUTORS = {
         Row("dask", "workers of a cluster of dask, on any machines"),
     )
 }
-"""Every executor by name; tests run over this table."""
+"""All executors by name; tests run over this table."""
 
 
 def executor_for(workers: int, cluster: Any = None) -> Executor:
-    """The executor of a cluster, if there is one, or the one that so many workers of this machine need."""
+    """Return the executor for a cluster, or for this number of workers on this machine."""
     if cluster is not None:
         running: Any = EXECUTORS["dask"].running
         return partial(running, cluster=cluster)
@@ -62,34 +62,34 @@ def executor_for(workers: int, cluster: Any = None) -> Executor:
 
 
 def connected(cluster: Any) -> AbstractContextManager[Any]:
-    """A client of the cluster that is asked for, or None where none is; it is looked for before anything takes long.
+    """Return a context with the client of a cluster, or with None.
 
-    Raises ExtraError without dask, ClusterError when nothing answers or nobody works there, and ArgumentError for what
-    is no cluster.
+    Raises ExtraError without dask, ClusterError when no scheduler answers or it has no workers, and ArgumentError for
+    an invalid value of `cluster`.
     """
     if cluster is None:
         return nullcontext()
     if find_spec("distributed") is None:
         raise ExtraError("a cluster needs dask, which is not installed", "pip install 'variational-codegen[cluster]'")
-    made: AbstractContextManager[Any] = import_module("codegen.batch.executors.dask").connected(cluster)
-    return made
+    client: AbstractContextManager[Any] = import_module("codegen.batch.executors.dask").connected(cluster)
+    return client
 
 
 Progress: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[[int, str], None]]]
-"""(what, count) -> a context that is told (parts done, what is going on)."""
+"""(name, count) -> a context with a function of (parts done, text) that shows progress."""
 Working: TypeAlias = Callable[[str], AbstractContextManager[Any]]
-"""A sign of life while something takes long."""
+"""(name) -> a context that shows activity during a long step."""
 
 
 @contextmanager
 def silent(what: str, count: int) -> Iterator[Callable[[int, str], None]]:
-    """Progress that nobody watches."""
+    """Show no progress."""
     yield lambda done, text: None
 
 
 @dataclass(frozen=True)
 class Team:
-    """Processes or a client of a cluster; signs of life, of one thing that takes long and of many; what they say."""
+    """The number of processes or the client of a cluster, the display of progress, and the notes of workers."""
 
     workers: int
     cluster: Any = None
@@ -101,7 +101,10 @@ class Team:
         self, work: Work, numbers: Sequence[int], total: int, before: Tally, keep: Callable[[int, Done], None],
         what: tuple[str, str] = ("Solving", "cases"),
     ) -> Tally:  # fmt: skip
-        """Have chunks done and what comes of them kept; the tally of these and those before, `total` cases in all."""
+        """Solve chunks, pass each result to `keep`, and return the tally of these and earlier ones.
+
+        `total` is the number of all cases; `what` names the action and the unit of progress.
+        """
         if not numbers:
             return before
         used, tally, begin = min(self.workers, len(numbers)), before, time.perf_counter()
@@ -111,15 +114,15 @@ class Team:
                 tally = tally + done.tally
                 self.notes.update(dict.fromkeys(done.notes))
                 rate = (tally.cases - before.cases) / (time.perf_counter() - begin)
-                left, failed = (total - tally.cases) / rate, tally.cases - tally.solved
-                shown(tally.cases, f"{rate:.3g} {what[1]}/s, {failed} failed, about {left:.0f} s left")
+                remaining, failed = (total - tally.cases) / rate, tally.cases - tally.solved
+                shown(tally.cases, f"{rate:.3g} {what[1]}/s, {failed} failed, about {remaining:.0f} s left")
         return tally
 
 
 def team_size(workers: Any, cluster: Any) -> int:
-    """How many processes are to be begun, unless said one for each processor.
+    """Return the number of worker processes, by default the number of available processors.
 
-    Raises NumericsError for what is no number of processes, ArgumentError beside a cluster that has its own workers.
+    Raises NumericsError for an invalid number, ArgumentError for a number beside a cluster that has its own workers.
     """
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,14 +1,11 @@
-"""What executors share out: work in chunks, which are counted from zero and done in any process.
+"""Work that executors share out in chunks, the tally of its results, locks and journals.
 
-Work can be pickled, and is small: workers get it once, and then a piece, or a number, for each chunk.
+Work is pickled once for each worker and is small. Chunks are numbered from zero; a worker receives a number, or a piece
+with the data of the chunk.
 
-What a worker's machine is to machine code, and how the processes of one machine wait for each other.
-
-A journal: which work it belongs to, and what of that is whole.
-
-Lines of JSON: first a header with the digest of the work, then one for each part that is where it belongs. A line is
-written after its part, so that what ends the work at any time loses only what was being done; a line that was cut off
-counts for nothing.
+A journal lists the finished chunks of some work. It has lines of JSON: a header with the digest of the work, then one
+line for each chunk. The line is written after the results of the chunk. So an interrupt loses only chunks in progress.
+An incomplete last line is ignored.
 """
 
 from __future__ import annotations
@@ -33,14 +30,15 @@ if TYPE_CHECKING:
 
 SOLVED = "solved"
 LOST = "worker lost"
-"""The status of a case whose chunk has ended process after process."""
+"""Status of a case whose chunk ended several worker processes."""
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How many cases ended in each status, the first message of each, and the seconds of all solves together.
+    """Number of cases by status, the first message of each status, and the seconds of all solves.
 
-    `improved` are those that were begun from beyond a jump of the cost and won by it; beside `jumps` one is left.
+    `improved` counts cases with a lower cost after a start from beyond a jump of the cost. `jumps` counts cases that
+    still lie beside a jump.
     """
 
     counts: Mapping[str, int] = field(default_factory=dict)
@@ -50,40 +48,40 @@ class Tally:
     jumps: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        """Both together; messages of the first count."""
+        """Return the sum of both tallies; messages of the first one take precedence."""
         counts = {key: self.counts.get(key, 0) + other.counts.get(key, 0) for key in {**self.counts, **other.counts}}
         sums = (self.seconds + other.seconds, self.improved + other.improved, self.jumps + other.jumps)
         return Tally(counts, {**other.messages, **self.messages}, *sums)
 
     @property
     def cases(self) -> int:
-        """How many cases have been counted."""
+        """Number of cases."""
         return sum(self.counts.values())
 
     @property
     def solved(self) -> int:
-        """How many are solved."""
+        """Number of solved cases."""
         return self.counts.get(SOLVED, 0)
 
     @property
     def failed(self) -> dict[str, int]:
-        """How many are not, by status, the most frequent first."""
+        """Number of cases by status, without solved ones, the most frequent status first."""
         rest = ((status, count) for status, count in self.counts.items() if status != SOLVED)
         return dict(sorted(rest, key=lambda pair: (-pair[1], pair[0])))
 
     def as_record(self) -> dict[str, Any]:
-        """The tally as an object of JSON, which `from_record` reads."""
+        """Return the tally as a JSON object; `from_record` reads it."""
         return {"counts": dict(self.counts), "messages": dict(self.messages), "seconds": self.seconds, **self.won}
 
     @property
     def won(self) -> dict[str, int]:
-        """What there is to say of jumps of the cost: nothing where there were none."""
+        """Return the entries about jumps of the cost that are not zero."""
         named = {"improved": self.improved, "jumps": self.jumps}
         return {name: number for name, number in named.items() if number}
 
     @staticmethod
     def from_record(record: Mapping[str, Any]) -> Tally:
-        """The tally that a record tells; KeyError, TypeError or ValueError where it tells none."""
+        """Return the tally of a JSON object; raises KeyError, TypeError or ValueError for another object."""
         counts = {str(status): int(count) for status, count in dict(record["counts"]).items()}
         messages = {str(status): str(message) for status, message in dict(record["messages"]).items()}
         jumps = (int(record.get(name, 0)) for name in ("improved", "jumps"))
@@ -91,12 +89,12 @@ class Tally:
 
 
 def counted(number: int, what: str) -> str:
-    """A number and what is counted, in the singular or the plural."""
+    """Return a number with its noun in the singular or the plural."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def table_of(tally: Tally) -> Table:
-    """A line for every status, with one of its messages."""
+    """Return a table with a row for each status and one of its messages."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -113,12 +111,12 @@ def table_of(tally: Tally) -> Table:
 
 
 class Abandoned(Exception):
-    """Nobody wants the chunk any longer."""
+    """The task was cancelled."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """A chunk that is finished: how its cases ended, what is to be handed over of them if anything is, and notes."""
+    """The result of a chunk: the tally, the rows if the worker did not store them, and notes for the user."""
 
     tally: Tally
     rows: Any = None
@@ -126,40 +124,40 @@ class Done:
 
 
 class Work(Protocol):
-    """All that doing any chunk needs."""
+    """The interface of work that executors can do."""
 
     def loaded(self) -> Work:
-        """The same; what takes long once in a process, such as reading machine code, has been done in this one."""
+        """Return the work after the slow preparation of this process, such as loading machine code."""
 
     def piece(self, number: int) -> Any:
-        """What a chunk needs beside the work; as small as the chunk."""
+        """Return the data of a chunk that a worker needs in addition to the work."""
 
     def solve(self, piece: Any, is_wanted: Callable[[], bool] = ...) -> Done:
-        """Do a chunk and leave what is to be left; raises Abandoned as soon as it is no longer wanted.
+        """Solve a chunk and store its results; raises Abandoned as soon as `is_wanted` returns False.
 
-        What fails in a single case is part of the result; what ends everything is raised.
+        A failed case is part of the result. An error that ends all of the work is raised.
         """
 
     def lost(self, number: int, reason: str) -> Done:
-        """A chunk of which nothing came."""
+        """Return the result of a chunk whose workers were lost."""
 
     def parcel(self) -> Parcel:
-        """The work as it is sent to other machines, without its cases; ArgumentError where it cannot be sent."""
+        """Return the work for other machines, without its cases; raises ArgumentError if this is impossible."""
 
     def returned(self, number: int, done: Done) -> Done:
-        """Keep, in the process that gave the orders, what a worker elsewhere could not leave where it belongs."""
+        """Store, in the client process, the rows that a remote worker could not store."""
 
 
 class Parcel(Protocol):
-    """Work on its way to another machine. Machine code belongs to a processor, and is never sent."""
+    """Work in transit to another machine. It carries no machine code, which depends on the processor."""
 
     def unpacked(self) -> tuple[Work, tuple[str, ...]]:
-        """The work, ready to do pieces here, and what is to be said of this machine; CodegenError if it cannot be."""
+        """Return the work, ready for this machine, and notes about the machine; raises CodegenError if this fails."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """What machine code is made for: the processor, what it can do as a digest, and the versions."""
+    """The target of machine code: processor, a digest of its features, and versions."""
 
     processor: str
     features: str
@@ -171,37 +169,37 @@ class Target:
 
 
 def target() -> Target:
-    """That of this machine."""
+    """Return the target of this machine."""
     import numba
     from llvmlite import binding
 
     settings: Any = numba.config
     processor = settings.CPU_NAME or binding.get_host_cpu_name()
     features = settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
-    if processor == "generic":  # what numba then takes
+    if processor == "generic":  # numba then uses no features
         features = ""
     digest = hashlib.sha256(str(features).encode()).hexdigest()[:8]
     return Target(str(processor), digest, numba.__version__, platform.python_version())
 
 
-def compiled_note(module: str, here: Target, origin: Target, work: str) -> str:
-    """What is said where a worker had to compile a module; `work` is what was begun on another machine."""
-    reason = "" if here == origin else f"; {work} was begun on {origin}"
-    return f"{platform.node()}: compiled {module} for {here}{reason}"
+def compiled_note(module: str, local: Target, origin: Target, work: str) -> str:
+    """Return the note of a worker that compiled a module; `work` names the work that began on another machine."""
+    reason = "" if local == origin else f"; {work} was begun on {origin}"
+    return f"{platform.node()}: compiled {module} for {local}{reason}"
 
 
 def workers_folder() -> Path:
-    """Where this machine keeps what its workers share."""
+    """Return the folder that the workers of this machine share."""
     return cache_folder() / "workers"
 
 
 @contextmanager
 def alone(name: str) -> Iterator[None]:
-    """One process of this machine after the other, where the system can tell them to wait."""
+    """Let one process of this machine run the block at a time, if the system has file locks."""
     folder = workers_folder()
     try:
         with _lock_file(folder, name) as file:
-            with suppress(ImportError, OSError):  # without it all compile, and find the same
+            with suppress(ImportError, OSError):  # without locks all processes compile, with the same result
                 import fcntl
 
                 fcntl.flock(file, fcntl.LOCK_EX)
@@ -213,15 +211,21 @@ def alone(name: str) -> Iterator[None]:
 
 @contextmanager
 def only_one(name: str, taken: CodegenError) -> Iterator[None]:
-    """One process of this machine, and for others an error; whatever ends a process, its lock ends with it."""
+    """Let one process of this machine run the block and raise `taken` in others; the lock ends with the process."""
     try:
         file = _lock_file(workers_folder(), name)
-    except OSError:  # where nothing can be written to the cache, nobody can be told
+    except OSError:  # without a cache folder there is no lock
         yield
         return
     with file:
-        if _is_locked(file):
-            raise taken
+        with suppress(ImportError):
+            import fcntl
+
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # forks do not inherit this kind of lock
+            except OSError as error:
+                if error.errno in (errno.EACCES, errno.EAGAIN):  # disks without locks raise other numbers
+                    raise taken from None
         yield
 
 
@@ -230,33 +234,21 @@ def _lock_file(folder: Path, name: str) -> TextIO:
     return (folder / f"{hashlib.sha256(name.encode()).hexdigest()[:20]}.lock").open("a")
 
 
-def _is_locked(file: TextIO) -> bool:
-    """Whether another process has the file; else this one has it now, and its forks do not inherit it."""
-    with suppress(ImportError):
-        import fcntl
-
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:  # others than these come from disks without locks
-            return error.errno in (errno.EACCES, errno.EAGAIN)
-    return False
-
-
 def journal_of(path: Path) -> Path:
-    """The file beside a store, or a table, that is filled part by part."""
+    """Return the path of the journal beside a store or table."""
     return path.with_name(f"{path.name}.journal")
 
 
 @dataclass(frozen=True)
 class Journal:
-    """A file of lines, its header, and the lines that it had when it was opened."""
+    """A journal file, its header, and the records at the time of opening."""
 
     path: Path
     header: Mapping[str, Any]
     records: tuple[dict[str, Any], ...] = ()
 
     def add(self, records: Iterable[Mapping[str, Any]]) -> None:
-        """Note parts that are whole; FileError when the file system refuses."""
+        """Append records of finished parts; raises FileError when the file system refuses."""
         try:
             with self.path.open("a", encoding="utf-8", newline="\n") as file:
                 file.write("".join(json.dumps(record) + "\n" for record in records))
@@ -265,42 +257,36 @@ class Journal:
 
 
 def new_journal(path: Path, header: Mapping[str, Any]) -> Journal:
-    """A new journal, in which nothing is noted."""
+    """Write a journal without records."""
     write_text(path, json.dumps(header) + "\n")
     return Journal(path, header)
 
 
 def read_journal(path: Path, kind: str, digest: str, another: str) -> Journal:
-    """The journal of work of a kind that was begun; ArgumentError where it is that of another, or none.
+    """Return the journal of earlier work of a kind and digest, and truncate an incomplete last line.
 
-    `another` is what to do in that case. A line at the end that is not whole is taken away, so that the next one does
-    not go on in it.
+    Raises ArgumentError for a journal of other work and for a damaged one. `another` is the remedy in the message.
     """
-    # The lines that are whole, of which there is at least one.
     try:
         lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError):
         raise ArgumentError(f"--resume: {path} cannot be read", another) from None
-    found = []
-    for line in lines:
-        if not line.endswith("\n"):
-            break
-        try:
-            found.append(json.loads(line))
-        except ValueError:
-            raise damaged_journal(path) from None
-    if not found or not all(isinstance(record, dict) for record in found):
+    try:
+        complete = [json.loads(line) for line in lines if line.endswith("\n")]  # only the last line can be cut off
+    except ValueError:
+        raise damaged_journal(path) from None
+    if not complete or not all(isinstance(record, dict) for record in complete):
         raise damaged_journal(path)
-    header, *records = found
+    header, *records = complete
     if header.get(kind) != digest:
         raise ArgumentError(f"--resume: {path} tells of another {kind}", another)
     data = path.read_bytes()
-    whole = data.rfind(b"\n") + 1
-    if whole < len(data):
-        os.truncate(path, whole)
+    complete_bytes = data.rfind(b"\n") + 1
+    if complete_bytes < len(data):
+        os.truncate(path, complete_bytes)
     return Journal(path, header, tuple(records))
 
 
 def damaged_journal(path: Path) -> ArgumentError:
-    """The error of a journal whose lines are none of ours."""
+    """Return the error for a journal with invalid lines."""
     return ArgumentError(f"--resume: {path} is damaged", "begin anew under another name")
