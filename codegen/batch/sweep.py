@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-def sweep(*positional: Any, **options: Any) -> Dataset:
+def sweep(*positional: Any, **options: Any) -> Dataset:  # noqa: D417  the signature is that of sweep_request
     """Solve a problem for many values of its parameters, and return all solutions as one data set.
 
     Cases are defined by one of `vary`, `cases` and `samples`. Quantities that can vary are parameters of the module,
