@@ -118,8 +118,8 @@ def differences(one: Any, other: Any) -> dict[str, float]:
     return found
 
 
-_PICTURE, _FILM = Deferred("show.notebook_solution", "picture"), Deferred("show.notebook_solution", "film")
-_HTML = Deferred("show.notebook_solution", "html")
+_PICTURE, _FILM = Deferred("show.notebook", "picture"), Deferred("show.notebook", "film")
+_HTML = Deferred("show.notebook", "html")
 
 
 @dataclass(frozen=True)
