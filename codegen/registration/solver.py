@@ -1,6 +1,6 @@
 """The generated solver of registrations: where its problem is found, and how it is built, compiled and kept.
 
-The problem file is in `problems/` of a checkout, and beside this file where the package is installed from a wheel. The
+The problem file is in `problems/` of a checkout, and in `codegen/gallery/` where the package is installed. The
 module that is derived from it goes to the build cache ($CODEGEN_CACHE_DIR, or a folder in the user's cache directory),
 and its machine code beside it, so that only the first registration on a machine has to wait for either.
 
@@ -166,7 +166,7 @@ def arguments_of(dimension: int) -> dict[str, str]:
 def problem_file() -> Path:
     """The file of the problem whose module registers images; ModuleError when it is missing."""
     here = Path(__file__).parent
-    for candidate in (here / "problem" / PROBLEM, here.parents[1] / "problems" / PROBLEM):
+    for candidate in (here.parent / "gallery" / PROBLEM, here.parents[1] / "problems" / PROBLEM):
         if candidate.is_file():
             return candidate
     raise ModuleError(f"{PROBLEM} is missing from the installation", "install the package again")
