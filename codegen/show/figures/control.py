@@ -26,10 +26,10 @@ from codegen.show.figures.picture import (
     Units,
     body_colours,
     body_map,
-    has_details,
     label,
     letter_size,
     new_figure,
+    present_style,
     quantity,
     title,
 )
@@ -203,7 +203,8 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     initial guess and the optimum.
     """
     groups, conditions = quantities_of_segments(module, result), inequalities_of_segments(module, result)
-    if not has_details():
+    style = present_style()
+    if not style.has_details:
         groups["multiplier"] = []
     samples, bodies = measured(module, result), int(module.metadata.bodies)
     states = _state_rows(groups, samples, bands(module, result) if samples else {})
@@ -214,14 +215,17 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     width = WIDE if len(states[0]) > 4 else WIDTH
     band_height, part = _drawing_size(drawings, width)
     columns = math.ceil(len(others) / _MOST_BESIDE)
-    beside = 0.0 < part < 1.0 and columns <= (_MOST_COLUMNS_BESIDE if width == WIDE else 1)
+    beside = 0.0 < part < 1.0 and columns <= (_MOST_COLUMNS_BESIDE if width == WIDE else 1) and not style.is_slide
     blocks = [states] if beside else [states, _in_rows(others, len(states[0]))]
     count = sum(map(len, blocks))
     height = max(1.2, 2.1 - 0.09 * count) * count + 0.6
-    figure = new_figure(width, 0.9 + band_height + height, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
+    size = width, 0.9 + height + (0.0 if style.is_slide else band_height)
+    figure = new_figure(*size, ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05))
     upper: Any = None
     lower: Any = figure
-    if drawings is not None:
+    if drawings is not None and style.is_slide:
+        upper, lower = figure.subfigures(1, 2, width_ratios=[0.45, 0.55])
+    elif drawings is not None:
         upper, lower = figure.subfigures(2, 1, height_ratios=[band_height, height])
     metadata = module.metadata
     inner_name = ("waypoint" if metadata.waypoints else "inner time") if metadata.inner_times else ""
@@ -270,7 +274,7 @@ def _state_rows(
         # A Hamiltonian system has two equations, and two multipliers, for each coordinate.
         pair = multipliers[i : i + 1] + multipliers[i + len(states) : i + len(states) + 1]
         own: Row = [_state_panel(states[i], samples, bands), *map(_panel, momenta[i : i + 1])]
-        if has_details():
+        if present_style().has_details:
             own.append(_panel(*pair) if pair else None)
         rows.append(own)
     if (not momenta and shown > 2) or shown > _MANY:
@@ -317,7 +321,7 @@ def _others(controls: Sequence[Quantity], conditions: Sequence[Inequality], resu
         others += [Panel("", partial(panels.inequality, shown=one)) for one in conditions]
     if result.grid is not None:
         others.append(Panel("", partial(panels.lengths, t=result.t)))
-    if result.log is not None and len(result.log) > 1 and has_details():
+    if result.log is not None and len(result.log) > 1 and present_style().has_details:
         others.append(Panel("", partial(panels.iterations, log=result.log), over_time=False))
     return others
 
@@ -377,7 +381,10 @@ def _drawing_size(drawings: Drawings | None, width: float) -> tuple[float, float
 def _draw(figure: Any, drawings: Drawings, outcome: str) -> None:
     """Draw the scene; of several bodies the initial guess beside the solution."""
     if shapes.bodies_of(drawings.solution) == 1:
-        shapes.course(figure.add_subplot(), drawings.solution, shapes.extent([drawings.solution]))
+        axes = figure.add_subplot()
+        shapes.course(axes, drawings.solution, shapes.extent([drawings.solution]))
+        if present_style().is_slide:
+            axes.set_anchor("C")
         return
     room = shapes.extent([drawings.guess, drawings.solution])
     scenes = {"initial guess": drawings.guess, outcome: drawings.solution}

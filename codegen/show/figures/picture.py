@@ -56,14 +56,15 @@ STYLE: dict[Any, Any] = {
 class Style:
     """A style: size relative to a page, letters in points, relative line width, dots per inch, and contents.
 
-    Without `has_details` a solved figure has no title, and an optimum no multipliers and iterations. A slide has an
-    aspect ratio of 16:9.
+    Without `has_title` a solved figure has no title. Without `has_details` an optimum has no multipliers and
+    iterations. A slide has an aspect ratio of 16:9, with the drawing at the left.
     """
 
     size: float
     letters: float
     lines: float
     resolution: float = 150.0
+    has_title: bool = True
     has_details: bool = True
     is_slide: bool = False
 
@@ -76,8 +77,8 @@ class Style:
 
 STYLES = {
     "page": Style(1.0, 9.5, 1.0),
-    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_details=False),
-    "talk": Style(13.3 / 12.0, 15.0, 1.7, is_slide=True),
+    "paper": Style(7.1 / 12.0, 7.5, 0.7, 300.0, has_title=False, has_details=False),
+    "talk": Style(13.3 / 12.0, 15.0, 1.7, has_details=False, is_slide=True),
 }
 """Styles by use: a page on a screen; the two columns of a journal, 180 mm wide; slides."""
 
@@ -97,9 +98,9 @@ def using(name: str) -> Iterator[None]:
         _used.reset(token)
 
 
-def has_details() -> bool:
-    """Return True if figures of the present style have titles, multipliers and iterations."""
-    return _used.get().has_details
+def present_style() -> Style:
+    """Return the style of the surrounding `using`."""
+    return _used.get()
 
 
 def new_figure(width: float, height: float, layout: Any = "constrained") -> Figure:
@@ -340,7 +341,7 @@ def set_title(figure: Figure, name: str, details: Sequence[str], is_needed: bool
     """Set the label, which descriptions contain, and the wrapped title, if the style has one or it `is_needed`."""
     texts = name.rstrip("."), ", ".join(details)
     figure.set_label(". ".join(texts))
-    if has_details() or is_needed:
+    if _used.get().has_title or is_needed:
         letters = letters_across(figure)
         lines = (line for text in texts for line in textwrap.wrap(text, letters))
         figure.suptitle("\n".join(lines), fontsize=letter_size(11))
