@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -224,9 +224,9 @@ def control_figure(module: ControlModule, result: Result, drawings: Drawings | N
     upper: Any = None
     lower: Any = figure
     if drawings is not None and style.is_slide:
-        upper, lower = figure.subfigures(1, 2, width_ratios=[0.45, 0.55])
+        upper, lower = cast("Any", figure.subfigures(1, 2, width_ratios=[0.45, 0.55]))
     elif drawings is not None:
-        upper, lower = figure.subfigures(2, 1, height_ratios=[band_height, height])
+        upper, lower = cast("Any", figure.subfigures(2, 1, height_ratios=[band_height, height]))
     metadata = module.metadata
     inner_name = ("waypoint" if metadata.waypoints else "inner time") if metadata.inner_times else ""
     inner = result.t[list(time_grid(module, result.steps, result.grid).inner)] if inner_name else ()
