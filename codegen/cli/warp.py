@@ -219,8 +219,8 @@ def _many(
         typer.echo(output.as_json(page.record(done, summary)))
     else:
         console().print(page.overview(done, summary))
-    for line in done.failed:
-        typer.echo(one_line(f"{line['moving']}: {line['status']}: {line['message']}", 400), err=True)
+    for pair in done.failed:
+        typer.echo(one_line(f"{pair['moving']}: {pair['status']}: {pair['message']}", 400), err=True)
     if done.failed:
         typer.echo(f"codegen: {len(done.failed)} of {len(done.lines)} pairs failed", err=True)
         raise typer.Exit(1)

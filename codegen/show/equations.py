@@ -443,9 +443,11 @@ def derived_equations(
     controls: str = "interval",
 ) -> Equations:
     """Return the equations of a problem file or object; raises the errors of `equations`."""
-    options = {"scheme": scheme, "method": method}
-    text = equations(problem, arguments, **options, controls=controls)
-    return Equations(text, lambda: equations(problem, arguments, **options, controls=controls, latex=True))
+
+    def written_as(latex: bool) -> str:
+        return equations(problem, arguments, scheme=scheme, method=method, controls=controls, latex=latex)
+
+    return Equations(written_as(False), lambda: written_as(True))
 
 
 _HEADING = re.compile(r"^\\(section\*|paragraph)\{(.*)\}$", re.MULTILINE)
