@@ -92,7 +92,7 @@ Pareto = Annotated[
 
 EXAMPLES = (
     "codegen sweep problems/orbital_transfer.py --vary r1=5.5:6.5:101 --out sweep.zarr --plot sweep.png",
-    'codegen sweep problems/cart_pole.py --sample "m=normal(1, 0.05)" --cases 500 --out sweep.nc',
+    'codegen sweep problems/cart_pole.py --sample "m1=normal(1, 0.02)" --cases 500 --out sweep.nc',
 )
 
 
